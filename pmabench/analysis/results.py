@@ -1,0 +1,177 @@
+"""What an analysis says: estimates with their intervals in parts, curves, dropped cells, findings, traces to plot.
+
+Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here computes an estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SCHEMA = "pmabench.analysis/1"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Half widths of the 95 % interval by cause; None where a cause was not assessed, 0 where it has no effect."""
+
+    repeats: float | None = None
+    """Scatter between trials."""
+    method: float | None = None
+    """What the estimator itself adds, found by replay of the fitted plant."""
+    calibration: float | None = None
+    """From the calibration files of the channels."""
+
+    @property
+    def combined(self) -> float | None:
+        """Root of the sum of squares of the assessed parts."""
+        known = [p for p in (self.repeats, self.method, self.calibration) if p is not None]
+        return sqrt(sum(p * p for p in known)) if known else None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One coefficient: a value with unit, interval and parents, or the reason why there is none."""
+
+    symbol: str
+    """As in the field: F_ce, K, B_c, B_r, F_c, t_d, K_u, T_u ..."""
+    value: float | None
+    """None: not identifiable; `note` says why."""
+    unit: str
+    quantity: str
+    """Key of `QUANTITIES`, for display units."""
+    method: str
+    at: Mapping[str, float] = field(default_factory=dict)
+    """Operating point [SI], for instance {"pressure": 3e5} or {"frequency": 0.5}; empty for the whole campaign."""
+    parts: Parts = field(default_factory=Parts)
+    n: int = 0
+    """Number of trials behind it."""
+    bias: float | None = None
+    """Bias of the estimator found by replay; already taken off `value` where `corrected`."""
+    corrected: bool = False
+    note: str = ""
+    trials: tuple[str, ...] = ()
+    """Parents, as `run/index`."""
+    coordinate: str = ""
+    """Where the same symbol appears once per coefficient of a curve: its name, for instance `slope`."""
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval from all parts together."""
+        half = self.parts.combined
+        if self.value is None or half is None:
+            return None
+        return (self.value - half, self.value + half)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documented JSON object of an estimate."""
+        ci = self.ci95
+        return {
+            "symbol": self.symbol,
+            "coordinate": self.coordinate,
+            "at": dict(self.at),
+            "value": self.value,
+            "unit": self.unit,
+            "quantity": self.quantity,
+            "ci95": None if ci is None else list(ci),
+            "parts": asdict(self.parts),
+            "bias": self.bias,
+            "corrected": self.corrected,
+            "n": self.n,
+            "method": self.method,
+            "note": self.note,
+            "trials": list(self.trials),
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A regression of a coefficient on pressure (or another coordinate), with its domain; refuses outside."""
+
+    symbol: str
+    form: str
+    """`line` or `quadratic`, powers in `terms` from the constant up."""
+    terms: tuple[Estimate, ...]
+    against: str
+    domain: tuple[float, float]
+    r2: float
+    residual_rms: float
+    method: str
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A trial that did not enter the fit, and why."""
+
+    trial: str
+    point: Mapping[str, float]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of plain words; `level` is `note`, `doubt` or `fault`."""
+
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Columns of numbers behind one figure: name, caption, and each column's quantity.
+
+    `columns` are equally long arrays, SI. `marks` are named numbers that the figure shows.
+    """
+
+    name: str
+    figure: str
+    """Kind of figure: `overlay`, `loop`, `oscillation`, `isometric`, `bode`, `lift` ..."""
+    title: str
+    columns: Mapping[str, NDArray[np.float64]]
+    quantities: Mapping[str, str]
+    marks: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """All that was found in one or more runs of one kind."""
+
+    kind: str
+    runs: tuple[str, ...]
+    simulated: bool
+    estimates: tuple[Estimate, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    dropped: tuple[Dropped, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers of trials and cells used, residual rms, options, in SI."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documented JSON object; traces by name only, their numbers lie beside it."""
+        return {
+            "schema": SCHEMA,
+            "kind": self.kind,
+            "runs": list(self.runs),
+            "simulated": self.simulated,
+            "estimates": [e.to_dict() for e in self.estimates],
+            "curves": [{**asdict(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
+            "dropped": [asdict(d) for d in self.dropped],
+            "findings": [asdict(f) for f in self.findings],
+            "traces": [
+                {
+                    "name": t.name,
+                    "figure": t.figure,
+                    "title": t.title,
+                    "quantities": dict(t.quantities),
+                    "marks": dict(t.marks),
+                }
+                for t in self.traces
+            ],
+            "facts": dict(self.facts),
+        }

@@ -1,0 +1,1 @@
+"""Errors, clocks, quantities and calibration arithmetic; standard library only."""

@@ -1,0 +1,63 @@
+"""Two clocks with one face: bench seconds that pass by themselves, or that pass when waited for."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Bench time in seconds, monotonic, 0 at the start of the run."""
+
+    def now(self) -> float:
+        """Bench time [s]."""
+        ...
+
+    def wait_until(self, deadline: float) -> None:
+        """Return when bench time has reached `deadline` [s]; at once if it has passed."""
+        ...
+
+    def back_to(self, moment: float) -> bool:
+        """Take bench time back to `moment` [s] where that can be done; tells whether it was."""
+        ...
+
+
+class RealClock:
+    """The machine's monotonic clock; time that has passed stays passed."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Seconds since this clock was made."""
+        return time.monotonic() - self._start
+
+    def wait_until(self, deadline: float) -> None:
+        """Sleep to the absolute deadline, so that errors never add up."""
+        left = deadline - self.now()
+        if left > 0:
+            time.sleep(left)
+
+    def back_to(self, moment: float) -> bool:
+        """Real time cannot be taken back."""
+        return False
+
+
+class VirtualClock:
+    """A clock that jumps to whatever is waited for: the mock bench as fast as the machine computes."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        """The bench time reached so far."""
+        return self._now
+
+    def wait_until(self, deadline: float) -> None:
+        """Jump to the deadline."""
+        self._now = max(self._now, deadline)
+
+    def back_to(self, moment: float) -> bool:
+        """Undo the last jump as far as `moment`: a crossing ends a block at the sample where it happened."""
+        self._now = min(self._now, moment)
+        return True

@@ -1,0 +1,114 @@
+"""The few kinds of failure of the whole program, each with its exit code; knows nothing of who raises them.
+
+Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or communication,
+5 limit, interlock or watchdog tripped, 6 done but a verdict failed, 7 the record could not be written,
+130 interrupted by the operator, 143 by SIGTERM, 129 by SIGHUP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+
+class PmaError(Exception):
+    """Any failure that pmabench explains in a sentence; its `exit_code` ends the command."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One thing that is wrong in one place of one file; line and column count from 1, 0 = the whole file."""
+
+    path: str
+    line: int
+    column: int
+    message: str
+
+    def __str__(self) -> str:
+        """`path:line:column  message`, as editors understand it."""
+        place = self.path if self.line == 0 else f"{self.path}:{self.line}:{self.column}"
+        return f"{place}  {self.message}"
+
+
+class InvalidFile(PmaError):
+    """One or more files cannot be used; carries every problem found, not only the first.
+
+    For instance a protocol with an unknown key, a CSV with a missing column, a truncated run.
+    """
+
+    exit_code = 3
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(sorted(problems))
+        count = len(self.problems)
+        noun = "problem" if count == 1 else "problems"
+        lines = [str(problem) for problem in self.problems]
+        super().__init__("\n".join([*lines, f"{count} {noun}; nothing was sent to the bench"]))
+
+
+def invalid(path: object, message: str, line: int = 0, column: int = 0) -> InvalidFile:
+    """An `InvalidFile` with a single problem."""
+    return InvalidFile([Problem(str(path), line, column, message)])
+
+
+class DeviceError(PmaError):
+    """A device did not answer, answered wrongly or refused; names device and channel or output."""
+
+    exit_code = 4
+
+    def __init__(self, device: str, message: str, channel: str = "") -> None:
+        self.device = device
+        self.channel = channel
+        where = f"{device}.{channel}" if channel else device
+        super().__init__(f"{where}: {message}")
+
+
+class LimitRefused(PmaError):
+    """A command outside a limit was asked for; nothing was sent."""
+
+    exit_code = 5
+
+
+class LimitTripped(PmaError):
+    """A measured value crossed its trip limit; the bench was driven to its safe state."""
+
+    exit_code = 5
+
+
+class VentFailed(PmaError):
+    """The safe state could not be confirmed."""
+
+    exit_code = 5
+
+
+class VerdictFailed(PmaError):
+    """The work was done, but a verdict on it failed, for instance a search that found nothing."""
+
+    exit_code = 6
+
+
+class RecordError(PmaError):
+    """The record could not be written: full disk, no permission, input/output error."""
+
+    exit_code = 7
+
+
+class Interrupted(PmaError):
+    """The operator or the operating system ended the run; `exit_code` is 128 + the signal's number."""
+
+    def __init__(self, who: str, exit_code: int) -> None:
+        self.who = who
+        self.exit_code = exit_code
+        super().__init__(f"ended by {who}")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`; did you mean "..."?` with the nearest of the known names, or the list where none is near."""
+    names = sorted(known)
+    near = get_close_matches(name, names, n=1, cutoff=0.6)
+    if near:
+        return f'; did you mean "{near[0]}"?'
+    return f"; known here: {', '.join(names)}" if names else ""

@@ -1,0 +1,61 @@
+"""Which quantities a bench knows, their SI units and the units that people read; no parsing of text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical quantity: its SI unit, and the unit of tables and plots with 1 display unit = `scale` SI."""
+
+    name: str
+    unit: str
+    shown_in: str
+    scale: float
+
+    def show(self, value: float, digits: int = 6) -> str:
+        """`value` [SI] in the display unit, for instance `300 kPa`."""
+        return f"{value / self.scale:.{digits}g} {self.shown_in}".strip()
+
+
+QUANTITIES: dict[str, Quantity] = {
+    q.name: q
+    for q in (
+        Quantity("pressure", "Pa", "kPa", 1e3),
+        Quantity("pressure rate", "Pa/s", "kPa/s", 1e3),
+        Quantity("length", "m", "mm", 1e-3),
+        Quantity("speed", "m/s", "mm/s", 1e-3),
+        Quantity("acceleration", "m/s2", "m/s2", 1.0),
+        Quantity("force", "N", "N", 1.0),
+        Quantity("mass", "kg", "kg", 1.0),
+        Quantity("time", "s", "s", 1.0),
+        Quantity("frequency", "Hz", "Hz", 1.0),
+        Quantity("ratio", "1", "%", 0.01),
+        Quantity("stiffness", "N/m", "N/mm", 1e3),
+        Quantity("damping", "N.s/m", "N.s/mm", 1e3),
+        Quantity("gain", "Pa/m", "kPa/mm", 1e6),
+        Quantity("work", "J", "J", 1.0),
+        Quantity("voltage", "V", "V", 1.0),
+        Quantity("current", "A", "mA", 1e-3),
+        Quantity("angle", "rad", "deg", 0.017453292519943295),
+        Quantity("force per pressure", "N/Pa", "N/kPa", 1e-3),
+        Quantity("force rate", "N/s", "N/s", 1.0),
+        Quantity("count", "1", "", 1.0),
+    )
+}
+
+CHANNEL_QUANTITY = {
+    "pressure": "pressure",
+    "pressure_command": "pressure",
+    "displacement": "length",
+    "displacement_command": "length",
+    "force": "force",
+    "supply": "pressure",
+}
+"""What each channel name of a protocol measures; a protocol names channels from this table only."""
+
+
+def show(value: float, quantity: str, digits: int = 6) -> str:
+    """`value` [SI] of the named quantity in the unit that people read."""
+    return QUANTITIES[quantity].show(value, digits)

@@ -1,0 +1,1 @@
+"""Executes plans: acquisition, watch on measured limits, searches and loops, operator prompts."""

@@ -1,0 +1,1 @@
+"""Muscle models, regulator, plant and loops as pure functions of arrays and parameters; SI throughout."""

@@ -1,0 +1,131 @@
+"""What a run looks like once it is loaded: the plain records that analysis and report work on; no file formats.
+
+All arrays are SI on one time base; `t` counts seconds from the start of the run. Flags say per sample what is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntFlag
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint16]
+
+
+class Flag(IntFlag):
+    """What is wrong with a sample; flagged samples are kept, counted and left out of fits, never mended."""
+
+    OK = 0
+    GAP = 1
+    """Samples are missing right before this one."""
+    LATE = 2
+    """Taken later than its deadline by more than half a period."""
+    OVERRANGE = 4
+    """A channel is at or beyond the end of its range."""
+    STALE = 8
+    """A channel has not changed for longer than its signal allows."""
+    TIME_JUMP = 16
+    """The clock went back, or leapt."""
+    DROPOUT = 32
+    """A channel reads what a cut wire reads."""
+    SLACK = 64
+    """The specimen carries no force."""
+    SUSPECT = 128
+    """Doubted by a rule of an import map."""
+
+
+UNUSABLE = Flag.GAP | Flag.OVERRANGE | Flag.STALE | Flag.TIME_JUMP | Flag.DROPOUT | Flag.SUSPECT
+"""Samples with one of these do not enter fits."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of the run's events: when [s from the start], what, and its data in SI."""
+
+    seq: int
+    t: float
+    kind: str
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A value, ramp or sine commanded to an output [SI]."""
+
+    t: float
+    output: str
+    kind: str
+    """`set`, `ramp` or `sine`."""
+    value: float
+    """Target of a set or ramp, mean of a sine."""
+    before: float
+    """Value commanded before."""
+    phase: str
+    data: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TrialData:
+    """One trial with its samples.
+
+    `channels` maps `pressure` [Pa], `displacement` [m, contraction positive], `force` [N], `pressure_command` [Pa],
+    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s].
+    """
+
+    run: str
+    index: int
+    point: Mapping[str, float]
+    repeat: int
+    reference: bool
+    status: str
+    """`finished` or what ended it; `excluded` where a note excludes it."""
+    t: Array
+    channels: Mapping[str, Array]
+    flags: Flags
+    commands: tuple[Command, ...]
+    found: Mapping[str, Mapping[str, Any]]
+    """Results of searches, keyed by the phase of the seek."""
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """True where no flag forbids the use in a fit."""
+        return np.asarray((self.flags & np.uint16(UNUSABLE)) == 0)
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """What the record knows of a channel: how raw became SI, and how well."""
+
+    name: str
+    quantity: str
+    unit: str
+    slope: float
+    offset: float
+    low: float
+    high: float
+    offset_uncertainty: float = 0.0
+    gain_uncertainty: float = 0.0
+    sensor_lag: float = 0.0
+    calibration: str = ""
+
+
+@dataclass(frozen=True)
+class RunData:
+    """A closed run, loaded."""
+
+    id: str
+    path: str
+    kind: str
+    status: str
+    simulated: bool
+    manifest: Mapping[str, Any]
+    plan: Mapping[str, Any]
+    events: tuple[Event, ...]
+    channels: Mapping[str, ChannelInfo]
+    rate: float
+    trials: tuple[TrialData, ...]
