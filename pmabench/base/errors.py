@@ -43,10 +43,7 @@ class InvalidFile(PmaError):
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(sorted(problems))
-        count = len(self.problems)
-        noun = "problem" if count == 1 else "problems"
-        lines = [str(problem) for problem in self.problems]
-        super().__init__("\n".join([*lines, f"{count} {noun}; nothing was sent to the bench"]))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
 def invalid(path: object, message: str, line: int = 0, column: int = 0) -> InvalidFile:

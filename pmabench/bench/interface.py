@@ -70,7 +70,10 @@ class ChannelRecord:
 
 @dataclass(frozen=True)
 class OutputRecord:
-    """One commanded quantity; `low`, `high` are the active command limits [SI], `low_from`, `high_from` who set them."""
+    """One commanded quantity; `low` and `high` are the active command limits [SI].
+
+    `low_from` and `high_from` say who set them, as file:line:column.
+    """
 
     name: str
     quantity: str

@@ -110,7 +110,8 @@ class Record(Step):
 class WaitUntil(Step):
     """Wait until `channel` is `below` or `above` `value` [SI], or `steady` (peak to peak at most `value`).
 
-    It must stay so for `window` [s] on end; after `limit` [s] the trial has failed (`fail`) or the run goes on flagged (`flag`).
+    It must stay so for `window` [s] on end; after `limit` [s] the trial has failed (`fail`), or the run goes on
+    flagged (`flag`).
     """
 
     kind: ClassVar[str] = "wait-until"
@@ -148,8 +149,8 @@ class Ask(Step):
 class Seek(Step):
     """A search or closed loop: `law` of the engine's table moves `output` inside `low`..`high` [SI].
 
-    It ends by its own stop rule, after at most `limit` [s]. `parameters` are SI numbers, names of channels and lists of them.
-    What it finds becomes an event `found` with its `result`. `at_limit`: `fail` the trial, or go on and `flag` it.
+    It ends by its own stop rule, after at most `limit` [s]. `parameters` are SI numbers, names of channels and lists
+    of them. What it finds becomes an event `found` with its `result`. `at_limit`: `fail` the trial, or go on and `flag` it.
     """
 
     kind: ClassVar[str] = "seek"

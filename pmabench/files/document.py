@@ -1,0 +1,233 @@
+"""YAML files to strict models, every problem at once with file:line:column; knows no particular kind of file."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+
+MAX_BYTES = 1_000_000
+MAX_NODES = 100_000
+MAX_DEPTH = 40
+
+Location = tuple[str | int, ...]
+Model = TypeVar("Model", bound="Strict")
+
+
+class Strict(BaseModel):
+    """A model that takes what it knows and nothing else."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, populate_by_name=True)
+
+
+class Document:
+    """A YAML file: its plain data, and where each value stands."""
+
+    def __init__(self, path: str, text: str) -> None:
+        self.path = path
+        self.text = text
+        self._places: dict[Location, tuple[int, int]] = {}
+        self._keys: dict[Location, tuple[int, int]] = {}
+        self.data = self._read(text)
+
+    def place(self, location: Location, *, key: bool = False) -> tuple[int, int]:
+        """Line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
+        table = self._keys if key else self._places
+        for end in range(len(location), -1, -1):
+            found = table.get(location[:end]) or self._places.get(location[:end])
+            if found:
+                return found
+        return (1, 1)
+
+    def problem(self, location: Location, message: str, *, key: bool = False) -> Problem:
+        """A `Problem` at a value of this file."""
+        line, column = self.place(location, key=key)
+        return Problem(self.path, line, column, message)
+
+    def where(self, location: Location) -> str:
+        """`path:line:column` of a value."""
+        line, column = self.place(location)
+        return f"{self.path}:{line}:{column}"
+
+    def _read(self, text: str) -> dict[str, Any]:
+        yaml = YAML(typ="rt", pure=True)
+        yaml.allow_duplicate_keys = False
+        try:
+            node = yaml.compose(text)
+        except MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)
+            message = " ".join(str(error.problem or error.context or "not YAML").split())
+            raise invalid(self.path, f"not readable as YAML: {message}", line, column) from error
+        except (YAMLError, ValueError, RecursionError) as error:
+            raise invalid(self.path, f"not readable as YAML: {' '.join(str(error).split())[:200]}") from error
+        if not isinstance(node, MappingNode):
+            raise invalid(self.path, "a file of keys and values is expected, and this holds none", 1, 1)
+        self._budget = MAX_NODES
+        return dict(self._plain(node, ()))
+
+    def _plain(self, node: Node, location: Location) -> Any:
+        self._budget -= 1
+        mark = node.start_mark
+        self._places[location] = (mark.line + 1, mark.column + 1)
+        if self._budget < 0 or len(location) > MAX_DEPTH:
+            raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
+        if node.tag and not node.tag.startswith("tag:yaml.org,2002:"):
+            raise invalid(self.path, f"tags are not allowed: {node.tag}", mark.line + 1, mark.column + 1)
+        if isinstance(node, ScalarNode):
+            return _scalar(node)
+        if isinstance(node, SequenceNode):
+            return [self._plain(item, (*location, index)) for index, item in enumerate(node.value)]
+        data: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key = str(key_node.value)
+            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            if not isinstance(key_node, ScalarNode) or key == "<<":
+                raise invalid(self.path, "a key must be a plain name", *place)
+            if key in data:
+                raise invalid(self.path, f'key "{key}" stands twice', *place)
+            data[key] = self._plain(value_node, (*location, key))
+            self._keys[*location, key] = place
+        return data
+
+
+def _scalar(node: ScalarNode) -> str | int | float | bool | None:
+    text = str(node.value)
+    if node.style in {"'", '"', "|", ">"}:
+        return text
+    if text in {"", "~", "null", "Null", "NULL"}:
+        return None
+    if text in {"true", "True", "TRUE"}:
+        return True
+    if text in {"false", "False", "FALSE"}:
+        return False
+    for kind in (int, float):
+        try:
+            if text[0] in "+-.0123456789" and "_" not in text:
+                return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def read_document(path: Path, shown_as: str | None = None) -> Document:
+    """Read a YAML file; raises `InvalidFile` in one sentence where that cannot be done."""
+    name = shown_as or str(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise invalid(name, f"cannot be read: {error.strerror or error}") from error
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise invalid(name, f"is not text in UTF-8 (byte {error.start})") from error
+    if not text.strip():
+        raise invalid(name, "is empty")
+    return Document(name, text)
+
+
+def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:
+    """The model of a document (or of its part `data` at `at`), or `InvalidFile` with every problem."""
+    try:
+        return model.model_validate(document.data if data is None else data)
+    except ValidationError as error:
+        raise InvalidFile(_problems(model, document, error, at)) from None
+
+
+def _problems(model: type[BaseModel], document: Document, error: ValidationError, at: Location) -> Iterator[Problem]:
+    seen: set[tuple[Location, str]] = set()
+    for item in error.errors(include_url=False):
+        location = (*at, *_in_data(document.data, at, item["loc"]))
+        message, on_key = _sentence(model, item)
+        if (location, message) in seen:
+            continue
+        seen.add((location, message))
+        yield document.problem(location, message, key=on_key)
+
+
+def _in_data(data: Any, at: Location, location: tuple[str | int, ...]) -> Location:
+    """The location without the tags of unions, which do not stand in the file."""
+    for part in at:
+        data = data[part]
+    found: list[str | int] = []
+    for index, part in enumerate(location):
+        if isinstance(data, Mapping) and isinstance(part, str):
+            if part in data:
+                data = data[part]
+            elif index < len(location) - 1:
+                continue
+            found.append(part)
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+            found.append(part)
+    return tuple(found)
+
+
+def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
+    kind, location, value = item["type"], item["loc"], item.get("input")
+    name = str(location[-1]) if location else ""
+    context = item.get("ctx", {})
+    if kind == "extra_forbidden":
+        known = [key for owner in _models_at(model, location[:-1]) for key in _names(owner)]
+        return f'unknown key "{name}"{did_you_mean(name, known)}', True
+    if kind == "missing":
+        return f'"{name}" is missing', False
+    if kind == "value_error":
+        return str(context.get("error", item["msg"])), False
+    if kind in {"literal_error", "enum"}:
+        options = [option.strip("' ") for option in str(context["expected"]).replace(" or ", ", ").split(",")]
+        return f'"{value}" is not known here{did_you_mean(str(value), options)}', False
+    if kind in {"union_tag_invalid", "union_tag_not_found"}:
+        options = [tag.strip("' ") for tag in str(context.get("expected_tags", "")).split(",") if tag.strip()]
+        wanted = str(context.get("tag", ""))
+        return f'"{wanted}" is not known here{did_you_mean(wanted, options)}' if wanted else item["msg"], False
+    if kind in {"model_type", "model_attributes_type", "dict_type"}:
+        return f'"{name}" needs keys and values of its own, not "{value}"', False
+    if kind in {"list_type", "tuple_type"}:
+        return f'"{name}" needs a list, not "{value}"', False
+    message = item["msg"].replace("Input should be", f'"{value}" should be')
+    return message[0].lower() + message[1:] if message[:1].isupper() else message, False
+
+
+def _names(model: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseModel]]:
+    """The models that may stand at a location: annotations walked, all branches of unions kept."""
+    here = [model]
+    for part in location:
+        step: list[Any] = []
+        for owner in (m for item in here for m in _unwrapped(item)):
+            if isinstance(owner, type) and issubclass(owner, BaseModel):
+                fields = {field.alias or name: field for name, field in owner.model_fields.items()}
+                if part in fields:
+                    step.append(fields[part].annotation)
+                elif isinstance(part, str):
+                    step.append(owner)
+            elif get_args(owner):
+                step.append(get_args(owner)[-1 if get_origin(owner) in {dict, Mapping} else 0])
+        here = step or here
+    return [m for item in here for m in _unwrapped(item) if isinstance(m, type) and issubclass(m, BaseModel)]
+
+
+def _unwrapped(annotation: Any) -> list[Any]:
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _unwrapped(get_args(annotation)[0])
+    if origin in {Union, types.UnionType}:
+        return [part for arg in get_args(annotation) for part in _unwrapped(arg)]
+    return [annotation]
+
+
+__all__ = ["Document", "Location", "Strict", "read_document", "validate"]

@@ -1,0 +1,197 @@
+"""Quantities as people write them, NUMBER UNIT, to SI floats; knows units, not what they are used for.
+
+Number and unit are split by our own pattern before the units library sees the unit alone, because on a whole string it
+reads `1,5 bar` as 15 bar, takes `nan`, and hangs on `9**9**9 mm`.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from math import isfinite
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?"
+UNIT = r"[A-Za-zµΩ°%][A-Za-z0-9µΩ°%·*/^. ]{0,30}"
+_PATTERN = re.compile(rf"({NUMBER})\s*({UNIT})")
+_COUNTED = re.compile(rf"(\d{{1,3}})\s*x\s*({NUMBER}\s*{UNIT})")
+
+EXAMPLES = {
+    "pressure": "300 kPa",
+    "pressure rate": "2 kPa/s",
+    "length": "10 mm",
+    "speed": "5 mm/s",
+    "acceleration": "9.81 m/s2",
+    "force": "58.86 N",
+    "mass": "6 kg",
+    "time": "2 s",
+    "frequency": "500 Hz",
+    "ratio": "25 %",
+    "gain": "20 kPa/mm",
+    "voltage": "10 V",
+    "current": "4 mA",
+    "stiffness": "7 N/mm",
+    "damping": "1.5 N.s/mm",
+    "force per pressure": "1.08 N/kPa",
+    "angle": "30 deg",
+}
+_REFERENCE = {
+    "pressure": "Pa",
+    "pressure rate": "Pa/s",
+    "length": "m",
+    "speed": "m/s",
+    "acceleration": "m/s**2",
+    "force": "N",
+    "mass": "kg",
+    "time": "s",
+    "frequency": "1/s",
+    "ratio": "dimensionless",
+    "gain": "Pa/m",
+    "voltage": "V",
+    "current": "A",
+    "stiffness": "N/m",
+    "damping": "N*s/m",
+    "force per pressure": "N/Pa",
+    "angle": "dimensionless",
+}
+
+
+@lru_cache(maxsize=1)
+def _units() -> UnitRegistry[Any]:
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@lru_cache(maxsize=512)
+def unit_factor(unit: str, quantity: str) -> float:
+    """How many SI units one `unit` of `quantity` is; raises ValueError with a hint where it is none."""
+    if unit == "%":
+        if quantity != "ratio":
+            raise ValueError(f'"%" stands only where a ratio is expected, here a {quantity}, {_hint(quantity)}')
+        return 0.01
+    if quantity == "count":
+        if unit in {"count", "counts", "1"}:
+            return 1.0
+        raise ValueError(f'"{unit}" is no count')
+    registry = _units()
+    text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
+    text = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
+    try:
+        parsed = registry.parse_units(text)
+        factor = registry.Quantity(1.0, parsed).to(_REFERENCE[quantity]).magnitude
+    except Exception as error:
+        name = type(error).__name__
+        if name == "DimensionalityError":
+            raise ValueError(f'"{unit}" is no unit of {quantity}, {_hint(quantity)}') from error
+        raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}') from error
+    return float(factor)
+
+
+def _hint(quantity: str) -> str:
+    return f'for instance "{EXAMPLES.get(quantity, "1 s")}"'
+
+
+def parse_quantity(value: object, quantity: str) -> float:
+    """`"300 kPa"` to 300000.0; raises ValueError that says what was expected."""
+    if isinstance(value, bool) or value is None:
+        raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
+    if isinstance(value, (int, float)):
+        if value == 0 and quantity == "ratio":
+            return 0.0
+        example = EXAMPLES.get(quantity, "1 s").split(" ", 1)[1]
+        shown = f"{value:g} {example}" if isfinite(value) else EXAMPLES.get(quantity, "1 s")
+        raise ValueError(f'{value} needs a unit, for instance "{shown}"')
+    if not isinstance(value, str):
+        raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
+    match = _PATTERN.fullmatch(value.strip())
+    if match is None:
+        if re.match(r"[+-]?\d+,\d", value.strip()):
+            raise ValueError(f'"{value}" has a decimal comma; write a point, {_hint(quantity)}')
+        if re.search(r"\((?:g|a|abs|gauge)\)", value):
+            raise ValueError(f'"{value}": gauge or absolute is said by "reference" of the channel, {_hint(quantity)}')
+        raise ValueError(f'"{value}" is no {quantity} with a unit, {_hint(quantity)}')
+    number = float(match[1]) * unit_factor(match[2].strip(), quantity)
+    if not isfinite(number):
+        raise ValueError(f'"{value}" is out of all range')
+    return number
+
+
+def parse_mass_or_force(value: object) -> tuple[str, float]:
+    """`("mass", kg)` for `"6 kg"`, `("force", N)` for `"58.86 N"`."""
+    try:
+        return "mass", parse_quantity(value, "mass")
+    except ValueError as mass_error:
+        try:
+            return "force", parse_quantity(value, "force")
+        except ValueError:
+            if "no unit of mass" in str(mass_error):
+                raise ValueError(f'"{value}" is neither a mass nor a force, for instance "6 kg" or "58.86 N"') from None
+            raise
+
+
+def parse_plates(value: object) -> tuple[int, float]:
+    """`"5 x 5 kg"` to `(5, 5.0)`: COUNT x QUANTITY, for plates only."""
+    match = _COUNTED.fullmatch(str(value).strip())
+    if match is None:
+        raise ValueError(f'"{value}" is no plates, for instance "5 x 5 kg"')
+    return int(match[1]), parse_quantity(match[2], "mass")
+
+
+def _type(quantity: str) -> Any:
+    def parse(value: object) -> float:
+        return parse_quantity(value, quantity)
+
+    schema = {
+        "type": "string",
+        "description": f"{quantity} with its unit",
+        "pattern": rf"^\s*{NUMBER}\s*{UNIT}\s*$",
+        "examples": [EXAMPLES[quantity]],
+    }
+    return Annotated[float, BeforeValidator(parse), WithJsonSchema(schema)]
+
+
+if TYPE_CHECKING:
+    Pressure = PressureRate = Length = Speed = Acceleration = Force = Mass = Time = float
+    Frequency = Ratio = Gain = Stiffness = Damping = ForcePerPressure = float
+    Load = tuple[str, float]
+    Plates = tuple[int, float]
+else:
+    Pressure = _type("pressure")
+    PressureRate = _type("pressure rate")
+    Length = _type("length")
+    Speed = _type("speed")
+    Acceleration = _type("acceleration")
+    Force = _type("force")
+    Mass = _type("mass")
+    Time = _type("time")
+    Frequency = _type("frequency")
+    Ratio = _type("ratio")
+    Gain = _type("gain")
+    Stiffness = _type("stiffness")
+    Damping = _type("damping")
+    ForcePerPressure = _type("force per pressure")
+    Load = Annotated[
+        tuple[str, float],
+        BeforeValidator(parse_mass_or_force),
+        WithJsonSchema({"type": "string", "description": "a mass or a force", "examples": ["6 kg", "58.86 N"]}),
+    ]
+    Plates = Annotated[
+        tuple[int, float],
+        BeforeValidator(parse_plates),
+        WithJsonSchema({"type": "string", "description": "COUNT x MASS", "examples": ["5 x 5 kg"]}),
+    ]
+
+
+def raw_quantity(value: object) -> tuple[float, str]:
+    """`"9.998 V"` to `(9.998, "V")`: a reading in device units, kept as it stands."""
+    if isinstance(value, str):
+        match = _PATTERN.fullmatch(value.strip())
+        if match is not None and isfinite(float(match[1])):
+            return float(match[1]), match[2].strip()
+    raise ValueError(f'"{value}" is no reading with a unit, for instance "5.003 V" or "1200 count"')
