@@ -144,6 +144,8 @@ class CompiledBench:
     safe_state: tuple[SafeAction, ...]
     hands_below: float
     """Measured gauge pressure under which hands may go in [Pa]."""
+    hands_at_pressure: float = 0.0
+    """Highest pressure at which a protocol may ask for hands at pressure [Pa]; 0: never."""
     gravity: float = 9.81
     carriage: float = 0.0
     """Mass that moves with every load: table, cable, rod [kg]."""

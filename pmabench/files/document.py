@@ -28,34 +28,91 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False, populate_by_name=True)
 
 
+Place = tuple[str, int, int]
+
+
 class Document:
-    """A YAML file: its plain data, and where each value stands."""
+    """A YAML file: its plain data, where each value stands, and the texts that it was made of.
+
+    A top-level `include: other.yaml` takes the other file first; keys given here replace those of the same name.
+    """
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
-        self.text = text
-        self._places: dict[Location, tuple[int, int]] = {}
-        self._keys: dict[Location, tuple[int, int]] = {}
+        self.texts: dict[str, str] = {path: text}
+        self._places: dict[Location, Place] = {}
+        self._keys: dict[Location, Place] = {}
         self.data = self._read(text)
 
-    def place(self, location: Location, *, key: bool = False) -> tuple[int, int]:
-        """Line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
+    def place(self, location: Location, *, key: bool = False) -> Place:
+        """Path, line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
         table = self._keys if key else self._places
         for end in range(len(location), -1, -1):
             found = table.get(location[:end]) or self._places.get(location[:end])
             if found:
                 return found
-        return (1, 1)
+        return (self.path, 1, 1)
 
     def problem(self, location: Location, message: str, *, key: bool = False) -> Problem:
         """A `Problem` at a value of this file."""
-        line, column = self.place(location, key=key)
-        return Problem(self.path, line, column, message)
+        return Problem(*self.place(location, key=key), message)
 
     def where(self, location: Location) -> str:
         """`path:line:column` of a value."""
-        line, column = self.place(location)
-        return f"{self.path}:{line}:{column}"
+        return ":".join(str(part) for part in self.place(location))
+
+    def include(self, other: Document) -> None:
+        """Put the other document under this one."""
+        own = self.data
+        own.pop("include", None)
+        self.texts = {**self.texts, **other.texts}
+        places, keys = self._places, self._keys
+        self._places, self._keys = dict(other._places), dict(other._keys)
+        self.data = other.data
+        self._overlay(own, (), places, keys)
+
+    def override(self, name: str, text: str) -> None:
+        """Set the value `text` (YAML) at the dotted `name`, as `--set name=value` does."""
+        source = f"--set {name}"
+        location: Location = tuple(int(part) if part.isdigit() else part for part in name.split("."))
+        value = Document(source, f"value: {text}")
+        target: Any = self.data
+        for part in location[:-1]:
+            inside = isinstance(target, dict) and part in target
+            inside = inside or (isinstance(target, list) and isinstance(part, int) and part < len(target))
+            if not inside:
+                known = [str(key) for key in target] if isinstance(target, dict) else []
+                raise invalid(source, f'there is no "{part}" in {self.path}{did_you_mean(str(part), known)}')
+            target = target[part]
+        if not isinstance(target, (dict, list)):
+            raise invalid(source, f"there is nothing to set in {self.path}")
+        self._forget(location)
+        if isinstance(target, list) and not (isinstance(location[-1], int) and location[-1] < len(target)):
+            raise invalid(source, f"the list in {self.path} has no place {location[-1]}")
+        target[location[-1]] = value.data["value"]  # type: ignore[index]
+        self.texts[source] = text
+        for inner, place in value._places.items():
+            if inner:
+                self._places[*location, *inner[1:]] = place
+
+    def _overlay(self, own: dict[str, Any], at: Location, places: Any, keys: Any) -> None:
+        target: Any = self.data
+        for part in at:
+            target = target[part]
+        for key, value in own.items():
+            location = (*at, key)
+            if isinstance(value, dict) and isinstance(target.get(key), dict):
+                self._overlay(value, location, places, keys)
+                continue
+            self._forget(location)
+            target[key] = value
+            for table, mine in ((places, self._places), (keys, self._keys)):
+                mine.update({loc: place for loc, place in table.items() if loc[: len(location)] == location})
+
+    def _forget(self, location: Location) -> None:
+        for table in (self._places, self._keys):
+            for known in [loc for loc in table if loc[: len(location)] == location]:
+                del table[known]
 
     def _read(self, text: str) -> dict[str, Any]:
         yaml = YAML(typ="rt", pure=True)
@@ -77,7 +134,7 @@ class Document:
     def _plain(self, node: Node, location: Location) -> Any:
         self._budget -= 1
         mark = node.start_mark
-        self._places[location] = (mark.line + 1, mark.column + 1)
+        self._places[location] = (self.path, mark.line + 1, mark.column + 1)
         if self._budget < 0 or len(location) > MAX_DEPTH:
             raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
         if node.tag and not node.tag.startswith("tag:yaml.org,2002:"):
@@ -95,7 +152,7 @@ class Document:
             if key in data:
                 raise invalid(self.path, f'key "{key}" stands twice', *place)
             data[key] = self._plain(value_node, (*location, key))
-            self._keys[*location, key] = place
+            self._keys[*location, key] = (self.path, *place)
         return data
 
 
@@ -118,9 +175,9 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
     return text
 
 
-def read_document(path: Path, shown_as: str | None = None) -> Document:
-    """Read a YAML file; raises `InvalidFile` in one sentence where that cannot be done."""
-    name = shown_as or str(path)
+def read_document(path: Path, depth: int = 0) -> Document:
+    """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
+    name = str(path)
     try:
         if path.stat().st_size > MAX_BYTES:
             raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
@@ -133,7 +190,14 @@ def read_document(path: Path, shown_as: str | None = None) -> Document:
         raise invalid(name, f"is not text in UTF-8 (byte {error.start})") from error
     if not text.strip():
         raise invalid(name, "is empty")
-    return Document(name, text)
+    document = Document(name, text)
+    other = document.data.get("include")
+    if other is not None:
+        if not isinstance(other, str) or depth > 3 or Path(other).is_absolute():
+            problem = "includes one other file by a relative path, at most three deep"
+            raise InvalidFile([document.problem(("include",), problem)])
+        document.include(read_document(path.parent / other, depth + 1))
+    return document
 
 
 def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from math import isfinite
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import BeforeValidator, WithJsonSchema
 
@@ -157,10 +157,22 @@ def _type(quantity: str) -> Any:
 
 
 if TYPE_CHECKING:
-    Pressure = PressureRate = Length = Speed = Acceleration = Force = Mass = Time = float
-    Frequency = Ratio = Gain = Stiffness = Damping = ForcePerPressure = float
-    Load = tuple[str, float]
-    Plates = tuple[int, float]
+    Pressure: TypeAlias = float
+    PressureRate: TypeAlias = float
+    Length: TypeAlias = float
+    Speed: TypeAlias = float
+    Acceleration: TypeAlias = float
+    Force: TypeAlias = float
+    Mass: TypeAlias = float
+    Time: TypeAlias = float
+    Frequency: TypeAlias = float
+    Ratio: TypeAlias = float
+    Gain: TypeAlias = float
+    Stiffness: TypeAlias = float
+    Damping: TypeAlias = float
+    ForcePerPressure: TypeAlias = float
+    Load: TypeAlias = tuple[str, float]
+    Plates: TypeAlias = tuple[int, float]
 else:
     Pressure = _type("pressure")
     PressureRate = _type("pressure rate")
