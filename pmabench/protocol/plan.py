@@ -150,7 +150,8 @@ class Seek(Step):
     """A search or closed loop: `law` of the engine's table moves `output` inside `low`..`high` [SI].
 
     It ends by its own stop rule, after at most `limit` [s]. `parameters` are SI numbers, names of channels and lists
-    of them. What it finds becomes an event `found` with its `result`. `at_limit`: `fail` the trial, or go on and `flag` it.
+    of them. What it finds becomes an event `found` with its `result`. `at_limit`: `fail` the trial, or go on
+    and `flag` it.
     """
 
     kind: ClassVar[str] = "seek"

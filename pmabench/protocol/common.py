@@ -1,0 +1,188 @@
+"""What all kinds of protocol share: the head of the file, loads, preparation, and checks against the mounted bench."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from pmabench.base.errors import Problem
+from pmabench.base.quantities import show
+from pmabench.bench.compile import Mounted
+from pmabench.files.document import Document, Location, Strict
+from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
+from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
+
+ChannelName = Literal["pressure", "displacement", "force", "pressure_command", "displacement_command"]
+
+
+class Needs(Strict):
+    """What the bench must have."""
+
+    free_end: Literal["weights", "actuator"]
+
+
+class Precondition(Strict):
+    """Unrecorded cycles before the first trial, so that the first repeat is like the others."""
+
+    cycles: Annotated[int, Field(ge=0, le=1000)]
+    pressure: Pressure
+    hold: Time
+
+
+class Prepare(Strict):
+    """What comes before the first trial."""
+
+    precondition: Precondition | None = None
+
+
+class Accept(Strict):
+    """Widest interval, relative to the value, with which a coefficient is accepted."""
+
+    relative_interval: Ratio
+
+
+class ProtocolHead(Strict):
+    """The part of a protocol that does not depend on its kind."""
+
+    schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
+    name: Annotated[str, Field(max_length=120)]
+    source: Annotated[str, Field(max_length=400)]
+    needs: Needs
+    sample_rate: Annotated[Frequency, Field(gt=0, le=1e6)]
+    record: Annotated[list[ChannelName], Field(min_length=1)]
+    prepare: Prepare = Prepare()
+    accept: dict[Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"], Accept] = {}
+
+
+@dataclass
+class Compilation:
+    """A protocol being compiled: what it is made of, the steps so far, and the problems so far."""
+
+    document: Document
+    mounted: Mounted
+    head: ProtocolHead
+    steps: list[Step] = field(default_factory=list)
+    trials: list[TrialRecord] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    hazards: list[str] = field(default_factory=list)
+    _on: tuple[float, float] | None = None
+
+    def fault(self, location: Location, message: str, *, key: bool = False) -> None:
+        """Note a problem at a place of the protocol."""
+        problem = self.document.problem(location, message, key=key)
+        if problem not in self.problems:
+            self.problems.append(problem)
+
+    def within(self, output: str, value: float, location: Location) -> None:
+        """Check a value to be commanded against the active limits."""
+        record = next((o for o in self.mounted.bench.outputs if o.name == output), None)
+        if record is None:
+            self.fault(location, f'needs the output "{output}", which the bench does not have')
+            return
+        shown = show(value, record.quantity)
+        if value > record.high * (1 + 1e-9) + 1e-12:
+            limit = show(record.high, record.quantity)
+            self.fault(location, f"{shown} is above the limit for commanded {output}, {limit} ({record.high_from})")
+        if value < record.low - 1e-12 - 1e-9 * abs(record.low):
+            limit = show(record.low, record.quantity)
+            self.fault(location, f"{shown} is below the limit for commanded {output}, {limit} ({record.low_from})")
+
+    def positive(self, value: float, location: Location) -> None:
+        """Check a duration, rate or count that must be above zero."""
+        if not value > 0:
+            self.fault(location, "must be above zero")
+
+    def load(self, written: tuple[str, float], location: Location) -> dict[str, float]:
+        """F_L [N] and moving mass [kg] of a load written as mass or force."""
+        kind, value = written
+        bench = self.mounted.bench
+        if value < 0:
+            self.fault(location, "a load is not below zero")
+        if kind == "mass":
+            hanging = bench.hanging
+            return {"load": value * bench.gravity, "mass": value + bench.carriage if hanging else FORCE_MASS}
+        return {"load": value, "mass": FORCE_MASS}
+
+    def put_on(self, point: dict[str, float], demands: str = "vented") -> None:
+        """Ask for the load of a point where it is not on already."""
+        load = (point["load"], point["mass"])
+        if self._on == load:
+            return
+        self._on = load
+        self.steps.append(Ask("load", self.load_text(load), demands, load))
+
+    def load_text(self, load: tuple[float, float]) -> str:
+        """What the operator is asked to do for a load."""
+        weights = self.mounted.bench_file.weights
+        if weights is None:
+            return f"Put {load[0]:.2f} N on the free end."
+        mass = load[0] / weights.g
+        stack = f" ({plates_text(mass - weights.hanger, weights.plates)})" if weights.plates and load[0] > 0 else ""
+        if load[0] == 0:
+            return "Take every weight off the free end."
+        return f"Put {mass:.3f} kg on the free end, hanger included{stack}: {load[0]:.2f} N."
+
+    def precondition(self) -> None:
+        """Add the unrecorded cycles."""
+        cycles = self.head.prepare.precondition
+        if cycles is None:
+            return
+        at: Location = ("prepare", "precondition")
+        self.within("pressure", cycles.pressure, (*at, "pressure"))
+        for _ in range(cycles.cycles):
+            self.steps += [
+                Set("precondition", "pressure", cycles.pressure),
+                Hold("precondition", cycles.hold),
+                Set("precondition", "pressure", 0.0),
+                Hold("precondition", cycles.hold),
+            ]
+
+    def needs_bench(self) -> None:
+        """Check free end and channels."""
+        bench = self.mounted.bench
+        if self.head.needs.free_end != bench.free_end:
+            self.fault(
+                ("needs", "free_end"),
+                f'needs a bench whose free end is "{self.head.needs.free_end}"; "{bench.name}" has "{bench.free_end}"',
+            )
+        names = [channel.name for channel in bench.channels]
+        for index, name in enumerate(self.head.record):
+            if name not in names:
+                self.fault(("record", index), f'the bench has no channel "{name}"; it has {", ".join(names)}')
+
+    def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
+        """The finished plan."""
+        accept = {str(name): accept.relative_interval for name, accept in self.head.accept.items()}
+        return Plan(
+            kind=kind,
+            name=self.head.name,
+            source=self.head.source,
+            free_end=self.head.needs.free_end,
+            rate=self.head.sample_rate,
+            record=tuple(self.head.record),
+            trials=tuple(self.trials),
+            steps=tuple(self.steps),
+            settings=settings,
+            accept=accept,
+            hazards=tuple(self.hazards),
+        )
+
+
+FORCE_MASS = 0.5
+"""Moving mass of a load that acts as a pure force [kg] (papers digest 5.1)."""
+
+
+def plates_text(mass: float, plates: list[tuple[int, float]]) -> str:
+    """Which plates make `mass` [kg], for instance `1 x 5 kg + 1 x 2.5 kg`; says so where they do not."""
+    chosen: list[str] = []
+    left = mass
+    for count, each in sorted(plates, key=lambda plate: -plate[1]):
+        used = min(count, int((left + 1e-6) / each))
+        if used:
+            chosen.append(f"{used} x {each:g} kg")
+            left -= used * each
+    if left > 1e-3:
+        return f"the plates of this bench leave {left:.3f} kg"
+    return "hanger + " + " + ".join(chosen) if chosen else "hanger alone"

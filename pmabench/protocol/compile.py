@@ -1,0 +1,67 @@
+"""Protocol file to plan: the table of kinds, and the checks that every plan passes; pure, nothing is sent anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.bench.compile import Mounted
+from pmabench.files.document import Document, read_document, validate
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.plan import Plan
+
+KINDS = {
+    "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
+}
+"""Kind of protocol -> its module in this package and its class."""
+
+
+def kind_class(kind: str) -> type[ProtocolHead]:
+    """The model of one kind of protocol."""
+    module, name = KINDS[kind]
+    loaded: type[ProtocolHead] = getattr(import_module(f"pmabench.protocol.{module}"), name)
+    return loaded
+
+
+def read_protocol(path: Path, settings: Sequence[tuple[str, str]] = ()) -> tuple[Document, Any]:
+    """The document and the model of a protocol file, with `--set` values put in."""
+    document = read_document(path)
+    for name, text in settings:
+        document.override(name, text)
+    kind = document.data.get("kind")
+    if kind not in KINDS:
+        message = f'"{kind}" is no kind of protocol{did_you_mean(str(kind), KINDS)}' if kind else '"kind" is missing'
+        raise InvalidFile([document.problem(("kind",), message)])
+    return document, validate(kind_class(str(kind)), document)
+
+
+def compile_protocol(document: Document, protocol: Any, mounted: Mounted) -> Plan:
+    """The plan of a protocol on a bench with a specimen; raises `InvalidFile` with every problem."""
+    c = Compilation(document, mounted, protocol)
+    c.needs_bench()
+    try:
+        plan: Plan = protocol.compile(c)
+    except InvalidFile as error:
+        raise InvalidFile([*c.problems, *error.problems]) from None
+    if not c.problems:
+        c.problems += list(_beyond(plan, c))
+    if c.problems:
+        raise InvalidFile(c.problems)
+    return plan
+
+
+def _beyond(plan: Plan, c: Compilation) -> list[Problem]:
+    """What no located check found: any step that could leave the active limits, whatever it was made from."""
+    for output, (low, high) in plan.commands().items():
+        c.within(output, low, ("trial",))
+        c.within(output, high, ("trial",))
+    return []
+
+
+def make_plan(path: Path, mounted: Mounted, settings: Sequence[tuple[str, str]] = ()) -> tuple[Plan, Document]:
+    """Read and compile; the document goes into the run's snapshot."""
+    document, protocol = read_protocol(path, settings)
+    return compile_protocol(document, protocol, mounted), document
