@@ -1,0 +1,228 @@
+"""Acquisition: collects blocks from the streams, scales, flags, watches and records them; knows no steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, LimitTripped
+from pmabench.bench.interface import ChannelRecord, CompiledBench, Device, Stream
+from pmabench.engine.watch import Trip, Watch
+from pmabench.store.records import Flag
+
+Array = NDArray[np.float64]
+
+VIRTUAL_BLOCK = 1.0
+REAL_BLOCK = 0.05
+SILENCE = 1.0
+"""A stream that gives nothing for so long [s] has failed."""
+
+
+class Recorder(Protocol):
+    """Where samples and events go: a run folder, or nowhere when a plan is only tried."""
+
+    def append(
+        self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
+    ) -> None:
+        """Samples as the device gave them."""
+        ...
+
+    def event(self, kind: str, t: float, **data: Any) -> None:
+        """Something that happened at bench time `t` [s]."""
+        ...
+
+
+class NoRecord:
+    """A recorder that keeps nothing but the events."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, float, dict[str, Any]]] = []
+
+    def append(self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any) -> None:
+        """Nothing is kept."""
+
+    def event(self, kind: str, t: float, **data: Any) -> None:
+        """Kept in memory."""
+        self.events.append((kind, t, data))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A block in SI: `t` [s] and each of `values` have shape (n,)."""
+
+    t: Array
+    values: Mapping[str, Array]
+
+
+Stop = Callable[[Samples], int | None]
+"""Index of the sample at which to stop, or None to go on."""
+
+
+class _Source:
+    """One stream with its channels."""
+
+    def __init__(self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str]) -> None:
+        self.name = name
+        self.stream = stream
+        self.channels = {channel.name: channel for channel in channels}
+        self.recorded = [channel.name for channel in channels if channel.name in recorded]
+        self.rate = 0.0
+        self.last: int | None = None
+        self.heard = 0.0
+
+
+class Acquisition:
+    """Samples all streams of a bench at one rate."""
+
+    def __init__(
+        self,
+        bench: CompiledBench,
+        devices: Mapping[str, Device],
+        clock: Clock,
+        rate: float,
+        record: Sequence[str],
+        recorder: Recorder,
+    ) -> None:
+        self.clock = clock
+        self.rate = rate
+        self.recording = False
+        self.latest: dict[str, float] = {}
+        self.counts = {"rows": 0, "gaps": 0, "overrange": 0, "slack": 0}
+        self.extremes: dict[str, tuple[float, float]] = {}
+        self.check: Callable[[], None] = lambda: None
+        self._recorder = recorder
+        self._watch: Watch | None = Watch(bench.trips)
+        self._slack_below = bench.slack_below
+        self._block = REAL_BLOCK if bench.realtime else VIRTUAL_BLOCK
+        self._sources: list[_Source] = []
+        for device in bench.devices:
+            opened = devices[device.name]
+            if isinstance(opened, Stream) and device.channels:
+                self._sources.append(_Source(device.name, opened, device.channels, record))
+
+    def start(self) -> None:
+        """Begin to sample every stream."""
+        for source in self._sources:
+            source.rate = source.stream.start(self.rate)
+            source.heard = self.clock.now()
+
+    def stop(self) -> None:
+        """End sampling; harmless when repeated."""
+        for source in self._sources:
+            source.stream.stop()
+
+    def unwatch(self) -> None:
+        """No more trips: the safe state has begun and nothing may cancel it."""
+        self._watch = None
+
+    def pass_time(self, duration: float, stop: Stop | None = None) -> float | None:
+        """Let bench time pass; see `until`."""
+        return self.until(self.clock.now() + duration, stop)
+
+    def until(self, deadline: float, stop: Stop | None = None) -> float | None:
+        """Sample until `deadline` [s], or until `stop` says so; the time of the stop [s], or None.
+
+        Raises LimitTripped when a measured limit is crossed; time then stands at that sample where it can.
+        """
+        while True:
+            self.check()
+            self.clock.wait_until(min(self.clock.now() + self._block, deadline))
+            stopped = self._collect(stop)
+            if stopped is not None:
+                return stopped
+            if self.clock.now() >= deadline - 1e-9:
+                return None
+
+    def sample(self) -> tuple[float, Mapping[str, float]]:
+        """Wait for the next sample of all channels; its time [s] and the values [SI]."""
+        period = 1.0 / self.rate
+        now = self.clock.now()
+        self.clock.wait_until((np.floor(now / period + 1e-6) + 1.0) * period)
+        self.check()
+        self._collect(None)
+        return self.clock.now(), self.latest
+
+    def measure(self) -> Mapping[str, float]:
+        """A tenth of a second of samples; the latest values [SI]. For confirming the safe state."""
+        self.clock.wait_until(self.clock.now() + 0.1)
+        self._collect(None)
+        return self.latest
+
+    def _collect(self, stop: Stop | None) -> float | None:
+        stopped: float | None = None
+        trip: Trip | None = None
+        for source in self._sources:
+            block = source.stream.collect()
+            time_ns = np.asarray(block.time, dtype=np.int64)
+            count = len(time_ns)
+            if count == 0:
+                if self.clock.now() - source.heard > SILENCE + 1.5 / self.rate:
+                    raise DeviceError(source.name, f"has sent no sample for {SILENCE:g} s")
+                continue
+            source.heard = self.clock.now()
+            raw = {name: np.asarray(block.columns[name]) for name in source.channels}
+            t = np.asarray(time_ns * 1e-9, dtype=np.float64)
+            values = {name: source.channels[name].scale.to_si(raw[name]) for name in raw}
+            trip = self._watch.look(t, values) if self._watch is not None else None
+            index = trip.index if trip is not None else None
+            if stop is not None:
+                at = stop(Samples(t, values))
+                if at is not None and (index is None or at < index):
+                    index, trip = at, None
+                    stopped = float(t[at])
+            if index is not None and index < count - 1 and self.clock.back_to(float(t[index])):
+                count = index + 1
+                time_ns, t = time_ns[:count], t[:count]
+                raw = {name: column[:count] for name, column in raw.items()}
+                values = {name: column[:count] for name, column in values.items()}
+            self._keep(source, time_ns, raw, values)
+            if trip is not None:
+                break
+        if trip is not None:
+            raise Tripped(trip)
+        return stopped
+
+    def _keep(
+        self, source: _Source, time_ns: NDArray[np.int64], raw: Mapping[str, Any], values: Mapping[str, Array]
+    ) -> None:
+        flags = np.zeros(len(time_ns), dtype=np.uint16)
+        if len(time_ns) > 1 or source.last is not None:
+            before = time_ns[0] if source.last is None else source.last
+            gaps = np.diff(time_ns, prepend=before) > 1.5e9 / source.rate
+            if gaps.any():
+                flags[gaps] |= Flag.GAP
+                self.counts["gaps"] += int(gaps.sum())
+        source.last = int(time_ns[-1])
+        for name, value in values.items():
+            channel = source.channels[name]
+            low, high = float(value.min()), float(value.max())
+            seen = self.extremes.get(name, (low, high))
+            self.extremes[name] = (min(seen[0], low), max(seen[1], high))
+            if low <= channel.low or high >= channel.high:
+                over = (value <= channel.low) | (value >= channel.high)
+                if channel.raw_type != "int32":
+                    over = (value < channel.low) | (value > channel.high)
+                flags[over] |= Flag.OVERRANGE
+                self.counts["overrange"] += int(over.sum())
+            self.latest[name] = float(value[-1])
+        force = values.get("force")
+        if self._slack_below > 0 and force is not None:
+            slack = force < self._slack_below
+            flags[slack] |= Flag.SLACK
+            self.counts["slack"] += int(slack.sum()) if self.recording else 0
+        if self.recording:
+            self.counts["rows"] += len(time_ns)
+            self._recorder.append(source.name, time_ns, {name: raw[name] for name in source.recorded}, flags)
+
+
+class Tripped(LimitTripped):
+    """A measured limit was crossed."""
+
+    def __init__(self, trip: Trip) -> None:
+        self.trip = trip
+        super().__init__(str(trip))

@@ -1,0 +1,113 @@
+"""Law `ramp-until`: ramp the output until a channel crosses a threshold: lift, set-down, return to zero, dead band.
+
+A fast approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds
+it again, so that regulator lag and creep do not enter. Knows no devices and no files.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pmabench.engine.acquire import Samples, Stop
+from pmabench.engine.seek import Moves
+
+
+def ramp_until(
+    moves: Moves,
+    *,
+    channel: str,
+    threshold: float,
+    direction: str,
+    rate: float,
+    approach_rate: float,
+    back_off: float,
+    window: float,
+    settle: float,
+) -> dict[str, Any]:
+    """Search for the crossing of `threshold` [SI of `channel`].
+
+    `direction` "up": the output rises until the channel is above the threshold for `window` [s]; "down": it falls until
+    the channel is below. `rate` [SI/s] is the slow one, `approach_rate` the fast one (0: none). After the approach the
+    output goes back by `back_off` [SI] and rests for `settle` [s]. Result: measured pressure, time and channel value at
+    the crossing (means over `window`), and the command's end value.
+    """
+    up = direction == "up"
+    far = moves.step.high if up else moves.step.low
+    start = moves.commanded if moves.commanded is not None else _commanded_now(moves)
+    if approach_rate > 0:
+        crossing = _cross(moves, start, far, approach_rate, channel, threshold, window, above=up)
+        if crossing is None:
+            return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
+        here = _commanded_now(moves)
+        start = moves.inside(here - back_off if up else here + back_off)
+        moves.acquisition.until(moves.ramp(here, start, approach_rate))
+        moves.acquisition.pass_time(settle)
+    crossing = _cross(moves, start, far, rate, channel, threshold, window, above=up)
+    if crossing is None:
+        return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
+    here = _commanded_now(moves)
+    moves.set(here)
+    return {"found": True, "direction": direction, "command": here, **crossing}
+
+
+def _commanded_now(moves: Moves) -> float:
+    name = f"{moves.step.output}_command"
+    return moves.inside(moves.acquisition.latest[name])
+
+
+def _cross(
+    moves: Moves,
+    origin: float,
+    target: float,
+    rate: float,
+    channel: str,
+    threshold: float,
+    window: float,
+    *,
+    above: bool,
+) -> dict[str, float] | None:
+    samples = max(1, round(window * moves.acquisition.rate))
+    seen = _Crossing(channel, threshold, samples, above=above)
+    end = min(moves.ramp(origin, target, rate) + 1.0, moves.deadline)
+    stopped = moves.acquisition.until(end, seen.stop())
+    if stopped is None:
+        return None
+    return {"t": stopped, **seen.at}
+
+
+class _Crossing:
+    """Looks for a run of samples beyond the threshold, across blocks."""
+
+    def __init__(self, channel: str, threshold: float, samples: int, *, above: bool) -> None:
+        self.channel, self.threshold, self.samples, self.above = channel, threshold, samples, above
+        self.run = 0
+        self.at: dict[str, float] = {}
+
+    def stop(self) -> Stop:
+        return self._stop
+
+    def _stop(self, block: Samples) -> int | None:
+        x = block.values.get(self.channel)
+        if x is None:
+            return None
+        beyond = x > self.threshold if self.above else x < self.threshold
+        if not beyond.any():
+            self.run = 0
+            return None
+        breaks = np.flatnonzero(~beyond)
+        index = np.arange(len(beyond))
+        last = np.full(len(beyond), -1 - self.run)
+        if len(breaks):
+            position = np.searchsorted(breaks, index, side="right") - 1
+            last = np.where(position >= 0, breaks[np.maximum(position, 0)], -1 - self.run)
+        runs = index - last
+        hits = np.flatnonzero(beyond & (runs >= self.samples))
+        if len(hits) == 0:
+            self.run = int(runs[-1]) if beyond[-1] else 0
+            return None
+        hit = int(hits[0])
+        first = max(0, hit - self.samples + 1)
+        self.at = {name: float(np.mean(values[first : hit + 1])) for name, values in block.values.items()}
+        return hit

@@ -1,0 +1,57 @@
+"""Who answers the prompts: a person at a terminal, or nobody with everything confirmed beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from pmabench.base.errors import PmaError
+from pmabench.base.quantities import show
+
+
+class NoOperator(PmaError):
+    """The plan needs hands, and there is neither a terminal nor `--yes`."""
+
+    exit_code = 2
+
+
+class Operator(Protocol):
+    """Answers a prompt; returns what was answered, for the record."""
+
+    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+        """Show the text and the live values; return when it is done."""
+        ...
+
+
+class ConfirmedBeforehand:
+    """`--yes`: every prompt counts as answered, and the record says so."""
+
+    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+        """Answered without a person."""
+        return "confirmed beforehand (--yes)"
+
+
+class AtTerminal:
+    """A person: sees the measured pressure, and types `clear` when hands are out."""
+
+    def __init__(self, read: Callable[[str], str], write: Callable[[str], None]) -> None:
+        self._read = read
+        self._write = write
+
+    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+        """Ask until the word is `clear`; nothing else counts."""
+        pressure = measured.get("pressure")
+        shown = "not measured" if pressure is None else show(pressure, "pressure", 3)
+        self._write(f"{text}\nMeasured pressure: {shown}.")
+        while True:
+            answer = self._read('Type "clear" when it is done and hands are out: ').strip().lower()
+            if answer == "clear":
+                return "clear"
+
+
+class Nobody:
+    """Neither a terminal nor `--yes`."""
+
+    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+        """Refused."""
+        raise NoOperator(f"hands are needed ({text}) and there is no terminal; with --yes prompts count as answered")

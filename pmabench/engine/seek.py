@@ -1,0 +1,90 @@
+"""Searches and closed loops: the table of laws, and the two ways to run one; a law cannot leave its output range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, Protocol
+
+from pmabench.base.clock import Clock
+from pmabench.engine.acquire import Acquisition
+from pmabench.guard.guard import Guard
+from pmabench.protocol.plan import Seek
+
+SAMPLED = {
+    "p": ("proportional", "Proportional"),
+    "gain-steps": ("gain_steps", "GainSteps"),
+}
+"""Laws that compute a command from every sample: module in `engine.laws` and class."""
+
+SCRIPTED = {"ramp-until": ("ramp_until", "ramp_until")}
+"""Laws that ramp and watch for a crossing: module in `engine.laws` and function."""
+
+
+class SampledLaw(Protocol):
+    """A law that is called at every sample."""
+
+    done: bool
+
+    def update(self, t: float, values: Mapping[str, float]) -> float:
+        """The command [SI] for the measured values [SI] at bench time `t` [s]."""
+        ...
+
+    def result(self) -> dict[str, Any]:
+        """What was found, as plain data."""
+        ...
+
+
+class Moves:
+    """What a scripted law may do: ramp its output inside the step's range, and let time pass until a crossing."""
+
+    def __init__(self, step: Seek, guard: Guard, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
+        self.step = step
+        self.acquisition = acquisition
+        self.clock = clock
+        self.deadline = clock.now() + step.limit
+        self._guard = guard
+        self._log = log
+        self.commanded: float | None = None
+
+    def inside(self, value: float) -> float:
+        """The nearest value in the step's range."""
+        return min(max(value, self.step.low), self.step.high)
+
+    def set(self, value: float) -> None:
+        """Command a value at once."""
+        value = self.inside(value)
+        before = self.commanded
+        self._log("set", value, value if before is None else before)
+        self._guard.set(self.step.output, value)
+        self.commanded = value
+
+    def ramp(self, origin: float, target: float, rate: float) -> float:
+        """Start a ramp; returns the bench time [s] when it will be there."""
+        origin, target = self.inside(origin), self.inside(target)
+        self._log("ramp", target, origin, rate=rate)
+        self._guard.ramp(self.step.output, origin, target, rate)
+        self.commanded = target
+        return self.clock.now() + abs(target - origin) / rate
+
+
+def run_seek(
+    step: Seek, guard: Guard, acquisition: Acquisition, clock: Clock, log: Callable[..., None]
+) -> dict[str, Any]:
+    """Run the step's law to its end; its result has `found` True or False and, when False, `reason`."""
+    if step.law in SCRIPTED:
+        module, name = SCRIPTED[step.law]
+        script = getattr(import_module(f"pmabench.engine.laws.{module}"), name)
+        found: dict[str, Any] = script(Moves(step, guard, acquisition, clock, log), **step.parameters)
+        return found
+    module, name = SAMPLED[step.law]
+    law: SampledLaw = getattr(import_module(f"pmabench.engine.laws.{module}"), name)(**step.parameters)
+    deadline = clock.now() + step.limit
+    t, values = acquisition.sample()
+    while not law.done:
+        command = min(max(law.update(t, values), step.low), step.high)
+        guard.set(step.output, command)
+        if clock.now() >= deadline:
+            return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}
+        t, values = acquisition.sample()
+    return {"found": True, **law.result()}

@@ -1,0 +1,59 @@
+"""Signals that end a run: noted when they come, acted on between blocks; the one file that names SIGHUP."""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any
+
+from pmabench.base.errors import Interrupted
+
+_NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (terminal closed)"}
+
+
+class Signals:
+    """While entered, SIGINT, SIGTERM and SIGHUP become an `Interrupted` at the next `check`.
+
+    While `waiting` (for a person to type) they are raised at once. After `shut` they are only counted: the safe state
+    has begun and nothing cancels it.
+    """
+
+    def __init__(self) -> None:
+        self.pending: list[int] = []
+        self.waiting = False
+        self._shut = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        """Take the signals over; where that is not the main thread they stay as they are."""
+        for name in _NAMES:
+            number = getattr(signal, name, None)
+            if number is None:
+                continue
+            try:
+                self._before[number] = signal.signal(number, self._note)
+            except ValueError:
+                return self
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Give the signals back."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.pending.append(number)
+        if self.waiting and not self._shut:
+            self.check()
+
+    def check(self) -> None:
+        """Raise what has been noted."""
+        if self.pending and not self._shut:
+            number = self.pending[0]
+            raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
+
+    def shut(self) -> None:
+        """From now on signals are only counted."""
+        self._shut = True
