@@ -1,0 +1,135 @@
+"""How a signal swings: extremes, swings, growth per half period, period, and its damped mode; knows no test kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.store.records import Array
+
+SKIPPED = 2
+"""Swings after a kick that do not count: faster modes are still in them."""
+SEEN = 6.0
+"""A swing counts where it is larger than this many standard deviations of the noise."""
+
+
+def noise_of(y: Array) -> float:
+    """Standard deviation of the white noise on `y`, shape (n,), from its third differences; robust to the signal.
+
+    The third difference of white noise has 20 times its variance.
+    """
+    if len(y) < 8:
+        return 0.0
+    third = np.abs(np.diff(y, n=3))
+    return float((np.median(third) / 0.6745 or np.sqrt(np.mean(third**2))) / np.sqrt(20.0))
+
+
+def extremes(t: Array, y: Array, threshold: float) -> tuple[Array, Array]:
+    """Times [s] and values of successive maxima and minima of `y`, each more than `threshold` from the last.
+
+    An extreme is refined by the vertex of a parabola through the samples within a tenth of a period around it.
+    """
+    if len(y) < 3:
+        return np.empty(0), np.empty(0)
+    places: list[int] = []
+    top = bottom = 0
+    seeking = 0
+    for i in range(1, len(y)):
+        if y[i] > y[top]:
+            top = i
+        if y[i] < y[bottom]:
+            bottom = i
+        if seeking >= 0 and y[top] - y[i] > threshold:
+            places.append(top)
+            seeking, bottom = -1, i
+            top = i
+        elif seeking <= 0 and y[i] - y[bottom] > threshold:
+            places.append(bottom)
+            seeking, top = 1, i
+            bottom = i
+    if not places:
+        return np.empty(0), np.empty(0)
+    reach = 0.2 * float(np.median(np.diff(t[places]))) if len(places) > 1 else 0.0
+    times, values = t[places].astype(float), y[places].astype(float)
+    for k, place in enumerate(places):
+        near = np.abs(t - t[place]) <= reach
+        if near.sum() < 5:
+            continue
+        shift = t[near] - t[place]
+        c2, c1, c0 = np.polyfit(shift, y[near], 2)
+        vertex = -c1 / (2 * c2) if c2 != 0 else 0.0
+        if abs(vertex) <= reach:
+            times[k], values[k] = t[place] + vertex, c0 + c1 * vertex + c2 * vertex**2
+    return times, values
+
+
+@dataclass(frozen=True)
+class Swinging:
+    """A stretch of oscillation, described by its swings (half periods)."""
+
+    times: Array
+    """Of the extremes [s]."""
+    sizes: Array
+    """Peak-to-peak of each half period, one fewer than `times`."""
+    log_ratio: float
+    """Mean natural logarithm of the ratio of successive swings [1]."""
+    log_ratio_se: float
+    """Its standard error [1]."""
+    period: float
+    """[s]."""
+    period_variation: float
+    """Standard deviation of single periods over their mean [1]."""
+
+    @property
+    def root(self) -> complex:
+        """The mode s = (2/T)(ln ratio + j pi) [1/s] that swings like this."""
+        return complex(self.log_ratio, np.pi) * 2.0 / self.period
+
+
+def describe(t: Array, y: Array, noise: float, skip: int = SKIPPED) -> Swinging | None:
+    """Growth and period of the swings of `y` at `t` [s], without the first `skip`; None with fewer than four left.
+
+    ln(size) is fitted by a line in the count of half periods, weighted with the squared size (noise of equal size on
+    every extreme), beside a term that alternates (unequal halves, drift).
+    """
+    times, values = extremes(t, y, SEEN * noise)
+    sizes = np.abs(np.diff(values))
+    times, sizes = times[skip:], sizes[skip:]
+    if len(sizes) < 4:
+        return None
+    count = np.arange(len(sizes), dtype=float)
+    columns = [np.ones_like(count), count] + ([(-1.0) ** count] if len(sizes) >= 5 else [])
+    design = np.column_stack(columns)
+    weight = sizes / sizes.max()
+    fitted, *_ = np.linalg.lstsq(design * weight[:, None], np.log(sizes) * weight, rcond=None)
+    residual = (np.log(sizes) - design @ fitted) * weight
+    spread = float(residual @ residual) / max(1, len(sizes) - len(columns))
+    covariance = spread * np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
+    place = np.arange(len(times), dtype=float)
+    clock = np.column_stack([np.ones_like(place), place, (-1.0) ** place])
+    half, *_ = np.linalg.lstsq(clock, times, rcond=None)
+    whole = times[2:] - times[:-2]
+    return Swinging(
+        times=times,
+        sizes=sizes,
+        log_ratio=float(fitted[1]),
+        log_ratio_se=float(np.sqrt(covariance[1, 1])),
+        period=2.0 * float(half[1]),
+        period_variation=float(np.std(whole, ddof=1) / np.mean(whole)),
+    )
+
+
+def mode_amplitudes(t: Array, signals: Array, root: complex, harmonics: int = 3) -> Array:
+    """Complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
+
+    Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t); returns a_k - j b_k with shape
+    (harmonics, m), referred to t[0], so that the signal is Re(amplitude exp(s t)).
+    """
+    time = t - t[0]
+    growth = np.exp(root.real * time)
+    columns = [np.ones_like(time), time]
+    for k in range(1, harmonics + 1):
+        columns += [growth * np.cos(k * root.imag * time), growth * np.sin(k * root.imag * time)]
+    fitted, *_ = np.linalg.lstsq(np.column_stack(columns), signals, rcond=None)
+    return np.asarray(fitted[2::2] - 1j * fitted[3::2])
