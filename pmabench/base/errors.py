@@ -33,6 +33,12 @@ class Problem:
         return f"{place}  {self.message}"
 
 
+class UsageError(PmaError):
+    """The command was called in a way that cannot work."""
+
+    exit_code = 2
+
+
 class InvalidFile(PmaError):
     """One or more files cannot be used; carries every problem found, not only the first.
 

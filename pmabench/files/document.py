@@ -177,7 +177,7 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
 
 def read_document(path: Path, depth: int = 0) -> Document:
     """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
-    name = str(path)
+    name = _shown(path)
     try:
         if path.stat().st_size > MAX_BYTES:
             raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
@@ -198,6 +198,14 @@ def read_document(path: Path, depth: int = 0) -> Document:
             raise InvalidFile([document.problem(("include",), problem)])
         document.include(read_document(path.parent / other, depth + 1))
     return document
+
+
+def _shown(path: Path) -> str:
+    """The path as a person in this folder would write it."""
+    try:
+        return str(path.resolve().relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(path)
 
 
 def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:

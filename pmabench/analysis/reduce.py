@@ -1,0 +1,48 @@
+"""Which reduction belongs to which kind of run, and whether the protocol's acceptance limits are met."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+
+from pmabench.analysis.results import Analysis
+from pmabench.base.errors import did_you_mean, invalid
+from pmabench.store.records import RunData
+
+REDUCTIONS = {
+    "contraction-relaxation": "contraction",
+}
+"""Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
+
+
+def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
+    """One analysis for each kind of run; real and simulated runs are never mixed. `InvalidFile` for an unknown kind."""
+    groups: dict[tuple[str, bool], list[RunData]] = {}
+    for run in runs:
+        if run.kind not in REDUCTIONS:
+            raise invalid(run.path, f'no reduction for runs of kind "{run.kind}"{did_you_mean(run.kind, REDUCTIONS)}')
+        groups.setdefault((run.kind, run.simulated), []).append(run)
+    return [import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group) for (kind, _), group in groups.items()]
+
+
+def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
+    """One sentence for each coefficient whose interval is wider than the protocol accepts."""
+    failed: list[str] = []
+    for analysis in analyses:
+        accept: dict[str, float] = {}
+        for run in runs:
+            if run.id in analysis.runs:
+                accept |= dict(run.plan.get("accept") or {})
+        primary = analysis.estimates[0].method if analysis.estimates else ""
+        for estimate in analysis.estimates:
+            widest = accept.get(estimate.symbol)
+            ci = estimate.ci95
+            if widest is None or estimate.method != primary or ci is None or not estimate.value or estimate.coordinate:
+                continue
+            relative = (ci[1] - ci[0]) / 2 / abs(estimate.value)
+            if relative > widest:
+                where = ", ".join(f"{name} {value:g}" for name, value in estimate.at.items())
+                failed.append(
+                    f"{estimate.symbol} at {where}: interval +-{100 * relative:.2g} %, accepted +-{100 * widest:g} %"
+                )
+    return failed

@@ -1,0 +1,167 @@
+"""`pmabench check`: all errors of all files at once, and the plan; nothing touches a device."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common, settings_option
+
+if TYPE_CHECKING:
+    from pmabench.bench.compile import Mounted
+    from pmabench.protocol.plan import Plan
+
+
+@click.command(name="check")
+@click.argument("protocol")
+@click.option("--bench", required=True, help="Bench file, or the name of a shipped one.")
+@click.option("--specimen", required=True, help="Specimen file, or the name of a shipped one.")
+@settings_option
+@click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
+@click.option("--simulate", is_flag=True, help="Run the plan on a simulated bench and show the peaks.")
+@common
+def command(
+    ui: Ui,
+    protocol: str,
+    bench: str,
+    specimen: str,
+    settings: list[tuple[str, str]],
+    *,
+    show_plan: bool,
+    simulate: bool,
+) -> int | None:
+    """Check PROTOCOL against a bench and a specimen, and show the plan."""
+    from pmabench.cli.prepare import prepare
+
+    prepared = prepare(protocol, bench, specimen, settings)
+    plan, mounted = prepared.plan, prepared.mounted
+    summary = plan_summary(plan, mounted)
+    peaks = _simulate(plan, mounted) if simulate else None
+    if peaks is not None:
+        summary["simulated"] = peaks
+    if show_plan:
+        summary["plan"] = plan.to_dict()
+
+    def human() -> None:
+        _print(ui, plan, summary, peaks)
+        if show_plan:
+            _print_steps(plan)
+
+    ui.result(summary, human)
+    return None
+
+
+def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
+    """Duration, rows, bytes, and each command's range beside the active limits, in SI."""
+    shortest, longest = plan.duration()
+    outputs = {output.name: output for output in mounted.bench.outputs}
+    rows = plan.rows()
+    return {
+        "schema": "pmabench.check/1",
+        "kind": plan.kind,
+        "name": plan.name,
+        "source": plan.source,
+        "bench": mounted.bench.name,
+        "trials": len(plan.trials),
+        "steps": len(plan.steps),
+        "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
+        "rows": rows,
+        "bytes": rows * (8 * (1 + len(plan.record)) + 2),
+        "commands": {
+            name: {
+                "lowest": low,
+                "highest": high,
+                "limits": [outputs[name].low, outputs[name].high],
+                "limits_from": [outputs[name].low_from, outputs[name].high_from],
+                "quantity": outputs[name].quantity,
+            }
+            for name, (low, high) in plan.commands().items()
+        },
+        "lacks": list(mounted.lacks),
+        "hazards": list(plan.hazards),
+        "plan_sha256": plan.sha256,
+    }
+
+
+def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
+    from pmabench.base.errors import UsageError
+    from pmabench.engine.operator import ConfirmedBeforehand
+    from pmabench.engine.run import run_plan
+
+    if mounted.bench.realtime:
+        raise UsageError('--simulate needs a bench with "time: virtual", for instance --bench mock')
+    outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
+    return {
+        "status": outcome.status,
+        "why": outcome.why,
+        "duration": outcome.bench_seconds,
+        "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
+        "trials_failed": list(outcome.trials_failed),
+    }
+
+
+def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None) -> None:
+    from rich.table import Table
+
+    from pmabench.base.quantities import CHANNEL_QUANTITY, show
+
+    console = ui.console()
+    console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
+    shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
+    length = _clock(longest) if shortest == longest else f"{_clock(shortest)} to {_clock(longest)}"
+    asks = sum(step.kind == "ask" for step in plan.steps)
+    console.print(f"  length    {length}, without the operator's time; {asks} times hands are needed")
+    console.print(
+        f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, {_size(summary['bytes'])}"
+    )
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("command", "lowest", "highest", "limit", "set by"):
+        table.add_column(name, justify="right" if name in {"lowest", "highest", "limit"} else "left", no_wrap=True)
+    for name, span in summary["commands"].items():
+        quantity = span["quantity"]
+        limit = show(span["limits"][1], quantity)
+        table.add_row(
+            name, show(span["lowest"], quantity), show(span["highest"], quantity), limit, span["limits_from"][1]
+        )
+    console.print(table)
+    for hazard in summary["hazards"]:
+        console.print(f"HAZARD: {hazard}")
+    for lack in summary["lacks"]:
+        console.print(f"this bench has {lack}")
+    if peaks is not None:
+        ending = "" if peaks["status"] == "finished" else f": {peaks['why']}"
+        console.print(f"simulated: {peaks['status']}{ending}, {_clock(peaks['duration'])}")
+        for name, span in peaks["measured"].items():
+            quantity = CHANNEL_QUANTITY[name]
+            console.print(
+                f"  {name:18} {show(span['lowest'], quantity, 4):>12} to {show(span['highest'], quantity, 4)}"
+            )
+    console.print("nothing was sent to a bench")
+
+
+def _print_steps(plan: Plan) -> None:
+    counts: Counter[str] = Counter()
+    for number, step in enumerate(plan.steps):
+        counts[step.kind] += 1
+        fields = {key: value for key, value in vars(step).items() if key != "phase" and value is not None}
+        text = "  ".join(f"{key}={_plain(value)}" for key, value in fields.items())
+        click.echo(f"{number:5d}  {step.kind:10} {step.phase:12} {text}")
+    click.echo("      " + ", ".join(f"{count} {kind}" for kind, count in counts.items()) + "; values in SI")
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
+
+
+def _size(count: int) -> str:
+    return (
+        f"{count / 1e6:.1f} MB on disk while running" if count > 1e6 else f"{count / 1e3:.0f} kB on disk while running"
+    )

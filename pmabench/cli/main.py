@@ -1,0 +1,62 @@
+"""Entry point: the table of commands; `--help` is printed from it without importing any of them."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import click
+
+from pmabench import __version__
+
+COMMANDS = {
+    "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
+    "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
+    "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
+    "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
+    "report": ("report", "Write the characterisation report as one HTML file."),
+    "runs": ("runs", "List, show and verify recorded runs."),
+    "schema": ("schema", "Print the JSON Schema of a kind of file."),
+}
+"""Command -> its module in this package and the line that `--help` shows."""
+
+
+class Commands(click.Group):
+    """A group whose commands are imported when they are called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names in the table, in its order."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"pmabench.cli.{COMMANDS[cmd_name][0]}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The table."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """A wrong name gets the nearest right one."""
+        if args and args[0] not in COMMANDS:
+            from pmabench.base.errors import did_you_mean
+
+            ctx.fail(f'no command "{args[0]}"{did_you_mean(args[0], COMMANDS)}')
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="pmabench")
+def main() -> None:
+    r"""Test benches for pneumatic muscle actuators: run protocols, reprocess old runs, write reports.
+
+    \b
+    Exit codes: 0 done and accepted, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or
+    communication, 5 limit tripped or vent not confirmed, 6 done but a verdict failed, 7 record not written,
+    130 interrupted by the operator, 143 by SIGTERM.
+    """

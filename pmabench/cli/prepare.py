@@ -1,0 +1,41 @@
+"""From file names to a checked plan, with the problems of all files together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pmabench.base.errors import InvalidFile, Problem
+from pmabench.bench.compile import Mounted, mount
+from pmabench.files.shipped import find_file
+from pmabench.protocol.compile import compile_protocol, read_protocol
+from pmabench.protocol.plan import Plan
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A plan, the bench and specimen that it is for, and the protocol's text."""
+
+    plan: Plan
+    mounted: Mounted
+    protocol_text: str
+
+
+def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
+    """Read and compile everything; raises `InvalidFile` with every problem of every file."""
+    problems: list[Problem] = []
+    mounted = read = None
+    try:
+        mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    except InvalidFile as error:
+        problems.extend(error.problems)
+    try:
+        read = read_protocol(find_file("protocol", protocol), settings)
+    except InvalidFile as error:
+        problems.extend(error.problems)
+    if mounted is None or read is None or problems:
+        raise InvalidFile(problems)
+    document, model = read
+    plan = compile_protocol(document, model, mounted)
+    text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in document.texts.items())
+    return Prepared(plan, mounted, text)

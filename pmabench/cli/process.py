@@ -1,0 +1,97 @@
+"""`pmabench process`: runs to coefficients, in an analysis folder; never touches a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Analysis
+    from pmabench.store.records import RunData
+
+
+@click.command(name="process")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Analysis folder; `analyses/` beside the runs if not given."
+)
+@common
+def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
+    """Fit the coefficients of one or more RUNS, kind by kind, each with its 95 % interval."""
+    from pmabench.analysis.reduce import verdicts
+
+    loaded = load_runs(runs)
+    analyses = analyse(loaded)
+    folder = out or runs[0].resolve().parent / "analyses" / loaded[0].id
+    folders = write(analyses, loaded, folder)
+    failed = verdicts(loaded, analyses)
+    data = {
+        "schema": "pmabench.process/1",
+        "folders": [str(path) for path in folders],
+        "analyses": [analysis.to_dict() for analysis in analyses],
+        "verdicts": failed,
+    }
+
+    def human() -> None:
+        print_analyses(ui, analyses)
+        for verdict in failed:
+            click.echo(f"NOT ACCEPTED: {verdict}")
+        click.echo("\n".join(str(path) for path in folders))
+
+    ui.result(data, human)
+    return 6 if failed else None
+
+
+def load_runs(paths: Sequence[Path]) -> list[RunData]:
+    """Every run, or `InvalidFile` with what is wrong with each that is none."""
+    from pmabench.base.errors import InvalidFile, Problem
+    from pmabench.store.reader import open_run
+
+    loaded, problems = [], list[Problem]()
+    for path in paths:
+        try:
+            loaded.append(open_run(path))
+        except InvalidFile as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InvalidFile(problems)
+    return loaded
+
+
+def analyse(runs: Sequence[RunData]) -> list[Analysis]:
+    """One analysis for each kind of run, in the order in which the kinds come."""
+    from pmabench.analysis.reduce import reduce_runs
+
+    return reduce_runs(runs)
+
+
+def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
+    """An analysis folder for each kind below `folder`."""
+    from pmabench.report.analysis_folder import write_analysis
+
+    return [write_analysis(analysis, folder / analysis.kind) for analysis in analyses]
+
+
+def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
+    """The coefficient table, what was left out, and the findings."""
+    from pmabench.report.tables import print_coefficients
+
+    console = ui.console()
+    print_coefficients(analyses, console)
+    for analysis in analyses:
+        if analysis.dropped:
+            console.print(
+                f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
+            )
+        for finding in analysis.findings:
+            console.print(f"{finding.level}: {finding.text}")
+
+
+def summary(analyses: Sequence[Analysis]) -> dict[str, Any]:
+    """Numbers of estimates, for the end of longer commands."""
+    return {analysis.kind: len(analysis.estimates) for analysis in analyses}

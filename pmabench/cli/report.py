@@ -1,0 +1,31 @@
+"""`pmabench report`: runs or analyses to one self-contained HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+
+@click.command(name="report")
+@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN-OR-ANALYSIS...")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
+@click.option("--title", help="Title of the report.")
+@common
+def command(ui: Ui, sources: tuple[Path, ...], output: Path, title: str | None) -> int | None:
+    """Write the characterisation report of runs (processed now) or of analysis folders."""
+    from pmabench.cli.process import analyse, load_runs
+    from pmabench.report.analysis_folder import read_analysis, runs_of
+    from pmabench.report.html import write_report
+
+    folders = [source for source in sources if (source / "analysis.json").is_file()]
+    runs = load_runs([source for source in sources if source not in folders])
+    analyses = [read_analysis(folder) for folder in folders]
+    for folder in folders:
+        runs += load_runs(runs_of(folder))
+    analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
+    path = write_report(analyses, runs, output, title=title)
+    ui.result({"schema": "pmabench.report/1", "path": str(path)}, lambda: click.echo(str(path)))
+    return None

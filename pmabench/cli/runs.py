@@ -1,0 +1,104 @@
+"""`pmabench runs`: the catalogue, one run in full, and whether the record is whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+
+@click.group(name="runs")
+def command() -> None:
+    """List, show and verify recorded runs."""
+
+
+@command.command(name="list")
+@click.argument("folder", default="runs", type=click.Path(path_type=Path))
+@common
+def list_runs(ui: Ui, folder: Path) -> int | None:
+    """Every run in FOLDER, by date."""
+    from pmabench.base.errors import invalid
+    from pmabench.store.catalogue import catalogue
+
+    if not folder.is_dir():
+        raise invalid(folder, "there is no such folder")
+    rows = [vars(row) if not isinstance(row, dict) else row for row in catalogue(folder)]
+
+    def human() -> None:
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        names = ["id", "status", "trials", "duration", "specimen"]
+        for name in names:
+            table.add_column(name, overflow="fold")
+        for row in rows:
+            trials = f"{row['trials_finished']}/{row['trials_planned']}"
+            length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
+            table.add_row(row["id"], row["status"], trials, length, row["specimen"])
+        ui.console().print(table)
+
+    ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
+    return None
+
+
+@command.command(name="show")
+@click.argument("run", type=click.Path(path_type=Path))
+@common
+def show_run(ui: Ui, run: Path) -> int | None:
+    """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
+    from pmabench.store.reader import open_run
+
+    data = open_run(run)
+    summary: dict[str, Any] = {
+        "schema": "pmabench.run-summary/1",
+        "id": data.id,
+        "kind": data.kind,
+        "status": data.status,
+        "simulated": data.simulated,
+        "manifest": dict(data.manifest),
+        "channels": {name: vars(channel) for name, channel in data.channels.items()},
+        "trials": [
+            {"index": t.index, "point": dict(t.point), "repeat": t.repeat, "status": t.status, "rows": len(t.t)}
+            for t in data.trials
+        ],
+        "events": len(data.events),
+    }
+
+    def human() -> None:
+        manifest = data.manifest
+        click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
+        for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
+            if manifest.get(name):
+                click.echo(f"  {name:12} {manifest[name]}")
+        rows = sum(len(t.t) for t in data.trials)
+        click.echo(f"  {'trials':12} {len(data.trials)} of {manifest.get('trials_planned', '?')}, {rows:,} rows")
+        for channel in data.channels.values():
+            click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
+        vents = [event for event in data.events if event.kind == "vent"]
+        if vents:
+            click.echo(f"  {'vent':12} {vents[-1].data.get('result')}")
+
+    ui.result(summary, human)
+    return None
+
+
+@command.command(name="verify")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@common
+def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
+    """Check hashes, checksums, gaps and torn rows of RUNS; exit 3 where something is wrong."""
+    from pmabench.store.verify import verify
+
+    found = {str(run): [str(finding) for finding in verify(run)] for run in runs}
+
+    def human() -> None:
+        for run, findings in found.items():
+            click.echo(f"{run}: {'whole' if not findings else f'{len(findings)} findings'}")
+            for finding in findings:
+                click.echo(f"  {finding}")
+
+    ui.result({"schema": "pmabench.verify/1", "runs": found}, human)
+    return 3 if any(found.values()) else None

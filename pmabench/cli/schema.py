@@ -1,0 +1,67 @@
+"""`pmabench schema`: JSON Schemas of the files that people write, for editors and other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+KINDS = ("protocol", "bench", "specimen", "calibration")
+
+
+@click.command(name="schema")
+@click.argument("kind", required=False, type=click.Choice(KINDS))
+@click.option("--all", "write_all", is_flag=True, help="Write every schema into the folder given with --out.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for --all.")
+@common
+def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> int | None:
+    """Print the JSON Schema of KIND, or write all of them into a folder."""
+    if write_all and out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in KINDS:
+            (out / f"{name}.schema.json").write_text(schema_text(name), encoding="utf-8")
+        ui.note(f"{len(KINDS)} schemas in {out}")
+        return None
+    if kind is None:
+        raise click.UsageError(f"say which: {', '.join(KINDS)}; or --all --out FOLDER")
+    click.echo(schema_text(kind), nl=False)
+    return None
+
+
+def schema_text(kind: str) -> str:
+    """The schema of one kind of file as JSON text."""
+    return json.dumps(_schema(kind), indent=1, sort_keys=True) + "\n"
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    """The model's schema, with `include` allowed, whose files need not hold every key themselves."""
+    schema = _of_models(kind)
+    for part in (schema, *schema.get("$defs", {}).values()):
+        if "schema" in part.get("properties", {}):
+            part["properties"]["include"] = {"type": "string", "description": "a file that this one is based on"}
+            part["if"] = {"not": {"required": ["include"]}}
+            part["then"] = {"required": part.pop("required", [])}
+    return schema
+
+
+def _of_models(kind: str) -> dict[str, Any]:
+    from typing import Annotated, Union
+
+    from pydantic import Field, TypeAdapter
+
+    from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
+    from pmabench.protocol.compile import KINDS as PROTOCOLS
+    from pmabench.protocol.compile import kind_class
+
+    if kind == "protocol":
+        kinds = tuple(kind_class(name) for name in PROTOCOLS)
+        if len(kinds) == 1:
+            return kinds[0].model_json_schema()
+        union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
+        adapter: TypeAdapter[Any] = TypeAdapter(union)
+        return adapter.json_schema()
+    return {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile}[kind].model_json_schema()

@@ -1,0 +1,35 @@
+"""Where the shipped protocols and fixtures lie: in the installed package, else in the checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pmabench.base.errors import did_you_mean, invalid
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+SHIPPED = {
+    "protocol": "protocols",
+    "bench": "fixtures/benches",
+    "specimen": "fixtures/specimens",
+    "campaign": "fixtures/campaigns",
+    "map": "fixtures/maps",
+}
+"""Kind of file -> its shipped folder."""
+
+
+def shipped_folder(kind: str) -> Path:
+    """The folder with the shipped files of a kind."""
+    inside = _PACKAGE / "shipped" / SHIPPED[kind]
+    return inside if inside.is_dir() else _PACKAGE.parent / SHIPPED[kind]
+
+
+def find_file(kind: str, name: str) -> Path:
+    """The file at the path `name`, or the shipped one called so; `InvalidFile` where there is neither."""
+    path = Path(name)
+    if path.exists():
+        return path
+    shipped = shipped_folder(kind) / (name if name.endswith(".yaml") else f"{name}.yaml")
+    if path.name == name and shipped.is_file():
+        return shipped
+    near = [file.stem for file in shipped_folder(kind).glob("*.yaml")]
+    raise invalid(name, f"there is no such file, and no shipped {kind} of that name{did_you_mean(name, near)}")
