@@ -193,7 +193,8 @@ class ExpectedPoint(Strict):
     pressure: Pressure
     F_ce: Force
     K: Stiffness
-    B: Damping
+    B_c: Damping
+    B_r: Damping
 
 
 class ExpectedFile(Strict):

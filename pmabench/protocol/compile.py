@@ -14,7 +14,10 @@ from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Plan
 
 KINDS = {
+    "static-load": ("static_load", "StaticLoad"),
     "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
+    "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
+    "ultimate-gain": ("ultimate_gain", "UltimateGain"),
 }
 """Kind of protocol -> its module in this package and its class."""
 

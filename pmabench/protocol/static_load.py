@@ -1,0 +1,149 @@
+"""Static load: the pressure at which a load lifts off its support and at which it sets down (paper 0, static study).
+
+Variant `hands-at-pressure`: paper 0's literal order, load on and support away while the muscle is pressurised.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from pmabench.base.quantities import show
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, TrialRecord
+from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
+
+VENT_HOLD = 3.0
+"""Time after the vent before the next trial [s]."""
+
+
+class StaticAxes(Strict):
+    """What is swept: explicit loads, and for hands at pressure the pressures too."""
+
+    load: Annotated[list[Load], Field(min_length=1)]
+    pressure: PressureAxis | None = None
+
+
+class Search(Strict):
+    """How the crossing is searched: fast to the neighbourhood, back, then slowly."""
+
+    up_to: Pressure
+    rate: PressureRate
+    approach_rate: PressureRate
+    back_off: Pressure
+    settle: Time
+    moved: Length
+    """Displacement that counts as having left the support."""
+    window: Time
+    """How long the displacement stays beyond it."""
+
+
+class StaticTrial(Strict):
+    """One trial; `order` says when the load goes on."""
+
+    order: Literal["load-at-zero", "hands-at-pressure"] = "load-at-zero"
+    hold: Time = 0.0
+    """With hands at pressure: time with the load on before the support goes."""
+    search: Search
+
+
+class StaticLoad(ProtocolHead):
+    """Protocol of kind static-load."""
+
+    kind: Literal["static-load"]
+    sweep: Sweep[StaticAxes]
+    trial: StaticTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per trial a search for lift and one for set-down, or for the return to zero alone."""
+        search = self.trial.search
+        for name in ("rate", "approach_rate", "back_off", "settle", "moved", "window"):
+            c.positive(getattr(search, name), ("trial", "search", name))
+        c.within("pressure", search.up_to, ("trial", "search", "up_to"))
+        points = expand(self.sweep, c.document)
+        if self.trial.order == "hands-at-pressure":
+            self._at_pressure(c, points)
+        else:
+            self._at_zero(c, points)
+        return c.plan("static-load", {"order": self.trial.order, "rate": search.rate, "moved": search.moved})
+
+    def _seek(self, c: Compilation, phase: str, direction: str, highest: float, approach: float) -> Seek:
+        search = self.trial.search
+        limit = 5.0 + search.settle
+        if search.rate > 0:
+            limit += highest / search.rate
+        if approach > 0:
+            limit += highest / approach + search.back_off / approach + 2.0
+        parameters: dict[str, Any] = {
+            "channel": "displacement",
+            "threshold": search.moved,
+            "direction": direction,
+            "rate": search.rate,
+            "approach_rate": approach,
+            "back_off": search.back_off,
+            "window": search.window,
+            "settle": search.settle,
+        }
+        return Seek(phase, "ramp-until", "pressure", 0.0, highest, limit, parameters)
+
+    def _at_zero(self, c: Compilation, points: list[Point]) -> None:
+        search = self.trial.search
+        for index, point in enumerate(points):
+            if "pressure" in point.values:
+                c.fault(
+                    point.places["pressure"], 'only "order: hands-at-pressure" sets pressures; here they are searched'
+                )
+            values = c.load(point.values["load"], point.places["load"])
+            c.put_on(values)
+            if index == 0:
+                c.precondition()
+            c.trials.append(TrialRecord(index, values, point.repeat))
+            c.steps += [
+                Record("rest", True, index),
+                Hold("rest", 0.2),
+                self._seek(c, "lift", "up", search.up_to, search.approach_rate),
+                Hold("lifted", search.settle),
+                self._seek(c, "set-down", "down", search.up_to, 0.0),
+                Record("set-down", False, index),
+                Set("vent", "pressure", 0.0),
+                Hold("vent", VENT_HOLD),
+            ]
+
+    def _at_pressure(self, c: Compilation, points: list[Point]) -> None:
+        most = c.mounted.bench.hands_at_pressure
+        c.positive(self.trial.hold, ("trial", "hold"))
+        c.hazards.append(
+            "hands are at the muscle while it is under pressure: load on and support away at the set pressure"
+        )
+        none = (0.0, 0.5)
+        for index, point in enumerate(points):
+            if "pressure" not in point.values:
+                c.fault(("sweep",), '"order: hands-at-pressure" needs pressures beside the loads')
+                return
+            pressure, place = point.values["pressure"], point.places["pressure"]
+            c.within("pressure", pressure, place)
+            if pressure > most:
+                shown = show(most, "pressure")
+                c.fault(place, f"hands at {show(pressure, 'pressure')}: this bench allows them up to {shown}")
+            values = {**c.load(point.values["load"], point.places["load"]), "pressure": pressure}
+            load = (values["load"], values["mass"])
+            if index == 0:
+                c.precondition()
+            c.trials.append(TrialRecord(index, values, point.repeat))
+            c.steps += [
+                Set("pressurise", "pressure", pressure),
+                Hold("pressurise", 3.0),
+                Ask("load", c.load_text(load) + " Keep its support under it.", "at-pressure", load),
+                Record("loaded", True, index),
+                Hold("loaded", self.trial.hold),
+                Ask("support", "Take the support of the load away.", "at-pressure"),
+                Hold("hanging", 1.0),
+                self._seek(c, "set-down", "down", pressure, 0.0),
+                Record("set-down", False, index),
+                Set("vent", "pressure", 0.0),
+                Hold("vent", VENT_HOLD),
+                Ask("unload", "Take every weight off the free end.", "vented", none),
+            ]
