@@ -10,7 +10,10 @@ from pmabench.base.errors import did_you_mean, invalid
 from pmabench.store.records import RunData
 
 REDUCTIONS = {
+    "static-load": "static_load",
     "contraction-relaxation": "contraction",
+    "sinusoidal-displacement": "sine",
+    "ultimate-gain": "ultimate_gain",
 }
 """Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
 

@@ -12,6 +12,7 @@ COMMANDS = {
     "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
     "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
     "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
+    "campaign": ("campaign", "Run several protocols on one specimen, in order."),
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
     "report": ("report", "Write the characterisation report as one HTML file."),
     "runs": ("runs", "List, show and verify recorded runs."),

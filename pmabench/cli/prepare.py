@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
@@ -39,3 +39,12 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
     plan = compile_protocol(document, model, mounted)
     text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in document.texts.items())
     return Prepared(plan, mounted, text)
+
+
+def seeded(mounted: Mounted, seed: int) -> Mounted:
+    """The same bench with another seed in each device that has one."""
+    devices = tuple(
+        replace(device, options={**device.options, "seed": seed}) if "seed" in device.options else device
+        for device in mounted.bench.devices
+    )
+    return replace(mounted, bench=replace(mounted.bench, devices=devices))

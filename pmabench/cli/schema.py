@@ -10,7 +10,7 @@ import click
 
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign")
 
 
 @click.command(name="schema")
@@ -54,6 +54,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pydantic import Field, TypeAdapter
 
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
+    from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
     from pmabench.protocol.compile import kind_class
 
@@ -64,4 +65,5 @@ def _of_models(kind: str) -> dict[str, Any]:
         union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
         adapter: TypeAdapter[Any] = TypeAdapter(union)
         return adapter.json_schema()
-    return {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile}[kind].model_json_schema()
+    models = {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile, "campaign": CampaignFile}
+    return models[kind].model_json_schema()

@@ -1,0 +1,53 @@
+"""`pmabench demo`: the whole main job on the mock bench, from protocol to report, anywhere."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+
+@click.command(name="demo")
+@click.option("--out", default="pmabench-demo", show_default=True, type=click.Path(path_type=Path, file_okay=False))
+@click.option("--seed", default=1, show_default=True, help="Seed of the simulated noise.")
+@common
+def command(ui: Ui, out: Path, seed: int) -> int | None:
+    """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
+    from pmabench.cli.campaign import run_campaign
+    from pmabench.cli.process import analyse, load_runs, print_analyses, write
+    from pmabench.files.shipped import find_file
+    from pmabench.report.html import write_report
+
+    started = time.monotonic()
+    outcomes = run_campaign(ui, find_file("campaign", "demo"), out / "runs", operator_name="demo", yes=True, seed=seed)
+    worst = max(outcome.exit_code for outcome in outcomes)
+    if worst:
+        ui.note("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))
+        return worst
+    recorded = sum(outcome.rows for outcome in outcomes)
+    runs = load_runs([outcome.folder for outcome in outcomes if outcome.folder is not None])
+    analyses = analyse(runs)
+    folders = write(analyses, runs, out / "analyses" / runs[0].id)
+    report = write_report(analyses, runs, out / "report.html", title="Characterisation of a simulated MAS-20-250")
+    elapsed = time.monotonic() - started
+    data = {
+        "schema": "pmabench.demo/1",
+        "runs": [str(outcome.folder) for outcome in outcomes],
+        "folders": [str(folder) for folder in folders],
+        "report": str(report),
+        "rows": recorded,
+        "seconds": round(elapsed, 3),
+        "analyses": [analysis.to_dict() for analysis in analyses],
+    }
+
+    def human() -> None:
+        print_analyses(ui, analyses)
+        seconds = sum(outcome.bench_seconds for outcome in outcomes)
+        ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
+        click.echo(str(report))
+
+    ui.result(data, human)
+    return None
