@@ -1,0 +1,75 @@
+"""A coefficient over pressure: polynomials joined at breaks; must not know which coefficient."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A piecewise polynomial of the gauge pressure P.
+
+    `pieces[i]` holds polynomial coefficients, highest power first (as `numpy.polyval`), valid for
+    `breaks[i - 1] <= P < breaks[i]` [Pa]; the first and the last piece go on to both sides for ever.
+    """
+
+    pieces: tuple[tuple[float, ...], ...]
+    breaks: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.pieces) != len(self.breaks) + 1 or list(self.breaks) != sorted(self.breaks):
+            raise ValueError("a curve needs rising breaks and one piece more than breaks")
+
+    def __call__(self, P: float) -> float:
+        """Value at one pressure P [Pa]."""
+        value = 0.0
+        for coefficient in self.pieces[bisect_right(self.breaks, P)] if self.breaks else self.pieces[0]:
+            value = value * P + coefficient
+        return value
+
+    def values(self, P: Array) -> Array:
+        """Values at pressures P [Pa], any shape."""
+        value = np.polyval(self.pieces[0], P)
+        for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
+            value = np.where(edge <= P, np.polyval(piece, P), value)
+        return np.asarray(value, dtype=np.float64)
+
+    @classmethod
+    def printed(
+        cls,
+        *pieces: Sequence[float],
+        breaks: Sequence[float] = (),
+        unit: float = 1.0,
+        pressure: float = 1e3,
+    ) -> Curve:
+        """A curve from printed coefficients, lowest power first.
+
+        Parameters
+        ----------
+        *pieces
+            Coefficients of each piece, lowest power first, in `unit` per `pressure`**power.
+        breaks
+            Where the pieces join, in `pressure`.
+        unit
+            SI value of the printed unit, for instance 1e3 for N/mm.
+        pressure
+            Pascals in the printed unit of pressure, for instance 1e3 for kPa.
+        """
+        scaled = tuple(tuple(c * unit / pressure**n for n, c in enumerate(piece))[::-1] for piece in pieces)
+        return cls(scaled, tuple(edge * pressure for edge in breaks))
+
+    @classmethod
+    def through(cls, P: Sequence[float], values: Sequence[float]) -> Curve:
+        """Straight lines between tabulated points at rising pressures P [Pa], constant outside them."""
+        lines: list[tuple[float, ...]] = [(values[0],)]
+        for i in range(len(P) - 1):
+            slope = (values[i + 1] - values[i]) / (P[i + 1] - P[i])
+            lines.append((slope, values[i] - slope * P[i]))
+        return cls((*lines, (values[-1],)), tuple(P))

@@ -1,0 +1,216 @@
+"""Commands through a dead time and a first-order lag, in closed form piece by piece; knows no muscle.
+
+Used for the pressure behind a regulator and for the position of an actuator with a follow error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmabench.model.curve import Array
+from pmabench.model.signal import Wave, to_nanosecond
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """How the output y follows the command u: T y' = u(t - dead_time) - y.
+
+    `lag` T [s] while filling (y rising), `lag * vent_ratio` while venting; a lag of 0 is exact. Within `dead_band`
+    [units] of the command the output rests, outside of it the lag drives it to the edge of the band.
+    """
+
+    dead_time: float = 0.04
+    lag: float = 0.0
+    vent_ratio: float = 1.0
+    dead_band: float = 0.0
+
+    def __post_init__(self) -> None:
+        if min(self.dead_time, self.lag, self.dead_band) < 0 or self.vent_ratio <= 0:
+            raise ValueError(f"times and bands cannot be negative: {self}")
+        if self.dead_band > 0 and self.lag == 0:
+            raise ValueError("a dead band needs a lag above 0")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A closed form: level + slope s + sin_part sin(omega s) + cos_part cos(omega s) + decay exp(-s / lag).
+
+    s = t - start [s].
+    """
+
+    start: float
+    level: float
+    slope: float = 0.0
+    omega: float = 0.0
+    sin_part: float = 0.0
+    cos_part: float = 0.0
+    decay: float = 0.0
+    lag: float = 1.0
+
+    def value(self, t: float) -> float:
+        """Value at time t [s]."""
+        since = t - self.start
+        value = self.level + self.slope * since
+        if self.decay:
+            value += self.decay * math.exp(-since / self.lag)
+        if self.omega:
+            value += self.sin_part * math.sin(self.omega * since) + self.cos_part * math.cos(self.omega * since)
+        return value
+
+    def values(self, t: Array) -> Array:
+        """Values at times t [s]."""
+        since = t - self.start
+        value = self.level + self.slope * since
+        if self.decay:
+            value += self.decay * np.exp(-since / self.lag)
+        if self.omega:
+            value += self.sin_part * np.sin(self.omega * since) + self.cos_part * np.cos(self.omega * since)
+        return np.asarray(value, dtype=np.float64)
+
+    def rates(self, t: Array) -> Array:
+        """Rates of change at times t [s]."""
+        since = t - self.start
+        rate = np.full(since.shape, self.slope)
+        if self.decay:
+            rate -= self.decay / self.lag * np.exp(-since / self.lag)
+        if self.omega:
+            wave = self.sin_part * np.cos(self.omega * since) - self.cos_part * np.sin(self.omega * since)
+            rate += self.omega * wave
+        return rate
+
+
+def lagged(wave: Wave, t: float, value: float, lag: float, shift: float = 0.0) -> Trace:
+    """The exact answer of `lag` y' = wave + shift - y from y(t) = `value` on; with `lag` 0 the wave itself.
+
+    `t` is on the wave's time axis [s]. Particular solution of a first-order lag under a constant, ramp and sine:
+    level + slope (s - T) + A (sin(ws + p) - wT cos(ws + p)) / (1 + (wT)^2).
+    """
+    level = wave.level + wave.slope * (t - wave.start) + shift - wave.slope * lag
+    phase = wave.omega * (t - wave.start)
+    share = wave.amplitude / (1 + (wave.omega * lag) ** 2)
+    sine, cosine = math.sin(phase), math.cos(phase)
+    sin_part = share * (cosine + wave.omega * lag * sine)
+    cos_part = share * (sine - wave.omega * lag * cosine)
+    omega = wave.omega if wave.amplitude else 0.0
+    decay = value - level - cos_part if lag > 0 else 0.0
+    return Trace(t, level, wave.slope, omega, sin_part, cos_part, decay, lag or 1.0)
+
+
+class Regulated:
+    """A commanded quantity behind a `Regulator`, from `start` [s] on at `value` [units].
+
+    Time only goes forward: each call of `piece`, `value` and `values` is at or after the last one. A copy made with
+    `copy.copy` is independent.
+    """
+
+    def __init__(self, regulator: Regulator, value: float = 0.0, start: float = 0.0) -> None:
+        self.regulator = regulator
+        self._waves: tuple[Wave, ...] = (Wave(start, value),)
+        self._trace = Trace(start, value)
+        self._end = math.inf
+
+    def command(self, waves: tuple[Wave, ...]) -> None:
+        """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
+        first = waves[0].start
+        self._waves = (*(wave for wave in self._waves if wave.start < first), *waves)
+        self._end = min(self._end, self._arrival(waves[0]))
+
+    def setpoint(self, t: float) -> float:
+        """The value commanded at time t [s], before the dead time."""
+        for wave in reversed(self._waves):
+            if wave.start <= t:
+                return wave.value(t) if wave.slope or wave.amplitude else wave.level
+        return self._waves[0].level
+
+    def setpoints(self, t: Array) -> Array:
+        """The values commanded at rising times t [s], before the dead time."""
+        result = np.empty(t.shape)
+        edges = [0, *np.searchsorted(t, [wave.start for wave in self._waves[1:]]).tolist()]
+        for wave, first, last in zip(self._waves, edges, [*edges[1:], len(t)], strict=True):
+            if first < last:
+                steady = wave.slope == 0 and wave.amplitude == 0
+                result[first:last] = wave.level if steady else wave.values(t[first:last])
+        return result
+
+    def piece(self, t: float) -> tuple[Trace, float]:
+        """The closed form that holds at time t [s], and until when [s]."""
+        while t >= self._end:
+            self._begin(self._end)
+        return self._trace, self._end
+
+    def value(self, t: float) -> float:
+        """The output at time t [s]."""
+        return self.piece(t)[0].value(t)
+
+    def values(self, t: Array) -> tuple[Array, Array]:
+        """The output and its rate at rising times t [s]."""
+        value, rate = np.empty(t.shape), np.empty(t.shape)
+        done = 0
+        while done < len(t):
+            trace, end = self.piece(float(t[done]))
+            stop = len(t) if end == math.inf else int(np.searchsorted(t, end))
+            part = t[done:stop]
+            value[done:stop], rate[done:stop] = trace.values(part), trace.rates(part)
+            done = stop
+        return value, rate
+
+    def _arrival(self, wave: Wave) -> float:
+        return to_nanosecond(wave.start + self.regulator.dead_time)
+
+    def _begin(self, t: float) -> None:
+        """Start the piece at time t, where a wave arrives or the regulator changes between filling and venting."""
+        r = self.regulator
+        active = max(i for i, wave in enumerate(self._waves) if self._arrival(wave) <= t)
+        self._waves = self._waves[active:]
+        arrival = self._waves[0]
+        wave = replace(arrival, start=self._arrival(arrival))
+        end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
+        value = self._trace.value(t)
+        if r.lag == 0 or (r.vent_ratio == 1 and r.dead_band == 0):
+            self._trace, self._end = lagged(wave, t, value, r.lag), end
+            return
+        way = self._way(wave, t, value)
+        if way == 0:
+            self._trace = Trace(t, value)
+        else:
+            self._trace = lagged(wave, t, value, r.lag * (1 if way > 0 else r.vent_ratio), -way * r.dead_band)
+        self._end = self._change(wave, way, t, end)
+
+    def _way(self, wave: Wave, t: float, value: float) -> int:
+        """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
+        band, error = self.regulator.dead_band, wave.value(t) - value
+        rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start))
+        near = 1e-9 * (1 + abs(value))
+        if error > band + near or (error >= band - near and rate > 0):
+            return 1
+        if error < -band - near or (error <= near - band and rate < 0):
+            return -1
+        return 0
+
+    def _change(self, wave: Wave, way: int, t: float, end: float) -> float:
+        """When, before `end`, the regulator leaves this way of working; under a constant command it never does."""
+        if wave.slope == 0 and wave.amplitude == 0:
+            return end
+        band = self.regulator.dead_band
+
+        def beyond(at: Array) -> Array:
+            error = wave.values(at) - self._trace.values(at)
+            return band - way * error if way else np.abs(error) - band
+
+        count = 200 if wave.amplitude == 0 else max(200, int(64 * (end - t) * wave.omega / (2 * math.pi)))
+        grid = np.linspace(t, end, count + 1)
+        left = np.flatnonzero(beyond(grid[1:]) > 1e-9 * (1 + abs(self._trace.level)))
+        if left.size == 0:
+            return end
+        low, high = float(grid[left[0]]), float(grid[left[0] + 1])
+
+        def beyond_at(at: float) -> float:
+            return float(beyond(np.array([at]))[0])
+
+        if beyond_at(low) >= 0:
+            return high
+        return float(brentq(beyond_at, low, high, xtol=1e-10))
