@@ -1,0 +1,298 @@
+"""Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
+
+Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
+Knows the samples and what the search wrote down; not how the bench is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from pmabench.analysis import tuning
+from pmabench.analysis.gain_levels import TrialFound, examine
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.base.quantities import show
+from pmabench.model.loop import Loop
+from pmabench.store.records import Array, RunData, TrialData
+
+KIND = "ultimate-gain"
+METHOD = "gain-steps"
+LONGEST_TRACE = 1500
+USED = ("finished", "failed")
+"""Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
+SCHEDULE = 1.3
+"""Ratio of K_u between set-points above which one set of gains does not do."""
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """All trials at one operating point."""
+
+    at: Mapping[str, float]
+    runs: tuple[RunData, ...]
+    trials: tuple[TrialData, ...]
+    found: tuple[TrialFound, ...]
+
+    @property
+    def good(self) -> list[int]:
+        """Indices of trials with a value."""
+        return [i for i, found in enumerate(self.found) if not found.refused]
+
+
+def name_of(trial: TrialData) -> str:
+    """`run/index`, as parents are named."""
+    return f"{trial.run}/{trial.index}"
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Ultimate gain K_u [Pa/m] and period T_u [s] of every set-point, and the settings that the tuning rules give.
+
+    ln(ratio) of successive swings is fitted against K_p by a line over the last levels; K_u is its zero, T_u the
+    periods' line at the same place (Ziegler and Nichols 1942). The line's bias is found by replay with the loop that
+    the levels themselves identify, and taken off.
+
+    `options`: `loop` = {"gain" [m/Pa], "dead_time" [s], "lags" [s, ...]}, a linear model from elsewhere that K_u and
+    T_u are held against.
+    """
+    options = options or {}
+    cells, dropped = _cells(runs)
+    estimates: list[Estimate] = []
+    findings: list[Finding] = []
+    traces: list[Trace] = []
+    loops: list[dict[str, Any]] = []
+    settings: list[dict[str, Any]] = []
+    for cell in cells:
+        K_u, T_u = _estimates(cell)
+        estimates += [K_u, T_u]
+        findings += _findings(cell, K_u, T_u)
+        dropped += [
+            Dropped(name_of(trial), trial.point, "; ".join(found.refused))
+            for trial, found in zip(cell.trials, cell.found, strict=True)
+            if found.refused
+        ]
+        traces += _traces(cell, K_u)
+        if K_u.value is None or T_u.value is None:
+            continue
+        loop = next((cell.found[i].loop for i in cell.good if cell.found[i].loop is not None), None)
+        if loop is not None:
+            lags = [complex(lag).real for lag in loop.lags]
+            loops.append({"at": dict(cell.at), "gain": loop.gain, "dead_time": loop.dead_time, "lags": lags})
+        settings += tuning.facts(tuning.tune(K_u, T_u, loop=loop), cell.at)
+        if "loop" in options:
+            given = options["loop"]
+            model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
+            findings.append(tuning.plausibility(T_u.value, model, K_u.value))
+    findings += _schedule(estimates)
+    return Analysis(
+        kind=KIND,
+        runs=tuple(run.id for run in runs),
+        simulated=any(run.simulated for run in runs),
+        estimates=tuple(estimates),
+        dropped=tuple(dropped),
+        findings=tuple(findings),
+        traces=tuple(traces),
+        facts={
+            "options": dict(options),
+            "trials": sum(len(cell.good) for cell in cells),
+            "cells": len(cells),
+            "loops": loops,
+            "tuning": settings,
+            "levels": [
+                {"trial": name_of(trial), **level.to_dict()}
+                for cell in cells
+                for trial, found in zip(cell.trials, cell.found, strict=True)
+                for level in found.levels
+            ],
+        },
+    )
+
+
+def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[Dropped]]:
+    dropped: list[Dropped] = []
+    groups: dict[tuple[tuple[str, float], ...], list[tuple[RunData, TrialData]]] = {}
+    for run in runs:
+        for trial in run.trials:
+            if trial.status not in USED:
+                dropped.append(Dropped(name_of(trial), trial.point, f"the trial is {trial.status}"))
+            elif _search(trial) is None:
+                dropped.append(Dropped(name_of(trial), trial.point, "no levels of gain are recorded"))
+            elif "displacement" not in trial.channels:
+                dropped.append(Dropped(name_of(trial), trial.point, "the displacement is not recorded"))
+            else:
+                key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
+                groups.setdefault(key, []).append((run, trial))
+    cells = []
+    for key, members in sorted(groups.items()):
+        found = tuple(examine(run, trial, _search(trial) or {}) for run, trial in members)
+        cells.append(_Cell(dict(key), tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
+    return cells, dropped
+
+
+def _search(trial: TrialData) -> Mapping[str, Any] | None:
+    """What the search wrote down."""
+    return next((found for found in trial.found.values() if found.get("levels")), None)
+
+
+def _estimates(cell: _Cell) -> tuple[Estimate, Estimate]:
+    """K_u and T_u of one set-point: the mean of its trials, with intervals in parts."""
+    good = [cell.found[i] for i in cell.good]
+    parents = tuple(name_of(cell.trials[i]) for i in cell.good)
+    if not good:
+        note = "; ".join(dict.fromkeys(reason for found in cell.found for reason in found.refused))
+        everyone = tuple(name_of(trial) for trial in cell.trials)
+        return (
+            Estimate("K_u", None, "Pa/m", "gain", METHOD, cell.at, note=note, trials=everyone),
+            Estimate("T_u", None, "s", "time", METHOD, cell.at, note=note, trials=everyone),
+        )
+    note = "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts))
+    scale = max(_scale_uncertainty(run) for run in cell.runs)
+
+    def estimate(symbol: str, unit: str, quantity: str, calibration: float) -> Estimate:
+        values = np.array([getattr(found, symbol) for found in good])
+        within = np.array([getattr(found, f"half_{symbol}") for found in good])
+        replayed = [getattr(found, f"bias_{symbol}") for found in good]
+        known = [bias for bias in replayed if bias is not None]
+        value = float(values.mean())
+        repeats = sqrt(float(np.mean(within**2)) / len(good))
+        if len(good) > 1:
+            between = student.ppf(0.975, len(good) - 1) * float(values.std(ddof=1)) / sqrt(len(good))
+            repeats = max(repeats, between)
+        friction = max(found.friction for found in good) * value if symbol == "K_u" else 0.0
+        bias = float(np.mean(known)) if known else None
+        return Estimate(
+            symbol=symbol,
+            value=value,
+            unit=unit,
+            quantity=quantity,
+            method=METHOD,
+            at=cell.at,
+            parts=Parts(
+                repeats=repeats,
+                method=None if bias is None else sqrt(bias**2 + friction**2),
+                calibration=calibration * value,
+            ),
+            n=len(good),
+            bias=bias,
+            corrected=bias is not None,
+            note=note,
+            trials=parents,
+        )
+
+    return estimate("K_u", "Pa/m", "gain", scale), estimate("T_u", "s", "time", 0.0)
+
+
+def _scale_uncertainty(run: RunData) -> float:
+    """Relative expanded uncertainty of commanded pressure per measured displacement [1]."""
+    command = run.channels.get("pressure_command") or run.channels.get("pressure")
+    displacement = run.channels.get("displacement")
+    return sqrt(sum(channel.gain_uncertainty**2 for channel in (command, displacement) if channel is not None))
+
+
+def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
+    where = show(cell.at["setpoint"], "length") if "setpoint" in cell.at else "this operating point"
+    lines = []
+    for trial, found in zip(cell.trials, cell.found, strict=True):
+        for reason in found.refused:
+            lines.append(Finding("fault", f"trial {name_of(trial)} at {where}: {reason}"))
+        for doubt in found.doubts:
+            lines.append(Finding("doubt", f"trial {name_of(trial)} at {where}: {doubt}"))
+    if K_u.value is not None and T_u.value is not None:
+        loop = next((cell.found[i].loop for i in cell.good if cell.found[i].loop is not None), None)
+        text = f"at {where} the loop oscillates at K_u = {show(K_u.value, 'gain', 4)}, T_u = {T_u.value:.4g} s"
+        if loop is not None:
+            lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
+            text += (
+                f"; seen from there the plant has {loop.gain * 1e6:.4g} mm/kPa,"
+                f" dead time {loop.dead_time * 1e3:.3g} ms and lags {lags}"
+            )
+        lines.append(Finding("note", text))
+    return lines
+
+
+def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
+    """K_u belongs to its set-point: say so where it changes much."""
+    known = [e for e in estimates if e.symbol == "K_u" and e.value and "setpoint" in e.at]
+    if len({e.at["setpoint"] for e in known}) < 2:
+        return []
+    low, high = min(known, key=lambda e: e.value or 0.0), max(known, key=lambda e: e.value or 0.0)
+    ratio = (high.value or 0.0) / (low.value or 1.0)
+    if ratio < SCHEDULE:
+        return []
+    return [
+        Finding(
+            "note",
+            f"K_u changes {ratio:.2g}-fold between {show(low.at['setpoint'], 'length')} and "
+            f"{show(high.at['setpoint'], 'length')}: settings hold for their own set-point only",
+        )
+    ]
+
+
+def _traces(cell: _Cell, K_u: Estimate) -> list[Trace]:
+    """The oscillation nearest to K_u, and the growth plot, of the first trial with a value (else the first)."""
+    index = cell.good[0] if cell.good else 0
+    trial, found = cell.trials[index], cell.found[index]
+    if not found.levels:
+        return []
+    name = "-".join(f"{value:g}" for value in (cell.at.get("setpoint", 0.0), cell.at.get("load", 0.0)))
+    where = show(cell.at.get("setpoint", 0.0), "length")
+    at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
+    shown = found.levels[max(0, at - 1) : at + 2]
+    mask = (trial.t >= shown[0].t0) & (trial.t <= shown[-1].t1)
+    columns: dict[str, Array] = {
+        "t": trial.t[mask] - trial.t[mask][0],
+        "displacement": trial.channels["displacement"][mask],
+    }
+    quantities = {"t": "time", "displacement": "length", "pressure_command": "pressure"}
+    columns["pressure_command"] = _command(trial, found, mask)
+    stride = -(-int(mask.sum()) // LONGEST_TRACE)
+    marks = {} if K_u.value is None else {"K_u": K_u.value}
+    measured = [level for level in found.levels if level.swinging is not None]
+    traces = [
+        Trace(
+            f"oscillation-{name}",
+            "oscillation",
+            f"Oscillation nearest to the ultimate gain, set-point {where}",
+            {key: column[::stride] for key, column in columns.items()},
+            quantities,
+            {"setpoint": cell.at.get("setpoint", 0.0), **marks},
+        )
+    ]
+    if measured:
+        gains = np.array([level.gain for level in measured])
+        slope, start = found.line
+        traces.append(
+            Trace(
+                f"growth-{name}",
+                "growth",
+                f"Growth per half period, set-point {where}",
+                {
+                    "gain": gains,
+                    "log_ratio": np.array([level.log_ratio for level in measured]),
+                    "fit": start + slope * gains,
+                    "period": np.array([level.period for level in measured]),
+                    "used": np.array([float(level in found.used) for level in measured]),
+                },
+                {"gain": "gain", "log_ratio": "count", "fit": "count", "period": "time", "used": "count"},
+                marks,
+            )
+        )
+    return traces
+
+
+def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:
+    """The command [Pa], as recorded, else worked out from the law u = bias + K_p (aim - x) of each level."""
+    if "pressure_command" in trial.channels:
+        return np.asarray(trial.channels["pressure_command"][mask])
+    t, x = trial.t[mask], trial.channels["displacement"][mask]
+    command = np.full(len(t), np.nan)
+    for level in found.levels:
+        at = (t >= level.t0) & (t <= level.t1)
+        command[at] = found.bias + level.gain * (level.aim - x[at])
+    return command
