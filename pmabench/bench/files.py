@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
@@ -23,7 +23,11 @@ from pmabench.files.quantity import (
     raw_quantity,
 )
 
-Reading = Annotated[tuple[float, str], BeforeValidator(raw_quantity)]
+Reading = Annotated[
+    tuple[float, str],
+    BeforeValidator(raw_quantity),
+    WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["5.003 V", "600 kPa"]}),
+]
 """A number with the device's or the quantity's unit, kept apart."""
 
 Text = Annotated[str, Field(max_length=400)]

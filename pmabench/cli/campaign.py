@@ -26,7 +26,7 @@ def command(ui: Ui, file: str, out: Path, operator: str, *, yes: bool) -> int | 
 
     outcomes = run_campaign(ui, find_file("campaign", file), out, operator_name=operator, yes=yes)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
-    ui.result(data, lambda: [click.echo(str(outcome.folder)) for outcome in outcomes] and None)
+    ui.result(data, lambda: click.echo("\n".join(str(outcome.folder) for outcome in outcomes)))
     return outcomes[-1].exit_code
 
 

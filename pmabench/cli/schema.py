@@ -51,7 +51,7 @@ def _schema(kind: str) -> dict[str, Any]:
 def _of_models(kind: str) -> dict[str, Any]:
     from typing import Annotated, Union
 
-    from pydantic import Field, TypeAdapter
+    from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
     from pmabench.protocol.campaign import CampaignFile
@@ -65,5 +65,5 @@ def _of_models(kind: str) -> dict[str, Any]:
         union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
         adapter: TypeAdapter[Any] = TypeAdapter(union)
         return adapter.json_schema()
-    models = {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile, "campaign": CampaignFile}
+    models: dict[str, type[BaseModel]] = {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile, "campaign": CampaignFile}
     return models[kind].model_json_schema()

@@ -18,6 +18,8 @@ MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
 MAX_DEPTH = 40
 
+_TAGS = {"str", "int", "float", "bool", "null", "seq", "map", "timestamp", "merge", "value"}
+
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound="Strict")
 
@@ -137,7 +139,7 @@ class Document:
         self._places[location] = (self.path, mark.line + 1, mark.column + 1)
         if self._budget < 0 or len(location) > MAX_DEPTH:
             raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
-        if node.tag and not node.tag.startswith("tag:yaml.org,2002:"):
+        if node.tag and node.tag.removeprefix("tag:yaml.org,2002:") not in _TAGS:
             raise invalid(self.path, f"tags are not allowed: {node.tag}", mark.line + 1, mark.column + 1)
         if isinstance(node, ScalarNode):
             return _scalar(node)

@@ -162,10 +162,10 @@ class Guard:
             if not isfinite(value):
                 raise LimitRefused(f'"{name}" is never commanded to {value}')
             slack = 1e-9 * max(abs(output.low), abs(output.high))
+            step = abs(output.resolution * output.scale.slope)
             sent = output.scale.to_si(self._raw(output, value))
-            if not output.low - slack <= sent <= output.high + slack or not (
-                output.low - slack <= value <= output.high + slack
-            ):
+            asked_inside = output.low - slack <= value <= output.high + slack
+            if not asked_inside or not output.low - step - slack <= sent <= output.high + slack:
                 low, high = show(output.low, output.quantity), show(output.high, output.quantity)
                 shown = show(value, output.quantity)
                 raise LimitRefused(
@@ -175,15 +175,16 @@ class Guard:
 
     @staticmethod
     def _raw(output: OutputRecord, value: float) -> float:
-        """Device units, rounded to the resolution towards the safe value."""
+        """Device units, rounded to the resolution towards the safe value, and at the safe value downwards [SI]."""
         raw = float(output.scale.to_raw(value))
         if output.resolution == 0:
             return raw
         steps = raw / output.resolution
-        upwards = (output.scale.to_raw(output.safe) - raw) > 0
         near = round(steps)
         if abs(steps - near) < 1e-6:
             return near * output.resolution
+        lower_si = value >= output.safe
+        upwards = lower_si == (output.scale.slope < 0)
         return (ceil(steps) if upwards else floor(steps)) * output.resolution
 
     def _write(self, output: OutputRecord, value: float) -> float:

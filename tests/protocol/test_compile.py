@@ -1,0 +1,178 @@
+"""Protocols compile to plans of plain data, inside the limits of bench and specimen, or say what is wrong where."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pmabench.base.errors import InvalidFile
+from pmabench.bench.compile import mount
+from pmabench.protocol.campaign import plan_campaign
+from pmabench.protocol.compile import make_plan
+from pmabench.protocol.plan import Ask, Follow, Record, Seek, Set
+from pmabench.protocol.sinusoidal_displacement import predicted_force
+
+ROOT = Path(__file__).resolve().parents[2]
+SPECIMEN = ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
+BENCH_OF = {
+    "static-load": "mock",
+    "static-load-hands-at-pressure": "mock-hands-at-pressure",
+    "contraction-relaxation": "mock",
+    "sinusoidal-displacement": "mock-actuator",
+    "ultimate-gain": "mock",
+}
+
+
+def mounted(name="mock"):
+    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
+
+
+def plan(name, *settings, bench=None):
+    return make_plan(ROOT / "protocols" / f"{name}.yaml", mounted(bench or BENCH_OF[name]), settings)[0]
+
+
+@pytest.mark.parametrize("name", sorted(BENCH_OF))
+def test_every_shipped_protocol_names_its_paper_and_compiles(name):
+    assert {path.stem for path in (ROOT / "protocols").glob("*.yaml")} == set(BENCH_OF)
+    compiled = plan(name)
+    assert "paper" in compiled.source
+    assert compiled.trials
+    shortest, longest = compiled.duration()
+    assert 0 < shortest <= longest
+    assert json.loads(compiled.to_json())["kind"] == compiled.kind
+    assert compiled.sha256 == plan(name).sha256
+
+
+def test_contraction_uses_the_loads_and_pressures_of_paper_0():
+    compiled = plan("contraction-relaxation", ("sweep.repeat.count", "1"))
+    assert len(compiled.trials) == 88
+    loads = sorted({trial.point["load"] for trial in compiled.trials})
+    assert loads == pytest.approx([58.86 + 49.05 * i for i in range(11)])
+    assert compiled.trials[0].point["mass"] == pytest.approx(8.0)
+    asks = [step for step in compiled.steps if isinstance(step, Ask)]
+    assert len(asks) == 11
+    assert all(step.demands == "vented" for step in asks)
+
+
+def test_relaxation_goes_down_in_steps_and_is_tagged():
+    compiled = plan("contraction-relaxation", ("sweep.matrix.load", "[6 kg]"), ("sweep.matrix.pressure", "[450 kPa]"))
+    one = [step for step in compiled.steps if isinstance(step, Set) and step.phase != "precondition"]
+    assert [(step.phase, step.value / 1e3) for step in one[:6]] == [
+        ("contract", 450.0), ("relax", 350.0), ("relax", 250.0), ("relax", 150.0), ("relax", 50.0), ("vent", 0.0),
+    ]  # fmt: skip
+
+
+def test_the_reference_trial_comes_first_last_and_between():
+    extra = ("reference_trial", "{load: 6 kg, pressure: 300 kPa, every: 3}")
+    compiled = plan("contraction-relaxation", extra, ("sweep.matrix.load", "[6 kg]"), ("sweep.repeat.count", "1"))
+    assert [trial.reference for trial in compiled.trials] == [
+        True, False, False, False, True, False, False, False, True, False, False, True,
+    ]  # fmt: skip
+
+
+def test_a_load_in_newtons_is_a_pure_force():
+    compiled = plan("contraction-relaxation", ("sweep.matrix.load", "[58.86 N]"))
+    assert compiled.trials[0].point["mass"] == 0.5
+    ideal = plan("contraction-relaxation", bench="mock-ideal")
+    assert ideal.trials[0].point["load"] == pytest.approx(58.86)
+    assert ideal.trials[0].point["mass"] == 0.5
+
+
+def test_static_load_searches_both_directions_with_the_load_on_at_zero():
+    compiled = plan("static-load")
+    seeks = [step for step in compiled.steps if isinstance(step, Seek)]
+    assert [step.phase for step in seeks[:2]] == ["lift", "set-down"]
+    assert all(step.parameters["rate"] <= 2000.0 for step in seeks)
+    assert not compiled.hazards
+
+
+def test_hands_at_pressure_is_a_variant_that_says_so_and_is_capped():
+    compiled = plan("static-load-hands-at-pressure")
+    assert "under pressure" in compiled.hazards[0]
+    with pytest.raises(InvalidFile, match="this bench allows them up to 0 kPa"):
+        plan("static-load-hands-at-pressure", bench="mock")
+
+
+def test_a_sine_that_goes_slack_is_refused():
+    steps = [step for step in plan("sinusoidal-displacement").steps if isinstance(step, Follow)]
+    assert {step.frequency for step in steps} == {0.1, 0.5, 1.0, 3.0}
+    with pytest.raises(InvalidFile, match="predicted to fall to .* goes slack"):
+        plan("sinusoidal-displacement", ("trial.mean", "25 mm"))
+    with pytest.raises(InvalidFile, match="at most at 500 mm/s"):
+        plan("sinusoidal-displacement", ("sweep.matrix.frequency", "[20 Hz]"))
+
+
+def test_predicted_force_is_the_equation_of_motion():
+    expected = mounted().specimen_file.expected
+    low, high = predicted_force(expected, 300e3, 0.010, 0.005, 1e-6)
+    assert low == pytest.approx(275 - 6.77 * 15 - 6, abs=1e-3)
+    assert high == pytest.approx(275 - 6.77 * 5 + 6, abs=1e-3)
+    fast, _ = predicted_force(expected, 300e3, 0.010, 0.005, 3.0)
+    speed = 2 * 3.141592653589793 * 3.0 * 5.0
+    closed = 275 - 6.77 * 10 - ((6.77 * 5) ** 2 + (1.68 * speed) ** 2) ** 0.5 - 6
+    assert fast == pytest.approx(closed, abs=0.05)
+
+
+def test_a_protocol_gets_the_free_end_that_it_needs():
+    with pytest.raises(InvalidFile, match='needs a bench whose free end is "actuator"'):
+        plan("sinusoidal-displacement", bench="mock")
+
+
+def test_a_point_above_the_active_limit_names_both_places():
+    with pytest.raises(InvalidFile) as caught:
+        plan("contraction-relaxation", ("sweep.matrix.pressure", "[300 kPa, 700 kPa]"))
+    (problem,) = caught.value.problems
+    assert (problem.path, problem.column) == ("--set sweep.matrix.pressure", 18)
+    assert "above the limit for commanded pressure, 600 kPa" in problem.message
+    assert "mock.yaml:" in problem.message
+
+
+TEN_MISTAKES = """schema: pmabench.protocol/1
+kind: contraction-relaxation
+name: wrong
+sorce: nobody
+needs: {free_end: wieghts}
+sample_rate: 500
+record: [presure, displacement]
+sweep:
+  matrix:
+    load: [6 kg, 7 mm]
+    pressure: [1,5 bar, nan]
+  order: snail
+trial:
+  contract: {hold: 10}
+  relax: {by: 100 kPa, hold: 4 s, hold_at_end: 6 kPa}
+"""
+
+
+def test_ten_mistakes_give_ten_located_messages(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(TEN_MISTAKES)
+    with pytest.raises(InvalidFile) as caught:
+        make_plan(path, mounted())
+    places = [(p.line, p.column) for p in caught.value.problems]
+    assert len(places) >= 10
+    assert len(set(places)) >= 10
+    text = str(caught.value)
+    for expected in ("mine.yaml:4:1", 'did you mean "source"', 'did you mean "weights"', 'did you mean "pressure"',
+                     'for instance "500 Hz"', "neither a mass nor a force", 'did you mean "snake"', "10 needs a unit"):  # fmt: skip
+        assert expected in text
+
+
+def test_an_unknown_kind_gets_the_nearest(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text("kind: static-lod\n")
+    with pytest.raises(InvalidFile, match='did you mean "static-load"'):
+        make_plan(path, mounted())
+
+
+def test_plan_counts_rows_of_the_recorded_time():
+    compiled = plan("contraction-relaxation", ("sweep.matrix.load", "[6 kg]"), ("sweep.matrix.pressure", "[150 kPa]"),
+                    ("sweep.repeat.count", "1"))  # fmt: skip
+    assert compiled.rows() == round((0.2 + 10 + 4 + 6) * 500)
+    assert sum(isinstance(step, Record) for step in compiled.steps) == 2
+
+
+def test_the_demo_campaign_uses_two_benches():
+    _, planned = plan_campaign(ROOT / "fixtures" / "campaigns" / "demo.yaml")
+    assert {run.mounted.bench.free_end for run in planned} == {"weights", "actuator"}

@@ -1,0 +1,74 @@
+"""What the structure promises: light help, a small guard, current schemas, no stray paths."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from pmabench.cli.schema import KINDS, schema_text
+from pmabench.files.document import read_document
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ("numpy", "scipy", "pandas", "pymodbus", "can", "pint", "serial", "pydantic", "pyarrow", "matplotlib")
+
+
+def loaded_by(code: str) -> set[str]:
+    script = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(out.stdout.splitlines())
+
+
+def test_help_loads_nothing_heavy():
+    code = "from pmabench.cli.main import main\ntry:\n main(['--help'])\nexcept SystemExit: pass"
+    assert not set(HEAVY) & loaded_by(code)
+
+
+def test_the_guard_loads_nothing_heavy():
+    loaded = loaded_by("import pmabench.guard.guard")
+    assert not {*HEAVY, "rich", "click", "pmabench.files", "pmabench.protocol", "pmabench.store"} & loaded
+
+
+def test_importing_the_package_loads_nothing():
+    assert not {*HEAVY, "rich", "click"} & loaded_by("import pmabench")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_schemas_are_current(kind):
+    committed = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text()
+    assert committed == schema_text(kind), "run `make schemas`"
+
+
+FOLDERS = {
+    "protocol": "protocols",
+    "bench": "fixtures/benches",
+    "specimen": "fixtures/specimens",
+    "campaign": "fixtures/campaigns",
+}
+
+
+@pytest.mark.parametrize("kind", FOLDERS)
+def test_shipped_files_name_their_schema_and_satisfy_it(kind):
+    schema = json.loads((ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text())
+    files = sorted((ROOT / FOLDERS[kind]).glob("*.yaml"))
+    assert files
+    for file in files:
+        first = file.read_text().splitlines()[0]
+        named = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
+        assert named, f"{file} names no schema"
+        assert (file.parent / named[1]).resolve() == ROOT / "docs" / "schemas" / f"{kind}.schema.json"
+        document = read_document(file)
+        jsonschema.validate(document.data, schema)
+
+
+def test_no_file_names_a_registry_or_a_machine():
+    listed = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
+    wrong = re.compile(r"(?:pypi|files\.pythonhosted|registry\.npmjs)\.org|/(?:home|root|work)/\w")
+    for name in listed:
+        path = ROOT / name
+        if path.suffix in {".py", ".yaml", ".toml", ".md", ".lock", ".html", ".css", ""} and path.is_file():
+            found = wrong.search(path.read_text(encoding="utf-8", errors="replace"))
+            assert name == "tests/test_structure.py" or found is None, f"{name}: {found}"
