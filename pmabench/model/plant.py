@@ -116,6 +116,21 @@ class Plant:
         self.__dict__.update(snapshot)
         self.supply = copy.copy(self.supply)
 
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        trace = self.supply.piece(self.time)[0]
+        self._start(trace)
+        P, muscle, way = trace.value(self.time), self.muscle, self.way
+        pull = muscle.F_ce(P) - muscle.K(P) * self.x
+        if way:
+            u = way * self.v
+            damping = (muscle.B_c if way > 0 else muscle.B_r)(P)
+            friction = max(muscle.friction.F_c, muscle.friction.F_s - muscle.friction.slope * u)
+            return self.x, P, pull - damping * self.v - way * friction
+        if self.x <= 0:
+            return self.x, P, min(pull, self.force)
+        return self.x, P, max(pull, self.force) if self.x >= muscle.stop else self.force
+
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
         """Go on to `until` [s] and tell what happened at `times` [s], rising, between now and `until`.
 
@@ -145,10 +160,13 @@ class Plant:
         Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
         (`slip.glide`), the spring by the trapezoidal rule; stable for any mass.
         """
-        until = self.time + dt
+        self.reach(self.time + dt, dt)
+
+    def reach(self, until: float, longest: float = STEP) -> None:
+        """Implicit steps of at most `longest` [s] up to `until` [s]."""
         while self.time < until:
             trace, end = self.supply.piece(self.time)
-            self._step(trace, min(end, until))
+            self._steps(trace, min(end, until), longest)
 
     # -- at rest -------------------------------------------------------------------------------------------------
 
@@ -263,12 +281,12 @@ class Plant:
     def _short(self, trace: Trace, end: float, record: _Record) -> None:
         """Steps from sample to sample up to `end`."""
         for target in record.between(self.time, end):
-            self._steps(trace, target)
+            self._steps(trace, target, STEP)
             record.fill(np.array([self.x]), self.v, trace, self)
-        self._steps(trace, end)
+        self._steps(trace, end, STEP)
 
-    def _steps(self, trace: Trace, until: float) -> None:
-        count = int((until - self.time) / STEP * (1 - 1e-9)) + 1 if until > self.time else 0
+    def _steps(self, trace: Trace, until: float, longest: float) -> None:
+        count = int((until - self.time) / longest * (1 - 1e-9)) + 1 if until > self.time else 0
         begin = self.time
         for i in range(1, count + 1):
             self._step(trace, until if i == count else begin + (until - begin) * i / count)

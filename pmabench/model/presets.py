@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
+from pmabench.model.overrides import Overrides
 from pmabench.model.regulator import Regulator
 from pmabench.model.sensors import Noise
 
@@ -67,32 +68,6 @@ class Setup:
     """First-order lag of a displacement actuator behind its command [s]."""
 
 
-@dataclass(frozen=True)
-class Overrides:
-    """What can be changed about a preset by name; None leaves it as it is."""
-
-    friction: float | None = None
-    """Factor on static and kinetic friction [1]; 0 for none."""
-    F_s: float | None = None
-    """Static friction [N]."""
-    F_c: float | None = None
-    """Kinetic friction [N]."""
-    noise: float | None = None
-    """Factor on the noise of all sensors [1]; 0 for none."""
-    regulator_lag: float | None = None
-    """First-order lag of the pressure regulator [s]."""
-    dead_time: float | None = None
-    """Transport time between command and regulator [s]."""
-    vent_ratio: float | None = None
-    """Lag while venting by lag while filling [1]."""
-    dead_band: float | None = None
-    """Pressure error that the regulator does not act on [Pa]."""
-    follow_lag: float | None = None
-    """First-order lag of the displacement actuator [s]."""
-    b_relax: str | None = None
-    """`b_contract`: the damping of contraction in both directions."""
-
-
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
     """The parameters of `plant` (a key of `MUSCLES`) as `ideal` or `bench`, with overrides.
 
@@ -134,7 +109,3 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
     )
     noise = BENCH_NOISE.scaled(chosen("noise", 1.0))
     return Setup(muscle, regulator, noise, chosen("follow_lag", BENCH_FOLLOW_LAG))
-
-
-OVERRIDES = tuple(item.name for item in fields(Overrides))
-"""Names of what can be changed about a preset."""

@@ -112,12 +112,19 @@ class Regulated:
         self._waves: tuple[Wave, ...] = (Wave(start, value),)
         self._trace = Trace(start, value)
         self._end = math.inf
+        self._failed = False
 
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
         first = waves[0].start
         self._waves = (*(wave for wave in self._waves if wave.start < first), *waves)
-        self._end = min(self._end, self._arrival(waves[0]))
+        if not self._failed:
+            self._end = min(self._end, self._arrival(waves[0]))
+
+    def fail(self, t: float, lag: float) -> None:
+        """From `t` [s] on the output falls to 0 with `lag` [s] whatever is commanded: a burst muscle, a lost supply."""
+        self._trace = Trace(t, 0.0, decay=self.value(t), lag=lag)
+        self._end, self._failed = math.inf, True
 
     def setpoint(self, t: float) -> float:
         """The value commanded at time t [s], before the dead time."""

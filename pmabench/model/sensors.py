@@ -37,18 +37,28 @@ class NoiseSource:
 
     def __init__(self, seed: int, sensor: int) -> None:
         self._seed, self._sensor = seed, sensor
-        self._number, self._values = -1, np.empty(0)
+        self._chunk, self._values = -1, np.empty(0)
 
     def samples(self, first: int, count: int) -> Array:
         """The numbers of samples `first` (>= 0) to `first + count - 1`; shape (count,)."""
         result = np.empty(count)
         done = 0
         while done < count:
-            number, offset = divmod(first + done, CHUNK)
-            if number != self._number:
-                generator = np.random.default_rng((self._seed, self._sensor, number))
-                self._number, self._values = number, generator.standard_normal(CHUNK)
+            offset = self._find(first + done)
             part = min(count - done, CHUNK - offset)
             result[done : done + part] = self._values[offset : offset + part]
             done += part
         return result
+
+    def one(self, number: int) -> float:
+        """The number of one sample."""
+        offset = self._find(number)
+        return float(self._values[offset])
+
+    def _find(self, number: int) -> int:
+        """Make the chunk with a sample, if it is not there yet; the sample's place in it."""
+        chunk, offset = divmod(number, CHUNK)
+        if chunk != self._chunk:
+            generator = np.random.default_rng((self._seed, self._sensor, chunk))
+            self._chunk, self._values = chunk, generator.standard_normal(CHUNK)
+        return offset

@@ -1,0 +1,120 @@
+"""The device interface in front of the simulation: options, life, faults of the link; knows no physics."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
+from pmabench_drivers.mock.options import read_options
+
+if TYPE_CHECKING:
+    from pmabench_drivers.mock.simulation import Simulation
+
+
+class MockBench:
+    """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and has hands.
+
+    Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
+    the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
+    `displacement`. Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
+    the plant catch up with it, and when the clock was taken back, the plant goes back too.
+    """
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._device, self._clock = device, clock
+        self._options = read_options(device.name, device.options)
+        self._outputs = {output.output: output for output in device.outputs}
+        self._opened: Simulation | None = None
+        self._closed = threading.Event()
+
+    def open(self) -> Identity:
+        """Build the plant at rest, without pressure, the load support under the carriage."""
+        from pmabench_drivers.mock.simulation import Simulation
+
+        try:
+            self._opened = Simulation(self._device, self._options, self._now())
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error)) from error
+        self._closed.clear()
+        options = self._options
+        return Identity("pmabench", f"mock {options.plant} {options.preset}", str(options.seed), "1", simulated=True)
+
+    def close(self) -> None:
+        """Forget the plant."""
+        self._opened = None
+        self._closed.set()
+
+    def start(self, rate: float) -> float:
+        """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._simulation().start(rate)
+        return rate
+
+    def collect(self) -> Block:
+        """All samples due by now that were not collected yet."""
+        return self._simulation().collect()
+
+    def stop(self) -> None:
+        """End sampling."""
+        if self._opened is not None:
+            self._opened.stop()
+
+    def write(self, output: str, value: float) -> None:
+        """Command a value [device units] at once."""
+        record = self._output(output, value)
+        self._command(output, Segment("constant", self._now(), value), record)
+
+    def read_back(self, output: str) -> float:
+        """The set-point held now [device units]."""
+        record = self._output(output)
+        return float(record.scale.to_raw(self._simulation().setpoint(output)))
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Follow a ramp or a sine from its start on, or from now on if that has passed."""
+        record = self._output(output, segment.origin, segment.target, segment.amplitude)
+        if segment.kind not in {"ramp", "sine"}:
+            raise DeviceError(self._device.name, f'cannot follow a "{segment.kind}"', output)
+        speed = segment.rate if segment.kind == "ramp" else segment.frequency
+        if not 0 < speed < math.inf:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero, not {speed}", output)
+        self._command(output, segment, record)
+
+    def place(self, load: Load) -> None:
+        """The free end carries `load` from now on; without effect where an actuator holds it."""
+        self._simulation().place(load)
+
+    def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
+        try:
+            self._simulation().command(output, segment, record.scale)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error), output) from error
+
+    def _output(self, output: str, *values: float) -> OutputRecord:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        for value in values:
+            if not math.isfinite(value):
+                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
+        return record
+
+    def _now(self) -> float:
+        return round(self._clock.now(), 9)
+
+    def _simulation(self) -> Simulation:
+        """The simulation, brought to the clock's time."""
+        if self._opened is None:
+            raise DeviceError(self._device.name, "is not open")
+        now, faults = self._now(), self._options.faults
+        if faults.hang_at is not None and now >= faults.hang_at:
+            self._closed.wait()
+            raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
+        if faults.lost_at is not None and now >= faults.lost_at:
+            raise DeviceError(self._device.name, "link lost (simulated fault)")
+        self._opened.catch_up(now)
+        return self._opened

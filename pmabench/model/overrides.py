@@ -1,0 +1,31 @@
+"""What can be changed about a plant's preset, by name; standard library only, so that options are checked for free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What can be changed about a preset by name; None leaves it as it is."""
+
+    friction: float | None = None
+    """Factor on static and kinetic friction [1]; 0 for none."""
+    F_s: float | None = None
+    """Static friction [N]."""
+    F_c: float | None = None
+    """Kinetic friction [N]."""
+    noise: float | None = None
+    """Factor on the noise of all sensors [1]; 0 for none."""
+    regulator_lag: float | None = None
+    """First-order lag of the pressure regulator [s]."""
+    dead_time: float | None = None
+    """Transport time between command and regulator [s]."""
+    vent_ratio: float | None = None
+    """Lag while venting by lag while filling [1]."""
+    dead_band: float | None = None
+    """Pressure error that the regulator does not act on [Pa]."""
+    follow_lag: float | None = None
+    """First-order lag of the displacement actuator [s]."""
+    b_relax: str | None = None
+    """`b_contract`: the damping of contraction in both directions."""
