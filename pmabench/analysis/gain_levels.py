@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from pmabench.analysis.oscillation import SKIPPED, Swinging, describe, mode_amplitudes, noise_of
 from pmabench.base.quantities import show
-from pmabench.model.loop import Loop, mode, ultimate
+from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData
 
 STEEPEST = 0.3
@@ -53,6 +53,8 @@ class Level:
     """Standard deviation that noise alone gives it [1]."""
     amplitudes: tuple[complex, complex] | None = None
     """Of displacement [m] and pressure [Pa] in the mode."""
+    means: tuple[float, float] = (float("nan"), float("nan"))
+    """Of displacement [m] and pressure [Pa]."""
 
     @property
     def log_ratio(self) -> float:
@@ -127,29 +129,27 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     gains = np.array([level.gain for level in used])
     ratios = np.array([level.log_ratio for level in used])
     periods = np.array([level.period for level in used])
-    K_u, half_K, T_u, half_T, line = _zero(gains, ratios, periods)
-    friction = _friction(used, float(line[0] * K_u))
+    off = np.array([level.means[0] for level in used]) - float(search.get("setpoint", 0.0))
+    zero = _zero(gains, ratios, periods, off)
+    friction = _friction(used, zero.line[0] * zero.K_u)
     refused = _against(levels, nearest, used, ended, friction)
-    if not (line[0] > 0 and 0.5 * gains.min() < K_u < 1.2 * gains.max()):
+    if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.K_u < 1.2 * gains.max()):
         refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
     if refused:
-        return TrialFound(
-            levels, tuple(used), nearest, bias, line, K_u, half_K, None, T_u, half_T, friction=friction,
-            refused=tuple(refused),
-        )  # fmt: skip
+        return TrialFound(levels, tuple(used), nearest, bias, zero.line, friction=friction, refused=tuple(refused))
     loop = _identify(used, lag)
-    bias_K, bias_T = _replay(loop, gains) if loop is not None else (None, None)
+    bias_K, bias_T = _replay(loop, gains, off) if loop is not None else (None, None)
     return TrialFound(
         levels=levels,
         used=tuple(used),
         nearest=nearest,
         bias=bias,
-        line=line,
-        K_u=K_u - (bias_K or 0.0),
-        half_K_u=half_K,
+        line=zero.line,
+        K_u=zero.K_u - (bias_K or 0.0),
+        half_K_u=zero.half_K_u,
         bias_K_u=bias_K,
-        T_u=T_u - (bias_T or 0.0),
-        half_T_u=half_T,
+        T_u=zero.T_u - (bias_T or 0.0),
+        half_T_u=zero.half_T_u,
         bias_T_u=bias_T,
         friction=abs(friction),
         loop=loop,
@@ -169,42 +169,61 @@ def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, An
         saturated = bool(np.any((command < search["low"]) | (command > search["high"])))
     swinging = describe(t, x, noise) if len(t) > 20 else None
     third = third_noise = 0.0
-    amplitudes = None
+    amplitudes, means = None, (float("nan"), float("nan"))
     if swinging is not None:
         late = t >= swinging.times[0]
         names = ["displacement", "pressure"] if "pressure" in trial.channels else ["displacement"]
         signals = np.column_stack([trial.channels[name][mask][late] for name in names])
-        found = mode_amplitudes(t[late], signals, swinging.root)
+        centre, found = mode_amplitudes(t[late], signals, swinging.root)
         size = abs(complex(found[0, 0]))
         third = abs(complex(found[2, 0])) / size
         third_noise = noise * sqrt(2.0 / late.sum()) / size
         if len(names) > 1:
             amplitudes = (complex(found[0, 0]), complex(found[0, 1]))
-    return Level(gain, float(level["t0"]), float(level["t1"]), aim, swinging, saturated, third, third_noise, amplitudes)
+        means = (float(centre[0]), float(centre[-1]) if len(names) > 1 else float("nan"))
+    t0, t1 = float(level["t0"]), float(level["t1"])
+    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, amplitudes, means)
 
 
-def _zero(gains: Array, ratios: Array, periods: Array) -> tuple[float, float, float, float, tuple[float, float]]:
-    """Zero of the line through ln ratio over gain, periods there, and the half widths of their 95 % intervals.
+@dataclass(frozen=True)
+class _Zero:
+    """Where growth is 0."""
 
-    The interval is that of a line read backwards: from the scatter about the line, Student's t, n - 2 degrees.
+    K_u: float
+    half_K_u: float
+    T_u: float
+    half_T_u: float
+    line: tuple[float, float]
+    """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
+
+
+def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> _Zero:
+    """Zero of the line through ln ratio over gain, the periods' line there, and half widths of the 95 % intervals.
+
+    With five levels and more, both lines also lean on `off`, the distance [m] of a level's mean from the set-point:
+    kicks move it, and K_u changes with it. Intervals from the scatter about the line, Student's t.
     """
     centre = float(gains.mean())
-    spread = float(np.sum((gains - centre) ** 2))
-    quantile = float(student.ppf(0.975, len(gains) - 2))
-    slope = float(np.sum((gains - centre) * ratios) / spread)
-    K_u = centre - float(ratios.mean()) / slope
+    columns = [np.ones_like(gains), gains - centre]
+    if len(gains) >= FEWEST_LEVELS + 2 and np.ptp(off) > 0.1 * np.max(np.abs(off)) > 0:
+        columns.append(off / np.max(np.abs(off)))
+    design = np.column_stack(columns)
+    inverse = np.linalg.inv(design.T @ design)
+    freedom = len(gains) - len(columns)
+    quantile = float(student.ppf(0.975, freedom))
+    growth, clock = inverse @ design.T @ ratios, inverse @ design.T @ periods
 
-    def error(values: Array, at: float) -> float:
-        tilt = float(np.sum((gains - centre) * values) / spread)
-        residual = values - values.mean() - tilt * (gains - centre)
-        scatter = sqrt(float(residual @ residual) / (len(gains) - 2))
-        return quantile * scatter * sqrt(1.0 / len(gains) + (at - centre) ** 2 / spread)
+    def error(values: Array, fitted: Array, at: Array) -> float:
+        residual = values - design @ fitted
+        return quantile * sqrt(float(residual @ residual) / freedom * float(at @ inverse @ at))
 
-    tilt = float(np.sum((gains - centre) * periods) / spread)
-    T_u = float(periods.mean()) + tilt * (K_u - centre)
-    half_K = error(ratios, K_u) / abs(slope)
-    half_T = sqrt(error(periods, K_u) ** 2 + (tilt * half_K) ** 2)
-    return K_u, half_K, T_u, half_T, (slope, float(ratios.mean()) - slope * centre)
+    beyond = -float(growth[0] / growth[1])
+    at = np.zeros(len(columns))
+    at[:2] = 1.0, beyond
+    half_K = error(ratios, growth, at) / abs(float(growth[1]))
+    half_T = sqrt(error(periods, clock, at) ** 2 + (float(clock[1]) * half_K) ** 2)
+    line = (float(growth[1]), float(growth[0] - growth[1] * centre))
+    return _Zero(centre + beyond, half_K, float(clock @ at), half_T, line)
 
 
 def _friction(used: Sequence[Level], slope: float) -> float:
@@ -276,37 +295,32 @@ def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
 def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
     """The loop that these levels swing in, from the amplitudes X, P of displacement and pressure at each root s.
 
-    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + T_r s) and X / P = k_g/(1 + tau s), sensor lags
-    taken off; L holds the hold and all delays. None without a pressure, or where no such loop fits.
+    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + T_r s), and X / P = k_g/(1 + tau s + beta s^2)
+    with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are taken off. L
+    holds the hold and all delays. None without a pressure, or where no such loop fits.
     """
-    seen = [(level, level.swinging, level.amplitudes) for level in used]
     roots, commands, ratios = [], [], []
-    for level, swinging, amplitudes in seen:
-        if swinging is None or amplitudes is None or abs(amplitudes[1]) == 0:
+    for level in used:
+        if level.swinging is None or level.amplitudes is None or abs(level.amplitudes[1]) == 0:
             return None
-        s, (X, P) = swinging.root, amplitudes
-        P = P * (1 + lag.get("pressure", 0.0) * s)
-        roots.append(s)
+        root, (X, P) = level.swinging.root, level.amplitudes
+        P = P * (1 + lag.get("pressure", 0.0) * root)
+        roots.append(root)
         commands.append(-P / (level.gain * X))
-        ratios.append(X * (1 + lag.get("displacement", 0.0) * s) / P)
-    s = np.array(roots)
-    R, G = np.array(commands), np.array(ratios)
-    slope = np.imag(1 / G) / np.real(1 / G)
-    tau = float(np.median(np.abs(slope / (s.imag - slope * s.real))))
-    start = [log(float(np.median(np.abs(G * (1 + tau * s))))), log(tau), log(0.1 * 2 * pi / float(s.imag.mean())), 0.03]
+        ratios.append(X * (1 + lag.get("displacement", 0.0) * root) / P)
+    s, R, G = np.array(roots), np.array(commands), np.array(ratios)
+    muscle = _muscle(s, G, np.array([level.means for level in used]))
 
     def misfit(p: Array) -> Array:
-        model_R = np.exp(-p[3] * s) / (1 + np.exp(p[2]) * s)
-        model_G = np.exp(p[0]) / (1 + np.exp(p[1]) * s)
-        off = np.concatenate([np.log(R / model_R), np.log(G / model_G)])
+        off = np.log(R * (1 + np.exp(p[0]) * s) * np.exp(p[1] * s))
         return np.concatenate([off.real, off.imag])
 
-    fitted = least_squares(misfit, start).x
-    gain, tau, T_r, L = float(np.exp(fitted[0])), float(np.exp(fitted[1])), float(np.exp(fitted[2])), float(fitted[3])
-    if L < 0:
+    fitted = least_squares(misfit, [log(0.2 * 2 * pi / float(s.imag.mean())), 0.0]).x
+    if muscle is None or fitted[1] < 0:
         return None
-    extra = lag.get("displacement", 0.0)
-    loop = Loop(gain, L, (T_r, tau, extra) if extra > 0 else (T_r, tau))
+    gain, lags = muscle
+    sensor = lag.get("displacement", 0.0)
+    loop = Loop(gain, float(fitted[1]), (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ())))
     try:
         ultimate(loop)
     except ValueError:
@@ -314,11 +328,31 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
     return loop
 
 
-def _replay(loop: Loop, gains: Array) -> tuple[float, float]:
+def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
+    """Gain k_g [m/Pa] and lags [s] of displacement over pressure, from G = X/P at the roots `s` [1/s].
+
+    k_g/G - 1 = tau s + beta s^2 is linear in tau and beta. Where the means hardly move, or beta comes out negative,
+    there is one lag, and gain and lag both come from G.
+    """
+    x, P = means[:, 0] - means[:, 0].mean(), means[:, 1] - means[:, 1].mean()
+    gain = float(x @ P / (P @ P)) if P @ P > 0 else 0.0
+    if gain > 0 and (x @ P) ** 2 > 0.9 * (x @ x) * (P @ P):
+        left = gain / G - 1
+        design = np.column_stack([np.concatenate([s.real, s.imag]), np.concatenate([(s**2).real, (s**2).imag])])
+        tau, beta = np.linalg.lstsq(design, np.concatenate([left.real, left.imag]), rcond=None)[0]
+        if tau > 0 and beta > 0:
+            root = complex(tau * tau - 4 * beta) ** 0.5
+            pair = ((tau + root) / 2, (tau - root) / 2)
+            return gain, pair if root.imag else tuple(complex(lag).real for lag in pair)
+    slope = np.imag(1 / G) / np.real(1 / G)
+    tau = float(np.median(slope / (s.imag - slope * s.real)))
+    return (float(np.median(np.abs(G * (1 + tau * s)))), (tau,)) if tau > 0 else None
+
+
+def _replay(loop: Loop, gains: Array, off: Array) -> tuple[float, float]:
     """Bias of the line for K_u [Pa/m] and T_u [s]: its result on the exact roots of `loop`, minus the loop's own."""
     roots = [mode(loop, float(gain)) for gain in gains]
     periods = np.array([2 * pi / s.imag for s in roots])
     ratios = np.array([pi * s.real / s.imag for s in roots])
-    K_u, _, T_u, _, _ = _zero(gains, ratios, periods)
-    truth = ultimate(loop)
-    return K_u - truth.gain, T_u - truth.period
+    zero, truth = _zero(gains, ratios, periods, off), ultimate(loop)
+    return zero.K_u - truth.gain, zero.T_u - truth.period

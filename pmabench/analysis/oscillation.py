@@ -10,8 +10,8 @@ from pmabench.store.records import Array
 
 SKIPPED = 2
 """Swings after a kick that do not count: faster modes are still in them."""
-SEEN = 6.0
-"""A swing counts where it is larger than this many standard deviations of the noise."""
+SEEN = 12.0
+"""A swing, peak to peak, counts where it is larger than this many standard deviations of the noise."""
 
 
 def noise_of(y: Array) -> float:
@@ -120,16 +120,16 @@ def describe(t: Array, y: Array, noise: float, skip: int = SKIPPED) -> Swinging 
     )
 
 
-def mode_amplitudes(t: Array, signals: Array, root: complex, harmonics: int = 3) -> Array:
-    """Complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
+def mode_amplitudes(t: Array, signals: Array, root: complex, harmonics: int = 3) -> tuple[Array, Array]:
+    """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
 
-    Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t); returns a_k - j b_k with shape
-    (harmonics, m), referred to t[0], so that the signal is Re(amplitude exp(s t)).
+    Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t). Returns the mean of c0 + c1 t,
+    shape (m,), and a_k - j b_k, shape (harmonics, m), so that the signal is Re(amplitude exp(s (t - t[0]))).
     """
     time = t - t[0]
     growth = np.exp(root.real * time)
-    columns = [np.ones_like(time), time]
+    columns = [np.ones_like(time), time - time.mean()]
     for k in range(1, harmonics + 1):
         columns += [growth * np.cos(k * root.imag * time), growth * np.sin(k * root.imag * time)]
     fitted, *_ = np.linalg.lstsq(np.column_stack(columns), signals, rcond=None)
-    return np.asarray(fitted[2::2] - 1j * fitted[3::2])
+    return np.asarray(fitted[0]), np.asarray(fitted[2::2] - 1j * fitted[3::2])

@@ -14,6 +14,8 @@ from typing import Any
 LARGEST_FACTOR = 1.08
 SKIPPED = 2
 """Swings right after a kick that do not count in the ratio: faster modes are still in them."""
+SEEN = 12.0
+"""A swing, peak to peak, is seen where it is larger than this many standard deviations of the noise."""
 FOUND = ("growth", "amplitude")
 REASONS = {
     "saturated": "the command reached the end of its range before the swings grew",
@@ -60,7 +62,7 @@ class GainSteps:
     factor : from level to level, at most 1.08
     half_periods : counted at each level before the next, at least 8
     kick : step of the aim that excites the loop [m], between setpoint - kick/2 and setpoint + kick/2
-    noise : standard deviation of the channel's noise [m]; smaller swings than six times this are not seen
+    noise : standard deviation of the channel's noise [m]; swings smaller than twelve times this are not seen
     settle : time at the starting gain before the first level [s]
     trim : time constant of the bias trim while settling [s]; 0 keeps the bias
     level_time : longest time at one level [s]; at least four expected periods
@@ -112,7 +114,7 @@ class GainSteps:
         self.factor, self.half_periods, self.kick = factor, half_periods, kick
         self.settle, self.trim, self.level_time = settle, trim, level_time
         self.most_levels, self.window, self.beyond = levels, window, beyond
-        self.threshold = max(6.0 * noise, 1e-3 * kick)
+        self.threshold = max(SEEN * noise, 1e-3 * kick)
         self.gain = start
         self.done = False
         self._ended = "limit"
