@@ -1,0 +1,231 @@
+"""The run folder as files: hashes, small files written whole, status; must not know samples or tables.
+
+Standard library only, so that listing runs starts fast.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import RecordError, invalid
+
+RUN_SCHEMA = "pmabench.run/1"
+SEAL_SCHEMA = "pmabench.seal/1"
+MANIFEST = "manifest.json"
+EVENTS = "events.jsonl"
+PLAN = "plan.json"
+SEAL = "seal.json"
+README = "README.txt"
+STREAMS = "streams"
+
+STATUSES = ("finished", "failed", "aborted", "tripped", "error")
+"""How a run can end by its own account; `interrupted` is what readers say of one whose writer died."""
+
+_HASH_TAIL = b'"\n}\n'
+_NO_HASH = b"0" * 64
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON can hold it: numpy numbers and arrays as numbers and lists, NaN and infinity as null."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)
+
+
+def sealed_json(data: Mapping[str, Any]) -> bytes:
+    """JSON whose last entry `sha256` is the hash of the whole text with 64 zeros in its place."""
+    body = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False).encode()
+    head = body[:-2] + b',\n "sha256": "'
+    digest = hashlib.sha256(head + _NO_HASH + _HASH_TAIL).hexdigest().encode()
+    return head + digest + _HASH_TAIL
+
+
+def open_json(raw: bytes, path: object) -> dict[str, Any]:
+    """The inverse of `sealed_json`; raises InvalidFile where any byte was changed or is missing."""
+    digest, blank = raw[-68:-4], raw[:-68] + _NO_HASH + raw[-4:]
+    if len(raw) < 80 or hashlib.sha256(blank).hexdigest().encode() != digest:
+        what = "is empty" if not raw else "is damaged or was changed: its own hash does not fit"
+        raise invalid(path, what)
+    try:
+        data = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise invalid(path, "is not JSON") from error
+    if not isinstance(data, dict):
+        raise invalid(path, "holds no JSON object")
+    return data
+
+
+def read_file(folder: Path, name: str) -> bytes:
+    """The bytes of a file of the run; raises InvalidFile with the operating system's reason."""
+    try:
+        return (folder / name).read_bytes()
+    except OSError as error:
+        raise invalid(folder / name, f"cannot be read: {error.strerror or error}") from error
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest; raises InvalidFile for what is not a run, is damaged, or was written by a newer pmabench."""
+    if not folder.is_dir() or not (folder / MANIFEST).exists():
+        why = "there is no such folder" if not folder.exists() else f"no {MANIFEST} in it"
+        raise invalid(folder, f"is not a run folder: {why}")
+    raw = read_file(folder, MANIFEST)
+    newer = re.search(rb'^ "schema": "pmabench\.run/(\d+)"', raw, re.MULTILINE)
+    if newer and int(newer[1]) > 1:
+        raise invalid(
+            folder, f"was written by a newer pmabench (pmabench.run/{int(newer[1])}); this one reads {RUN_SCHEMA}"
+        )
+    manifest = open_json(raw, folder / MANIFEST)
+    if manifest.get("schema") != RUN_SCHEMA:
+        raise invalid(folder / MANIFEST, f"has the schema {manifest.get('schema')!r}, not {RUN_SCHEMA}")
+    return manifest
+
+
+def read_seal(folder: Path) -> dict[str, Any] | None:
+    """The seal of a closed run, or None where there is none; raises InvalidFile where it is damaged."""
+    if not (folder / SEAL).exists():
+        return None
+    seal = open_json(read_file(folder, SEAL), folder / SEAL)
+    if seal.get("schema") != SEAL_SCHEMA or not isinstance(seal.get("files"), dict):
+        raise invalid(folder / SEAL, f"has the schema {seal.get('schema')!r}; this pmabench reads {SEAL_SCHEMA}")
+    return seal
+
+
+def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> str:
+    """The status in the seal; without a seal `running` while the writer lives, else `interrupted`."""
+    if seal is not None:
+        return str(seal.get("status", "interrupted"))
+    return "running" if _alive(manifest.get("writer") or {}) else "interrupted"
+
+
+def this_process() -> dict[str, Any]:
+    """What tells this process from every other on this machine, before and after; empty where Linux does not say."""
+    fields = _process(os.getpid())
+    return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
+
+
+def _alive(writer: Mapping[str, Any]) -> bool:
+    fields = _process(writer.get("pid"))
+    same = fields is not None and fields[1] == writer.get("started") and _boot() == writer.get("boot")
+    return same and fields is not None and fields[0] not in "ZX"
+
+
+def _process(pid: object) -> tuple[str, int] | None:
+    """State letter and start time of a process."""
+    with suppress(OSError, ValueError, IndexError):
+        if isinstance(pid, int) and pid > 0:
+            fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+            return fields[0], int(fields[19])
+    return None
+
+
+@cache
+def _boot() -> str:
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    return ""
+
+
+def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Every file (and link) below the run folder with its name inside the run, sorted."""
+    found = []
+    for base, folders, names in os.walk(folder):
+        linked = [name for name in folders if (Path(base) / name).is_symlink()]
+        found += [Path(base) / name for name in [*names, *linked]]
+    for path in sorted(found):
+        yield path.relative_to(folder).as_posix(), path
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def cannot_write(path: Path, error: BaseException) -> RecordError:
+    """The sentence for a failed write."""
+    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return RecordError(f"cannot write {path}: {reason}; the run is not fully recorded")
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError:
+        with suppress(OSError):
+            part.unlink()
+        raise
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make new and renamed entries of a folder survive a power cut, where the system can do that."""
+    if sys.platform == "win32":
+        return
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+@dataclass
+class AppendFile:
+    """A file that grows by whole pieces: a piece that fails is taken back, so that it can be tried again."""
+
+    path: Path
+    size: int = 0
+    _fd: int = -1
+
+    def open(self) -> AppendFile:
+        """Create the file, which must not exist. Raises OSError."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+        self._fd = os.open(self.path, flags, 0o644)
+        return self
+
+    def write(self, piece: bytes) -> None:
+        """Hand `piece` to the operating system, all of it or none. Raises OSError."""
+        os.lseek(self._fd, self.size, os.SEEK_SET)
+        rest = memoryview(piece)
+        try:
+            while rest:
+                rest = rest[os.write(self._fd, rest) :]
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._fd, self.size)
+            raise
+        self.size += len(piece)
+
+    def sync(self) -> None:
+        """Wait until what was written survives a power cut. Raises OSError."""
+        (os.fdatasync if sys.platform == "linux" else os.fsync)(self._fd)
+
+    def close(self) -> None:
+        """Let go of the file; harmless when repeated."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)

@@ -1,0 +1,259 @@
+"""Samples on disk while they are taken: an Arrow stream whose batches carry seq, crc32 and an end mark; no run folder.
+
+A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", and the bytes of each column
+in order. `rows` counts all rows up to and including the batch; the first batch is empty and the last has `end` 1.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import zlib
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import RecordError
+from pmabench.base.quantities import QUANTITIES
+from pmabench.store.arrow import pa
+from pmabench.store.folder import AppendFile, plain
+
+STREAM_SCHEMA = "pmabench.stream/1"
+TIME, FLAGS = "time_ns", "flags"
+KEY = b"pmabench"
+_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_TYPES = {"int32": pa.int32(), "float64": pa.float64()}
+
+
+def describe(name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> dict[str, Any]:
+    """What a stream's JSON file and schema say of it: name, rate [Hz], and each column as its ChannelRecord."""
+    return {"schema": STREAM_SCHEMA, "stream": name, "rate": rate, "columns": [plain(column) for column in columns]}
+
+
+def arrow_schema(about: Mapping[str, Any]) -> Any:
+    """The Arrow schema of a stream: `time_ns`, the channels as raw values, `flags`."""
+    fields = [pa.field(TIME, pa.int64(), False, {"unit": "ns"})]
+    for column in about["columns"]:
+        name, raw_type = column["name"], column.get("raw_type", "float64")
+        if raw_type not in _TYPES or name in (TIME, FLAGS, *(field.name for field in fields)):
+            raise RecordError(f'stream {about["stream"]}: "{name}" of type "{raw_type}" cannot be a column')
+        known = QUANTITIES.get(column.get("quantity", ""))
+        scale = column.get("scale") or {}
+        notes = {
+            "unit": str(column.get("raw_unit", "")),
+            "quantity": str(column.get("quantity", "")),
+            "si_unit": known.unit if known else "",
+            "slope": repr(float(scale.get("slope", 1.0))),
+            "offset": repr(float(scale.get("offset", 0.0))),
+            "calibration": json.dumps(column.get("calibration") or {}, sort_keys=True),
+        }
+        fields.append(pa.field(name, _TYPES[raw_type], False, notes))
+    fields.append(pa.field(FLAGS, pa.uint16(), False, {"unit": ""}))
+    return pa.schema(fields, {KEY: json.dumps(dict(about), sort_keys=True).encode()})
+
+
+def about_stream(schema: Any) -> dict[str, Any]:
+    """The inverse of `arrow_schema`; raises ValueError for a schema that is not one of ours."""
+    about = json.loads((schema.metadata or {}).get(KEY, b"null"))
+    if not isinstance(about, dict) or about.get("schema") != STREAM_SCHEMA:
+        raise ValueError(f"is not of the schema {STREAM_SCHEMA}")
+    names = [TIME, *(column["name"] for column in about["columns"]), FLAGS]
+    if schema.names != names:
+        raise ValueError("its columns are not those that it describes")
+    return about
+
+
+class _Sink:
+    """Takes what Arrow writes, so that it goes to disk in one piece per batch."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self._pieces: list[bytes] = []
+        self._size = 0
+
+    def write(self, piece: Any) -> int:
+        self._pieces.append(bytes(piece))
+        self._size += len(self._pieces[-1])
+        return len(self._pieces[-1])
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def writable(self) -> bool:
+        return True
+
+    def take(self) -> bytes:
+        pieces, self._pieces = self._pieces, []
+        return b"".join(pieces)
+
+
+class LiveStream:
+    """Writes one stream. `put` may be called while another thread calls `drain`; nothing is lost when that fails."""
+
+    def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
+        """Create the file with its schema and an empty first batch. Raises OSError or RecordError."""
+        self.about = about
+        self.rows = 0
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+        self._schema = arrow_schema(about)
+        self._types = {field.name: field.type.to_pandas_dtype() for field in self._schema}
+        self._pending: deque[dict[str, NDArray[Any]]] = deque()
+        self._since = 0.0
+        self._lock = threading.Lock()
+        self._block = b""
+        self._seq = 0
+        self._head = _head_of(self._schema)
+        self._sink = _Sink()
+        self._arrow = pa.ipc.new_stream(self._sink, self._schema)
+        self._build({name: np.empty(0, kind) for name, kind in self._types.items()})
+        self.file = AppendFile(path).open()
+        self.drain()
+
+    def put(self, time_ns: Any, columns: Mapping[str, Any], flags: Any) -> None:
+        """Take a copy of samples; all of length n, one entry per column. Raises RecordError where they do not fit."""
+        given = {TIME: time_ns, **columns, FLAGS: flags}
+        if given.keys() != self._types.keys():
+            odd = ", ".join(sorted(given.keys() ^ self._types.keys()))
+            raise RecordError(f"{self._where()}: samples and columns differ in {odd}")
+        kept = {name: self._exact(name, given[name], kind) for name, kind in self._types.items()}
+        if len({column.shape for column in kept.values()}) != 1 or kept[TIME].ndim != 1:
+            raise RecordError(f"{self._where()}: columns of unequal length")
+        if len(kept[TIME]):
+            if not self._pending:
+                self._since = time.monotonic()
+            self._pending.append(kept)
+
+    def _where(self) -> str:
+        return f"stream {self.about['stream']}"
+
+    def _exact(self, name: str, values: Any, kind: Any) -> NDArray[Any]:
+        given = np.asarray(values)
+        with np.errstate(invalid="ignore"):
+            kept = given.astype(kind)
+        if given.dtype != kept.dtype and kept.dtype.kind != "f" and not np.array_equal(kept, given):
+            raise RecordError(f"{self._where()}, column {name}: a value does not fit {kept.dtype}")
+        return kept
+
+    def waiting(self) -> float:
+        """For how long the oldest sample has waited to be written [s]."""
+        return time.monotonic() - self._since if self._pending else 0.0
+
+    def drain(self) -> None:
+        """Write all that waits as one batch; what fails is kept for the next call. Raises OSError."""
+        with self._lock:
+            while self._block or self._pending:
+                if not self._block:
+                    parts = [self._pending.popleft() for _ in range(len(self._pending))]
+                    self._build({name: np.concatenate([part[name] for part in parts]) for name in self._types})
+                self.file.write(self._block)
+                self._block = b""
+
+    def _build(self, columns: Mapping[str, NDArray[Any]], end: int = 0) -> None:
+        count = len(columns[TIME])
+        batch = pa.record_batch([pa.array(column) for column in columns.values()], schema=self._schema)
+        rows = self.rows + count
+        crc = zlib.crc32(b"%d %d %d" % (self._seq, rows, end), self._head)
+        for column in columns.values():
+            crc = zlib.crc32(column.data, crc)
+        notes = {"seq": str(self._seq), "rows": str(rows), "end": str(end), "crc32": f"{crc:08x}"}
+        self._arrow.write_batch(batch, custom_metadata=notes)
+        self._block = self._sink.take()
+        self._seq, self.rows = self._seq + 1, rows
+        if count:
+            self.first_ns = int(columns[TIME][0]) if self.first_ns is None else self.first_ns
+            self.last_ns = int(columns[TIME][-1])
+
+    def finish(self) -> None:
+        """Write all that waits, the end mark, and sync; then let go of the file. Raises OSError."""
+        self.drain()
+        with self._lock:
+            self._build({name: np.empty(0, kind) for name, kind in self._types.items()}, end=1)
+            self._arrow.close()
+            self._block += self._sink.take()
+            self.file.write(self._block)
+            self._block = b""
+        self.file.sync()
+        self.file.close()
+
+
+def _head_of(schema: Any) -> int:
+    """Crc32 of the schema message, byte for byte as the stream will begin."""
+    sink = pa.BufferOutputStream()
+    pa.ipc.new_stream(sink, schema).close()
+    return _crc_of_head(sink.getvalue())
+
+
+def _crc_of_head(data: Any) -> int:
+    return zlib.crc32(data[: 8 + int.from_bytes(data[4:8].to_pybytes(), "little")])
+
+
+class LiveReader:
+    """Iterates over the whole batches of a live stream and stops before the first that is not whole."""
+
+    def __init__(self, data: Any) -> None:
+        """`data`: a `pyarrow.Buffer` with the file's bytes. Raises ValueError where not even the schema is whole."""
+        self.rows = 0
+        self.ended = False
+        self.fault = ""
+        self.torn = False
+        self._data = data
+        try:
+            self._source = pa.BufferReader(data)
+            self._reader = pa.ipc.open_stream(self._source)
+            self.schema = self._reader.schema
+            self.about = about_stream(self.schema)
+        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ValueError(f"has no whole schema ({error})") from error
+
+    def __iter__(self) -> Iterator[Any]:
+        """Batches in order; afterwards `rows`, `ended`, `fault` tell how far it came and why it stopped.
+
+        `torn`: bytes are left that belong to no whole batch.
+        """
+        head = _crc_of_head(self._data)
+        seq = 0
+        self.torn = True
+        while not self.ended:
+            try:
+                batch, notes = self._reader.read_next_batch_with_custom_metadata()
+                batch.validate(full=True)
+                rows, end = self.rows + batch.num_rows, notes[b"end"]
+                crc = zlib.crc32(b"%d %d %s" % (seq, rows, end), head)
+                for column in batch.columns:
+                    crc = zlib.crc32(column.to_numpy(), crc)
+                whole = notes[b"crc32"] == b"%08x" % crc
+            except StopIteration:
+                self.fault = f"stops after batch {seq - 1} without its end mark"
+                self.torn = False
+                return
+            except (
+                pa.ArrowException,
+                OSError,
+                ValueError,
+                KeyError,
+                TypeError,
+                NotImplementedError,
+                MemoryError,
+            ) as error:
+                reason = (str(error).splitlines() or [type(error).__name__])[0]
+                self.fault = f"batch {seq} is torn or altered ({reason})"
+                return
+            if not whole:
+                self.fault = f"batch {seq} is altered: its crc32 does not fit"
+                return
+            seq, self.rows, self.ended = seq + 1, rows, end == b"1"
+            yield batch
+        rest = self._data[self._source.tell() :].to_pybytes()
+        self.torn = rest not in (b"", _END_OF_STREAM)
+        if self.torn:
+            self.fault = "something follows the end mark"

@@ -1,0 +1,156 @@
+"""Tells whether a run folder is what was written: hashes, checksums, sequences, rows, time; never mends anything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile
+from pmabench.store import folder as files
+from pmabench.store.archive import read_archive
+from pmabench.store.arrow import pa
+from pmabench.store.folder import files_of, read_manifest, read_seal, sha256_of, status_of
+from pmabench.store.journal import Journal, decode
+from pmabench.store.livestream import LiveReader
+from pmabench.store.reader import RunFiles, events_of
+from pmabench.store.records import Flag
+from pmabench.store.trials import trial_spans
+
+_TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with one file of a run."""
+
+    file: str
+    message: str
+
+    def __str__(self) -> str:
+        """`file: message`."""
+        return f"{self.file}: {self.message}"
+
+
+def verify(path: Path | str) -> list[Finding]:
+    """Everything that is wrong with a run; empty for one that was closed and not touched since.
+
+    Gaps that the record itself flags are no finding. Raises InvalidFile for what is not a run folder.
+    """
+    folder = Path(path)
+    if not (folder / files.SEAL).exists() or not (folder / files.MANIFEST).exists():
+        read_manifest(folder)
+    found: list[Finding] = []
+    manifest = _or_finding(found, files.MANIFEST, lambda: read_manifest(folder)) or {}
+    seal = _or_finding(found, files.SEAL, lambda: read_seal(folder))
+    if seal is not None:
+        found += _sealed_files(folder, seal)
+    else:
+        if not (folder / files.SEAL).exists():
+            found.append(Finding(files.SEAL, f"is missing: the run is {status_of(manifest, None)}"))
+        found += _snapshots(folder, manifest)
+    found += _events(folder, seal)
+    found += _streams(folder, seal)
+    if not found and "imported" not in manifest:
+        found += _time(folder)
+    return found
+
+
+def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, Any] | None]) -> dict[str, Any] | None:
+    try:
+        return read()
+    except InvalidFile as error:
+        found += [Finding(name, problem.message) for problem in error.problems]
+        return None
+
+
+def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> list[Finding]:
+    found, seen = [], set()
+    for name, path in files_of(folder):
+        seen.add(name)
+        if path.is_symlink():
+            found.append(Finding(name, "is a link, which no run contains"))
+        elif name not in seal["files"] and name != files.SEAL:
+            found.append(Finding(name, "was added after the run was closed"))
+        elif name != files.SEAL:
+            found += _same_bytes(name, path, seal["files"][name]["sha256"])
+    return found + [Finding(name, "is missing") for name in sorted(seal["files"].keys() - seen)]
+
+
+def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> list[Finding]:
+    found = []
+    for name, digest in sorted(manifest.get("snapshots", {}).items()):
+        path = folder / name
+        found += _same_bytes(name, path, digest) if path.is_file() else [Finding(name, "is missing")]
+    return found
+
+
+def _same_bytes(name: str, path: Path, digest: str) -> list[Finding]:
+    try:
+        changed = sha256_of(path) != digest
+    except OSError as error:
+        return [Finding(name, f"cannot be read: {error.strerror}")]
+    return [Finding(name, "was changed: its sha256 does not fit")] if changed else []
+
+
+def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
+    path = folder / files.EVENTS
+    journal = decode(path.read_bytes()) if path.is_file() else Journal(())
+    if seal is None:
+        return [Finding(files.EVENTS, journal.fault)] if journal.fault else []
+    found = []
+    if journal.fault != seal.get("events_fault"):
+        found.append(Finding(files.EVENTS, journal.fault or "has lost the fault that it was sealed with"))
+    if len(journal.lines) != seal.get("events"):
+        found.append(Finding(files.EVENTS, f"has {len(journal.lines)} whole lines; {seal.get('events')} were sealed"))
+    if seal.get("status") != "interrupted" and (not journal.lines or journal.lines[-1]["kind"] != "end"):
+        found.append(Finding(files.EVENTS, "has no end mark"))
+    return found
+
+
+def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
+    found = []
+    sealed = {} if seal is None else seal.get("streams", {})
+    for name, path in files_of(folder / files.STREAMS):
+        known = next((stream for stream in sealed.values() if stream.get("file") == name), None)
+        try:
+            if path.suffix == ".parquet":
+                rows, fault = read_archive(pa.BufferReader(path.read_bytes()))[0].num_rows, ""
+            elif path.suffix == ".arrows" and (known is not None or seal is None):
+                reader = LiveReader(pa.py_buffer(path.read_bytes()))
+                for _batch in reader:
+                    pass
+                rows, fault = reader.rows, reader.fault
+            else:
+                continue
+        except (OSError, ValueError) as error:
+            rows, fault = None, str(error)
+        if seal is None and fault:
+            found.append(Finding(f"{files.STREAMS}/{name}", f"{fault}; {rows or 0} whole rows before that"))
+        elif known is not None and known.get("rows") not in (None, rows):
+            found.append(Finding(f"{files.STREAMS}/{name}", f"has {rows} rows; {known['rows']} were sealed {fault}"))
+    return found
+
+
+def _time(folder: Path) -> list[Finding]:
+    """Holes and steps back within a trial that no flag tells of."""
+    run = RunFiles(folder)
+    events = events_of(run.journal())
+    found = []
+    for name in run.stream_names():
+        samples = run.stream(name, events)
+        if samples.rate <= 0 or len(samples.t) < 2:
+            continue
+        step = np.diff(samples.t)
+        odd = ((step > 1.5 / samples.rate) | (step <= 0)) & ((samples.flags[1:] & _TOLD) == 0)
+        inside = np.zeros(len(step), dtype=bool)
+        for begin, end in trial_spans(events):
+            inside |= (samples.t[:-1] >= begin - 1e-6) & (samples.t[1:] <= end + 1e-6)
+        for index in np.flatnonzero(odd & inside)[:20]:
+            what = f"{step[index]:.6g} s without a sample" if step[index] > 0 else "time does not go on"
+            message = f"{what} after t = {samples.t[index]:.6g} s, and no flag says so"
+            found.append(Finding(f"{files.STREAMS}/{name}", message))
+    return found

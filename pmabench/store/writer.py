@@ -1,0 +1,266 @@
+"""Writes one run: the folder before anything moves, samples and events while it runs, the seal at its end.
+
+Samples wait in memory for at most a tenth of a second of wall clock; a thread of the writer hands them to the operating
+system and syncs them. It must not know plans, trials' meaning or SI values.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import json
+import platform
+import shutil
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import RecordError
+from pmabench.store import folder as files
+from pmabench.store.folder import AppendFile, cannot_write, plain, sealed_json, sync_folder, write_whole
+from pmabench.store.journal import encode
+from pmabench.store.livestream import LiveStream, describe
+from pmabench.store.naming import check_name
+from pmabench.store.readme import README_TEXT
+from pmabench.store.seal import seal
+
+FLUSH_EVERY = 0.1
+"""Samples go to the operating system after so long [s of wall clock]."""
+SYNC_EVERY = 1.0
+"""Samples and events are synced after so long [s of wall clock]."""
+STALLED = 5.0
+"""A disk that has taken nothing for so long [s of wall clock] has failed."""
+_SAMPLES_FIRST = ("trial-end", "vent", "end")
+"""Events that are written after all samples before them."""
+
+
+class RunWriter:
+    """The only writer of a run's folder. Every method raises RecordError where the record cannot be written.
+
+    `append` and `event` may be called from several threads, not from a signal handler.
+    """
+
+    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: AppendFile) -> None:
+        """Use `RunWriter.create`."""
+        self.folder = folder
+        self._manifest = manifest
+        self._events = events
+        self._lines: list[bytes] = []
+        self._seq = 0
+        self._crc = 0
+        self._last_t = 0.0
+        self._streams: dict[str, LiveStream] = {}
+        self._lock = threading.Lock()
+        self._failure: RecordError | None = None
+        self._closed = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._pump, name="pmabench-record", daemon=True)
+        self._thread.start()
+        atexit.register(self._halt)
+
+    @classmethod
+    def create(cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes]) -> RunWriter:
+        """Make the folder `parent`/`name` (`name-2` ... where taken) with snapshots and manifest, whole and synced.
+
+        `snapshots` maps names inside the folder to the bytes of files that the run was made from. What the manifest
+        does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
+        """
+        contents = {check_name(key): bytes(value) for key, value in snapshots.items()}
+        contents[files.README] = README_TEXT.encode()
+        made_parent = not parent.exists()
+        folder = parent / check_name(name)
+        made = False
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            folder = _make_folder(parent, name)
+            made = True
+            (folder / files.STREAMS).mkdir()
+            for key, content in contents.items():
+                (folder / key).parent.mkdir(parents=True, exist_ok=True)
+                write_whole(folder / key, content)
+            full = _full_manifest(folder.name, manifest, contents)
+            events = AppendFile(folder / files.EVENTS).open()
+            write_whole(folder / files.MANIFEST, sealed_json(full))
+            sync_folder(parent)
+        except OSError as error:
+            if made:
+                shutil.rmtree(folder, ignore_errors=True)
+            if made_parent:
+                with suppress(OSError):
+                    parent.rmdir()
+            raise cannot_write(folder, error) from error
+        return cls(folder, full, events)
+
+    def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
+        """Begin a stream of one device, with its columns as `asdict(ChannelRecord)` and its rate [Hz, 0: none]."""
+        self._check()
+        if name in self._streams:
+            raise RecordError(f"stream {name} is open already")
+        path = self.folder / files.STREAMS / f"{check_name(name)}.arrows"
+        about = describe(name, columns, rate)
+        try:
+            stream = LiveStream(path, about)
+            write_whole(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        with self._lock:
+            self._streams = {**self._streams, name: stream}
+
+    def append(
+        self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
+    ) -> None:
+        """Take samples of a stream: device clock [ns], raw values by column and flags, all of shape (n,).
+
+        They are copied, and on disk within a quarter of a second. When it raises because of an earlier failure to
+        write, they are kept all the same, and tried once more by `close`.
+        """
+        if stream not in self._streams or self._closed:
+            raise RecordError(f"stream {stream} is not open")
+        live = self._streams[stream]
+        live.put(time_ns, columns, flags)
+        if self._failure is None and live.waiting() > STALLED:
+            self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {STALLED:g} s"))
+        self._check()
+
+    def event(self, kind: str, t: float, **data: Any) -> None:
+        """Add an event at `t` [s from the start]; with the operating system when this returns.
+
+        Samples that came before the end of a trial, a vent or the end are written before it.
+        """
+        if self._closed:
+            raise RecordError(f"the run {self.folder.name} is closed")
+        self._event(kind, t, data)
+        self._check()
+
+    def _event(self, kind: str, t: float, data: Mapping[str, Any]) -> None:
+        with self._lock:
+            line, self._crc = encode(self._seq, t, kind, data, self._crc)
+            self._seq += 1
+            self._last_t = max(self._last_t, float(t))
+            self._lines.append(line)
+            path = self._events.path
+            try:
+                for stream in self._streams.values() if kind in _SAMPLES_FIRST else ():
+                    path = stream.file.path
+                    stream.drain()
+                path = self._events.path
+                self._events.write(b"".join(self._lines))
+                self._lines.clear()
+            except OSError as error:
+                self._failure = self._failure or cannot_write(path, error)
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _pump(self) -> None:
+        """The thread: hands samples over, and syncs."""
+        synced = time.monotonic()
+        while not self._stop.wait(FLUSH_EVERY):
+            path = self._events.path
+            try:
+                streams = list(self._streams.values())
+                for stream in streams:
+                    path = stream.file.path
+                    stream.drain()
+                if time.monotonic() - synced >= SYNC_EVERY:
+                    for file in (*(stream.file for stream in streams), self._events):
+                        path = file.path
+                        file.sync()
+                    synced = time.monotonic()
+            except Exception as error:  # whatever it is: the run is not being recorded, and its engine must know
+                self._failure = self._failure or cannot_write(path, error)
+                return
+
+    def _halt(self) -> None:
+        """End the thread and hand over what still waits; at the interpreter's end at the latest."""
+        self._stop.set()
+        self._thread.join()
+        atexit.unregister(self._halt)
+        for stream in self._streams.values():
+            with suppress(OSError):
+                stream.drain()
+
+    def close(self, status: str, why: str = "", **end: Any) -> Path:
+        """Write the end mark with `end`, turn streams into Parquet, seal the folder; returns it.
+
+        `status` is one of `finished`, `failed`, `aborted`, `tripped`, `error`. Where rows or events could not be
+        written the status becomes `error`, all that can be kept is sealed, and RecordError is raised after that.
+        """
+        if self._closed:
+            raise RecordError(f"the run {self.folder.name} is closed")
+        if status not in files.STATUSES:
+            raise ValueError(f"status {status!r} is not one of {', '.join(files.STATUSES)}")
+        self._halt()
+        failure = self._finish_streams()
+        if failure is not None:
+            status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
+        last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
+        self._event("end", last, {"status": status, "why": why, **plain(end)})
+        self._closed = True
+        failure = failure or (self._failure if self._lines else None)
+        try:
+            with suppress(OSError):
+                self._events.sync()
+            self._events.close()
+            seal(self.folder, status, why, end)
+        except (OSError, ValueError) as error:
+            raise failure or cannot_write(self.folder, error) from error
+        if failure is not None:
+            raise failure
+        return self.folder
+
+    def _finish_streams(self) -> RecordError | None:
+        failure = None
+        for stream in self._streams.values():
+            try:
+                stream.finish()
+            except OSError as error:
+                failure = failure or cannot_write(stream.file.path, error)
+                stream.file.close()
+        return failure
+
+
+def _make_folder(parent: Path, name: str) -> Path:
+    for count in range(1, 1000):
+        folder = parent / (name if count == 1 else f"{name}-{count}")
+        with suppress(FileExistsError):
+            folder.mkdir()
+            return folder
+    raise FileExistsError(17, "a thousand runs of this name exist")
+
+
+def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes]) -> dict[str, Any]:
+    versions = {"python": platform.python_version()}
+    for library in ("pmabench", "numpy", "scipy", "pandas", "pyarrow"):
+        with suppress(metadata.PackageNotFoundError):
+            versions[library] = metadata.version(library)
+    usual = {
+        "kind": "",
+        "simulated": False,
+        "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "trials_planned": _planned(contents.get(files.PLAN, b"")),
+    }
+    known = {
+        "schema": files.RUN_SCHEMA,
+        "id": name,
+        "versions": versions,
+        "platform": platform.platform(),
+        "snapshots": {key: hashlib.sha256(content).hexdigest() for key, content in contents.items()},
+        "writer": files.this_process(),
+    }
+    return {**usual, **given, **known}
+
+
+def _planned(plan: bytes) -> int:
+    with suppress(ValueError, KeyError, TypeError):
+        return len(json.loads(plan)["trials"])
+    return 0
