@@ -11,7 +11,7 @@ demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
 
 test: lint
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q $(PYTEST_ARGS)
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -q -x -m "not slow"

@@ -50,7 +50,7 @@ def command(
             _print_steps(plan)
 
     ui.result(summary, human)
-    return None
+    return None if peaks is None else int(peaks["exit_code"])
 
 
 def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
@@ -95,6 +95,7 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
     return {
         "status": outcome.status,
+        "exit_code": outcome.exit_code,
         "why": outcome.why,
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},

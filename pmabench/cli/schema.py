@@ -65,5 +65,10 @@ def _of_models(kind: str) -> dict[str, Any]:
         union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
         adapter: TypeAdapter[Any] = TypeAdapter(union)
         return adapter.json_schema()
-    models: dict[str, type[BaseModel]] = {"bench": BenchFile, "specimen": SpecimenFile, "calibration": CalibrationFile, "campaign": CampaignFile}
+    models: dict[str, type[BaseModel]] = {
+        "bench": BenchFile,
+        "specimen": SpecimenFile,
+        "calibration": CalibrationFile,
+        "campaign": CampaignFile,
+    }
     return models[kind].model_json_schema()

@@ -135,9 +135,9 @@ class Executor:
                     repeat=trial.repeat,
                     reference=trial.reference,
                 )
-            self.acquisition.recording = True
+            self.acquisition.record(on=True)
             return
-        self.acquisition.recording = False
+        self.acquisition.record(on=False)
         if self._trial is not None:
             self._event("trial-end", trial=self._trial, status=self._trial_status)
         self._trial = None

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import getpass
+import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pmabench import __version__
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError, VerdictFailed
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench
-from pmabench.engine.acquire import Acquisition, NoRecord, Recorder
+from pmabench.engine.acquire import Acquisition, Forgiving, NoRecord, Recorder
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.signals import Signals
 from pmabench.guard.guard import Guard, Vent
-from pmabench.protocol.plan import Ask, Plan
+from pmabench.protocol.plan import Plan
 from pmabench.store.naming import run_name
-from pmabench.store.writer import RunWriter
+
+if TYPE_CHECKING:
+    from pmabench.store.writer import RunWriter
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,8 @@ def _new_folder(
     protocol_text: str,
     operator_name: str,
 ) -> RunWriter:
+    from pmabench.store.writer import RunWriter
+
     started = datetime.now(UTC)
     specimen = mounted.specimen_file
     name = run_name(started, f"{specimen.type}-{specimen.serial}", plan.kind, bench.simulated)
@@ -128,16 +133,10 @@ def _new_folder(
     }
     writer = RunWriter.create(out, name, manifest, snapshots)
     for device in bench.devices:
-        columns = [_column(channel) for channel in device.channels if channel.name in plan.record]
+        columns = [asdict(channel) for channel in device.channels if channel.name in plan.record]
         if columns:
             writer.open_stream(device.name, columns, plan.rate)
     return writer
-
-
-def _column(channel: Any) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return asdict(channel)
 
 
 def _user() -> str:
@@ -174,18 +173,17 @@ def _guarded(
     except BaseException as error:  # every way out leads through the safe state below
         cause = error
     signals.shut()
-    acquisition.check = lambda: None
-    acquisition.unwatch()
+    acquisition.begin_safe_state()
     vent = guard.safe_state(acquisition.measure, tripped=isinstance(cause, LimitTripped))
-    lost: RecordError | None = cause if isinstance(cause, RecordError) else None
-    try:
-        executor.end_trial("interrupted")
-        if isinstance(cause, LimitTripped):
-            recorder.event("trip", clock.now(), reason=str(cause))
-        recorder.event("vent", clock.now(), result=vent.result, actions=list(vent.actions))
-        _take_load_off(plan, guard)
-    except RecordError as error:
-        lost = lost or error
+    ending = Forgiving(recorder)
+    executor.recorder = ending
+    executor.end_trial("interrupted")
+    if isinstance(cause, LimitTripped):
+        ending.event("trip", clock.now(), reason=str(cause))
+    elif cause is not None:
+        ending.event("ended-early", clock.now(), reason=_sentence(cause))
+    ending.event("vent", clock.now(), result=vent.result, actions=list(vent.actions))
+    lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
     status, why = _status(cause)
     if not vent.confirmed and bench.safe_state:
         why = f"{why}; safe state {vent.result}".lstrip("; ")
@@ -222,12 +220,10 @@ def _guarded(
     )
 
 
-def _take_load_off(plan: Plan, guard: Guard) -> None:
-    """Leave simulated hands with nothing on the free end, as a technician would."""
-    from pmabench.bench.interface import Load
-
-    if any(isinstance(step, Ask) and step.load is not None for step in plan.steps):
-        guard.place(Load(0.0, 0.5))
+def _sentence(cause: BaseException) -> str:
+    if isinstance(cause, PmaError):
+        return str(cause)
+    return "".join(traceback.format_exception(cause))
 
 
 def _status(cause: BaseException | None) -> tuple[str, str]:

@@ -59,6 +59,23 @@ class Watch:
                 found = trip
         return found
 
+    def look_once(self, t: float, values: Mapping[str, float]) -> Trip | None:
+        """As `look`, for a single sample in plain numbers: loops that are closed at every sample."""
+        for number, limit in enumerate(self._limits):
+            value = values.get(limit.channel)
+            if value is None:
+                continue
+            # Written so that NaN, which compares false with everything, counts as outside.
+            if (limit.high is None or value < limit.high) and (limit.low is None or value > limit.low):
+                self._since[number] = None
+                continue
+            since = self._since[number]
+            if since is None:
+                self._since[number] = since = t
+            if t - since >= limit.delay:
+                return Trip(limit, 0, t, value)
+        return None
+
     def _one(self, number: int, limit: TripRecord, t: Array, samples: Array) -> Trip | None:
         low, high = samples.min(), samples.max()
         inside = (limit.high is None or high < limit.high) and (limit.low is None or low > limit.low)
