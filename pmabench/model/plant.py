@@ -93,6 +93,8 @@ class Plant:
         start: float = 0.0,
     ) -> None:
         self.muscle = muscle
+        self._f_ce, self._stiffness = muscle.F_ce.function(), muscle.K.function()
+        self._damping = {1: muscle.B_c.function(), -1: muscle.B_r.function()}
         self.supply = Regulated(regulator, pressure, start)
         self.time, self.x, self.v, self.way = start, 0.0, 0.0, 0
         self.load(force, mass)
@@ -121,10 +123,10 @@ class Plant:
         trace = self.supply.piece(self.time)[0]
         self._start(trace)
         P, muscle, way = trace.value(self.time), self.muscle, self.way
-        pull = muscle.F_ce(P) - muscle.K(P) * self.x
+        pull = self._f_ce(P) - self._stiffness(P) * self.x
         if way:
             u = way * self.v
-            damping = (muscle.B_c if way > 0 else muscle.B_r)(P)
+            damping = self._damping[way](P)
             friction = max(muscle.friction.F_c, muscle.friction.F_s - muscle.friction.slope * u)
             return self.x, P, pull - damping * self.v - way * friction
         if self.x <= 0:
@@ -137,6 +139,9 @@ class Plant:
         Stretches without motion cost next to nothing; sliding is integrated by LSODA, restarted at every command,
         stop and turn; stretches up to 4 ms (a loop closed every sample) are taken by implicit steps.
         """
+        if len(times) == 0 and until - self.time <= SHORT:
+            self.reach(until)
+            return _NOTHING
         t = np.asarray(times, dtype=np.float64)
         record = _Record(t, self.supply.setpoints(t))
         while self.time < until:
@@ -172,7 +177,7 @@ class Plant:
 
     def _drive(self, P: float) -> float:
         """Force out of balance without friction [N]."""
-        return self.muscle.F_ce(P) - self.muscle.K(P) * self.x - self.force
+        return self._f_ce(P) - self._stiffness(P) * self.x - self.force
 
     def _breaks_away(self, drive: float) -> int:
         """The direction in which a muscle at rest starts to slide; 0 if it stays."""
@@ -294,14 +299,14 @@ class Plant:
     def _step(self, trace: Trace, until: float) -> None:
         muscle, h = self.muscle, until - self.time
         middle = trace.value(0.5 * (self.time + until))
-        f_ce, stiffness = muscle.F_ce(middle), muscle.K(middle)
+        f_ce, stiffness = self._f_ce(middle), self._stiffness(middle)
         for _ in range(3):
             drive = f_ce - stiffness * self.x - self.force
             if self.way == 0:
                 self.way = self._breaks_away(drive)
                 if self.way == 0:
                     break
-            damping = (muscle.B_c if self.way > 0 else muscle.B_r)(middle) + 0.5 * h * stiffness
+            damping = self._damping[self.way](middle) + 0.5 * h * stiffness
             gone, speed, left = glide(muscle.friction, h, self.way * self.v, self.way * drive, damping, self.mass)
             self.x += self.way * gone
             self.v = self.way * speed
@@ -374,3 +379,6 @@ def _cell(plant: Plant, P: Array, x: Array, v: Array) -> Array:
     if plant.x >= muscle.stop:
         return np.maximum(pull, force)
     return np.full(P.shape, force)
+
+
+_NOTHING = Motion(*(np.empty(0) for _ in range(7)))

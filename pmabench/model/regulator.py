@@ -89,8 +89,11 @@ def lagged(wave: Wave, t: float, value: float, lag: float, shift: float = 0.0) -
     `t` is on the wave's time axis [s]. Particular solution of a first-order lag under a constant, ramp and sine:
     level + slope (s - T) + A (sin(ws + p) - wT cos(ws + p)) / (1 + (wT)^2).
     """
+    if wave.steady:
+        level = wave.level + shift
+        return Trace(t, level, decay=value - level, lag=lag) if lag > 0 else Trace(t, level)
     level = wave.level + wave.slope * (t - wave.start) + shift - wave.slope * lag
-    phase = wave.omega * (t - wave.start)
+    phase = wave.omega * (t - wave.start) + wave.phase
     share = wave.amplitude / (1 + (wave.omega * lag) ** 2)
     sine, cosine = math.sin(phase), math.cos(phase)
     sin_part = share * (cosine + wave.omega * lag * sine)
@@ -117,7 +120,10 @@ class Regulated:
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
         first = waves[0].start
-        self._waves = (*(wave for wave in self._waves if wave.start < first), *waves)
+        kept = len(self._waves)
+        while kept and self._waves[kept - 1].start >= first:
+            kept -= 1
+        self._waves = self._waves[:kept] + waves
         if not self._failed:
             self._end = min(self._end, self._arrival(waves[0]))
 
@@ -130,7 +136,7 @@ class Regulated:
         """The value commanded at time t [s], before the dead time."""
         for wave in reversed(self._waves):
             if wave.start <= t:
-                return wave.value(t) if wave.slope or wave.amplitude else wave.level
+                return wave.level if wave.steady else wave.value(t)
         return self._waves[0].level
 
     def setpoints(self, t: Array) -> Array:
@@ -139,8 +145,7 @@ class Regulated:
         edges = [0, *np.searchsorted(t, [wave.start for wave in self._waves[1:]]).tolist()]
         for wave, first, last in zip(self._waves, edges, [*edges[1:], len(t)], strict=True):
             if first < last:
-                steady = wave.slope == 0 and wave.amplitude == 0
-                result[first:last] = wave.level if steady else wave.values(t[first:last])
+                result[first:last] = wave.level if wave.steady else wave.values(t[first:last])
         return result
 
     def piece(self, t: float) -> tuple[Trace, float]:
@@ -171,10 +176,13 @@ class Regulated:
     def _begin(self, t: float) -> None:
         """Start the piece at time t, where a wave arrives or the regulator changes between filling and venting."""
         r = self.regulator
-        active = max(i for i, wave in enumerate(self._waves) if self._arrival(wave) <= t)
+        active = 0
+        while active + 1 < len(self._waves) and self._arrival(self._waves[active + 1]) <= t:
+            active += 1
         self._waves = self._waves[active:]
-        arrival = self._waves[0]
-        wave = replace(arrival, start=self._arrival(arrival))
+        wave = self._waves[0]
+        if not wave.steady:
+            wave = replace(wave, start=self._arrival(wave))
         end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
         value = self._trace.value(t)
         if r.lag == 0 or (r.vent_ratio == 1 and r.dead_band == 0):
@@ -190,7 +198,7 @@ class Regulated:
     def _way(self, wave: Wave, t: float, value: float) -> int:
         """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
         band, error = self.regulator.dead_band, wave.value(t) - value
-        rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start))
+        rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
         near = 1e-9 * (1 + abs(value))
         if error > band + near or (error >= band - near and rate > 0):
             return 1
@@ -200,7 +208,7 @@ class Regulated:
 
     def _change(self, wave: Wave, way: int, t: float, end: float) -> float:
         """When, before `end`, the regulator leaves this way of working; under a constant command it never does."""
-        if wave.slope == 0 and wave.amplitude == 0:
+        if wave.steady:
             return end
         band = self.regulator.dead_band
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,24 +17,35 @@ def to_nanosecond(t: float) -> float:
 
 @dataclass(frozen=True)
 class Wave:
-    """u(t) = level + slope (t - start) + amplitude sin(omega (t - start)) from `start` [s] until the next wave."""
+    """u(t) = level + slope s + amplitude sin(omega s + phase), s = t - start [s], until the next wave starts."""
 
     start: float
     level: float
     slope: float = 0.0
     amplitude: float = 0.0
     omega: float = 0.0
+    phase: float = 0.0
 
     def value(self, t: float) -> float:
         """The commanded value at time t [s]."""
         since = t - self.start
-        wave = self.amplitude * math.sin(self.omega * since) if self.amplitude else 0.0
+        wave = self.amplitude * math.sin(self.omega * since + self.phase) if self.amplitude else 0.0
         return self.level + self.slope * since + wave
 
     def values(self, t: Array) -> Array:
         """The commanded values at times t [s]."""
         since = t - self.start
-        return np.asarray(self.level + self.slope * since + self.amplitude * np.sin(self.omega * since))
+        return np.asarray(self.level + self.slope * since + self.amplitude * np.sin(self.omega * since + self.phase))
+
+    def later(self, t: float) -> Wave:
+        """The same wave counted from t [s] on."""
+        since = t - self.start
+        return replace(self, start=t, level=self.level + self.slope * since, phase=self.phase + self.omega * since)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is a constant."""
+        return self.slope == 0 and self.amplitude == 0
 
     @property
     def steepest(self) -> float:

@@ -16,48 +16,67 @@ from pmabench.model.curve import Array
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.regulator import Trace
 
-RELATIVE = 1e-7
+RELATIVE = 1e-6
 ABSOLUTE = 1e-9
 """Error tolerances of LSODA, per step, of contraction [m] and speed [m/s]."""
+SETTLED_PRESSURE = 1e-3
+"""Worth less than 1 nm of contraction [Pa]."""
 
 State = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 
-def equation(muscle: Muscle, trace: Trace, way: int, force: float, mass: float) -> Callable[[State, float], State]:
+def equation(
+    muscle: Muscle, trace: Trace, way: int, force: float, mass: float, t: float
+) -> Callable[[State, float], State]:
     """Right-hand side (x', x'') over (x [m], v [m/s]) and s = t - trace.start [s], for motion towards `way` (+1, -1).
 
-    `force` F_L [N] and `mass` M [kg] of the load; pressure follows `trace` [Pa].
+    `force` F_L [N] and `mass` M [kg] of the load; pressure follows `trace` [Pa], to be used from `t` [s] on: once it
+    is within a thousandth of a pascal of its end value it counts as constant.
     """
-    f_ce, stiffness = muscle.F_ce, muscle.K
-    damping = muscle.B_c if way > 0 else muscle.B_r
+    f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
+    damping = (muscle.B_c if way > 0 else muscle.B_r).function()
     friction = muscle.friction
     f_s, f_c, slope, knee = friction.F_s, friction.F_c, friction.slope, friction.knee
-    start, level, ramp, decay, lag = trace.start, trace.level, trace.slope, trace.decay, trace.lag
+    start, level, decay, lag = trace.start, trace.level, trace.decay, trace.lag
     result = np.empty(2)
     exp = math.exp
-    wave = trace.value if trace.omega else None
 
-    def acceleration(y: State, since: float) -> State:
+    def steady(y: State, since: float) -> State:
         x, v = y.tolist()
-        P = (
-            level + ramp * since + (decay * exp(-since / lag) if decay else 0.0)
-            if wave is None
-            else wave(start + since)
-        )
+        u = way * v
+        resist = f_c if u >= knee else f_s if u <= 0 else f_s - slope * u
+        result[0] = v
+        result[1] = (pull - K * x - B * v - way * resist) / mass
+        return result
+
+    def moving(y: State, since: float) -> State:
+        x, v = y.tolist()
+        P = level + decay * exp(-since / lag) if settling else trace.value(start + since)
         u = way * v
         resist = f_c if u >= knee else f_s if u <= 0 else f_s - slope * u
         result[0] = v
         result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - way * resist - force) / mass
         return result
 
-    return acceleration
+    settling = trace.slope == 0 and trace.omega == 0
+    if settling and abs(trace.value(t) - level) < SETTLED_PRESSURE:
+        pull, K, B = f_ce(level) - force, stiffness(level), damping(level)
+        return steady
+    return moving
 
 
 def slide(
     muscle: Muscle, trace: Trace, way: int, load: tuple[float, float], state: tuple[float, float], t: Array
 ) -> tuple[Array, Array]:
     """Contraction [m] and speed [m/s] at times t [s], from `state` (x, v) at t[0] on; `load` is (F_L [N], M [kg])."""
-    y = odeint(equation(muscle, trace, way, *load), state, t - trace.start, rtol=RELATIVE, atol=ABSOLUTE, mxstep=100000)
+    y = odeint(
+        equation(muscle, trace, way, *load, float(t[0])),
+        state,
+        t - trace.start,
+        rtol=RELATIVE,
+        atol=ABSOLUTE,
+        mxstep=100000,
+    )
     return y[:, 0], y[:, 1]
 
 

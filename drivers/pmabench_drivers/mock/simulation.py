@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
+from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
 from pmabench.model.sensors import NoiseSource
@@ -72,7 +73,16 @@ class Simulation:
     def __init__(self, device: DeviceRecord, options: Options, start: float) -> None:
         setup = preset(options.plant, options.preset, options.overrides)
         self._name, self._options = device.name, options
-        self._plant = Plant(setup.muscle, setup.regulator, mass=options.carriage, start=start)
+        self._plant: Plant | DrivenPlant = Plant(setup.muscle, setup.regulator, mass=options.carriage, start=start)
+        if options.free_end == "actuator":
+            actuator = Actuator(
+                low=options.actuator_low,
+                high=options.actuator_high,
+                speed=options.actuator_speed,
+                force=options.actuator_force,
+                lag=setup.follow_lag,
+            )
+            self._plant = DrivenPlant(setup.muscle, setup.regulator, actuator, start=start)
         sigma = {"pressure": setup.noise.pressure, "displacement": setup.noise.displacement, "force": setup.noise.force}
         self._channels = [
             _Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
@@ -94,15 +104,24 @@ class Simulation:
 
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
         """Follow a segment in device units; `constant` goes to its origin at once."""
-        self._plant.command(_waves(segment, scale, self._plant.time))
+        waves = _waves(segment, scale, self._plant.time)
+        if output == "displacement" and isinstance(self._plant, DrivenPlant):
+            self._plant.move(waves)
+        elif output == "pressure":
+            self._plant.command(waves)
+        else:
+            raise DeviceError(self._name, f'no output "{output}" with a free end of {self._options.free_end}')
 
     def setpoint(self, output: str) -> float:
         """The value commanded now [SI]."""
-        return self._plant.supply.setpoint(self._plant.time)
+        plant = self._plant
+        held = plant.wanted if output == "displacement" and isinstance(plant, DrivenPlant) else plant.supply
+        return held.setpoint(plant.time)
 
     def place(self, load: Load) -> None:
-        """Change the load on the free end."""
-        self._plant.load(load.force, max(load.mass, LEAST_MASS))
+        """Change the load on the free end, unless an actuator holds it."""
+        if isinstance(self._plant, Plant):
+            self._plant.load(load.force, max(load.mass, LEAST_MASS))
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -216,7 +235,7 @@ class Simulation:
             "force": F,
             "supply": self._options.supply,
             "pressure_set": plant.supply.setpoint(plant.time),
-            "displacement_set": 0.0,
+            "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
         }
         noise = self._number(time_ns)
         columns: dict[str, Column] = {c.record.name: [c.raw_one(values[c.record.input], noise)] for c in self._channels}

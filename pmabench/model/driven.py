@@ -1,0 +1,189 @@
+"""The driven-end plant: an actuator sets the contraction, the muscle's force follows in closed form; knows no driver.
+
+Physics
+-------
+x(t) is where the actuator is: the commanded position, limited in speed and stroke, behind a first-order follow error.
+The cell at the fixed end reads F = F_ce(P) - K(P) x - B(P) x' - F_c sign x', and 0 where that is negative: a muscle
+cannot push. The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s counts as no motion.
+Where F passes the actuator's force it stalls: it holds its place until it is commanded again.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pmabench.model.curve import Array
+from pmabench.model.muscle import Muscle
+from pmabench.model.plant import Motion
+from pmabench.model.regulator import Regulated, Regulator
+from pmabench.model.signal import Wave, to_nanosecond
+
+STILL = 1e-6
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What a displacement actuator can do, in the direction of contraction: stroke [m], speed [m/s], force [N].
+
+    `lag` is its first-order follow error [s]; 0 follows exactly.
+    """
+
+    low: float = -10e-3
+    high: float = 90e-3
+    speed: float = 0.5
+    force: float = 1500.0
+    lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.low <= 0 <= self.high or not self.speed > 0 or not self.force > 0 or not self.lag >= 0:
+            raise ValueError(f"an actuator needs a stroke around 0, a speed and a force above 0, not {self}")
+
+    def approach(self, waves: tuple[Wave, ...], position: float, start: float) -> tuple[Wave, ...]:
+        """The commanded positions `waves` as the actuator takes them from `position` [m] at `start` [s] on.
+
+        Steps become ramps at full speed, and ramps are held to it.
+
+        Raises
+        ------
+        ValueError
+            For a position outside the stroke, or a sine faster than the actuator.
+        """
+        taken: list[Wave] = []
+        for i, wave in enumerate(waves):
+            begin = max(wave.start, start)
+            end = waves[i + 1].start if i + 1 < len(waves) else math.inf
+            last = wave.value(end) if math.isfinite(end) else wave.level
+            self._check(wave, last)
+            if not wave.amplitude and wave.steepest > self.speed:
+                wave = Wave(wave.start, last)
+            meet = self._meeting(wave, position, begin)
+            slope = (wave.value(meet) - position) / (meet - begin) if meet > begin else 0.0
+            if meet > begin:
+                taken.append(Wave(begin, position, slope=slope))
+            if meet < end:
+                taken.append(wave.later(meet) if meet > wave.start else wave)
+                position = last
+            else:
+                position += slope * (end - begin)
+        return tuple(taken)
+
+    def _check(self, wave: Wave, last: float) -> None:
+        if wave.amplitude and wave.steepest > self.speed:
+            raise ValueError(f"a sine of {wave.steepest:.4g} m/s is faster than the actuator ({self.speed:.4g} m/s)")
+        reach = abs(wave.amplitude)
+        low, high = min(wave.level - reach, last), max(wave.level + reach, last)
+        if low < self.low - 1e-9 or high > self.high + 1e-9:
+            raise ValueError(
+                f"{low:.6g} to {high:.6g} m is outside the actuator's stroke of {self.low:.6g} to {self.high:.6g} m"
+            )
+
+    def _meeting(self, wave: Wave, position: float, begin: float) -> float:
+        """When the actuator at full speed from `position` is where the wave is."""
+        meet = begin
+        for _ in range(100):
+            later = begin + abs(wave.value(meet) - position) / self.speed
+            if abs(later - meet) < 1e-10:
+                break
+            meet = later
+        return to_nanosecond(meet)
+
+
+class DrivenPlant:
+    """A muscle behind its regulator, its free end held by an actuator; `time` [s].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmabench.model.presets import preset
+    >>> from pmabench.model.signal import constant
+    >>> setup = preset("paper0", "ideal")
+    >>> plant = DrivenPlant(setup.muscle, setup.regulator, Actuator(), pressure=300e3)
+    >>> plant.move(constant(0.0, 10e-3))
+    >>> plant.advance(1.0, np.array([1.0])).F.round(2).tolist()
+    [207.27]
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        regulator: Regulator,
+        actuator: Actuator,
+        *,
+        pressure: float = 0.0,
+        position: float = 0.0,
+        start: float = 0.0,
+    ) -> None:
+        self.muscle, self.actuator, self.time = muscle, actuator, start
+        self.supply = Regulated(regulator, pressure, start)
+        self.wanted = Regulated(Regulator(dead_time=0.0), position, start)
+        self._drive = Regulated(Regulator(dead_time=0.0, lag=actuator.lag), position, start)
+
+    def command(self, waves: tuple[Wave, ...]) -> None:
+        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
+        self.supply.command(waves)
+
+    def move(self, waves: tuple[Wave, ...]) -> None:
+        """Command the position [m] along `waves`, the first of which starts now; ValueError where it cannot go."""
+        taken = self.actuator.approach(waves, self._drive.setpoint(self.time), self.time)
+        self.wanted.command(waves)
+        self._drive.command(taken)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that `restore` needs to come back to this moment."""
+        return {**self.__dict__, **self._copies()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to the moment of a snapshot; it can be used again."""
+        self.__dict__.update(snapshot)
+        self.__dict__.update(self._copies())
+
+    def _copies(self) -> dict[str, Regulated]:
+        return {name: copy.copy(getattr(self, name)) for name in ("supply", "wanted", "_drive")}
+
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        x, _, P, F = self._evaluate(np.array([self.time]))
+        return float(x[0]), float(P[0]), float(F[0])
+
+    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
+        """Go on to `until` [s] and tell what happened at `times` [s], rising, between now and `until`.
+
+        Whether the actuator stalls is looked at at these times and at `until`.
+        """
+        t = np.append(np.asarray(times, dtype=np.float64), until)
+        P_set, x_set = self.supply.setpoints(t), self.wanted.setpoints(t)
+        columns = [np.empty(t.shape) for _ in range(4)]
+        done = 0
+        while done < len(t):
+            before = self._copies()
+            part = self._evaluate(t[done:])
+            stalls = (part[3] > self.actuator.force) & (part[1] < -STILL)
+            count = int(stalls.argmax()) + 1 if stalls.any() else len(t) - done
+            for column, values in zip(columns, part, strict=True):
+                column[done : done + count] = values[:count]
+            if stalls.any():
+                self.__dict__.update(before)
+                self._hold(float(t[done + count - 1]), float(part[0][count - 1]))
+            done += count
+        self.wanted.piece(until)
+        self.time = until
+        x, v, P, F = (column[:-1] for column in columns)
+        return Motion(t[:-1], x, v, P, F, P_set[:-1], x_set[:-1])
+
+    def _evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Contraction, its rate, pressure and force at rising times."""
+        x, v = self._drive.values(t)
+        P, _ = self.supply.values(t)
+        moves = np.abs(v) > STILL
+        F = self.muscle.pull(P, x) - self.muscle.damping(P, v) * v - self.muscle.friction.F_c * np.sign(v) * moves
+        return x, v, P, np.maximum(F, 0.0)
+
+    def _hold(self, t: float, x: float) -> None:
+        """Stall: stay at x from t on."""
+        self._drive = Regulated(Regulator(dead_time=0.0, lag=self.actuator.lag), x, t)
