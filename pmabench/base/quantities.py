@@ -35,6 +35,8 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("stiffness", "N/m", "N/mm", 1e3),
         Quantity("damping", "N.s/m", "N.s/mm", 1e3),
         Quantity("gain", "Pa/m", "kPa/mm", 1e6),
+        Quantity("integral gain", "Pa/(m.s)", "kPa/(mm.s)", 1e6),
+        Quantity("derivative gain", "Pa.s/m", "kPa.s/mm", 1e6),
         Quantity("work", "J", "J", 1.0),
         Quantity("voltage", "V", "V", 1.0),
         Quantity("current", "A", "mA", 1e-3),

@@ -15,6 +15,7 @@ COMMANDS = {
     "campaign": ("campaign", "Run several protocols on one specimen, in order."),
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
     "report": ("report", "Write the characterisation report as one HTML file."),
+    "tune": ("tune", "Controller settings from an ultimate gain and period."),
     "runs": ("runs", "List, show and verify recorded runs."),
     "schema": ("schema", "Print the JSON Schema of a kind of file."),
 }

@@ -1,0 +1,157 @@
+"""`pmabench tune`: controller settings of every rule from an ultimate gain and period, ideal and parallel form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Estimate
+    from pmabench.analysis.tuning import Gains, Rule
+
+
+@click.command(name="tune")
+@click.option("--ku", help='Ultimate gain, for instance "7.1 bar/cm"; a bare number has no unit.')
+@click.option("--tu", help='Ultimate period, for instance "9 s".')
+@click.option("--analysis", type=click.Path(path_type=Path), help="Analysis folder of an ultimate-gain run.")
+@click.option("--rule", help="One rule, for instance ziegler-nichols or PI; all if not given.")
+@click.option("--dead-time", help="Dead time of the loop, to see whether the period is possible.")
+@click.option("--lag", "lags", multiple=True, help="First-order lag of the loop; repeatable.")
+@common
+def command(
+    ui: Ui,
+    ku: str | None,
+    tu: str | None,
+    analysis: Path | None,
+    rule: str | None,
+    dead_time: str | None,
+    lags: tuple[str, ...],
+) -> int | None:
+    """Gains of the tuning rules from K_u and T_u, or from an analysis."""
+    from pmabench.analysis.tuning import RULES, facts, rules_named, tune
+    from pmabench.base.errors import UsageError
+
+    if (analysis is None) != (ku is not None and tu is not None):
+        raise UsageError('give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER')
+    try:
+        rules: tuple[Rule, ...] = RULES if rule is None else rules_named(rule)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    pairs = _measured(analysis) if analysis is not None else [(_gain(ui, ku or ""), _time(ui, tu or ""))]
+    found: list[tuple[dict[str, float], tuple[Gains, ...]]] = []
+    for gain, period in pairs:
+        try:
+            found.append((dict(gain.at), tune(gain, period, rules)))
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+    notes = _plausible(pairs[0][1], dead_time, lags)
+    data = {
+        "schema": "pmabench.tune/1",
+        "settings": [fact for at, gains in found for fact in facts(gains, at)],
+        "findings": notes,
+    }
+
+    def human() -> None:
+        for at, gains in found:
+            if at:
+                click.echo("at " + ", ".join(f"{name} {value:g}" for name, value in at.items()))
+            _print(ui, gains)
+        for note in notes:
+            click.echo(note)
+
+    ui.result(data, human)
+    return None
+
+
+def _gain(ui: Ui, text: str) -> Estimate:
+    from pmabench.analysis.results import Estimate
+    from pmabench.base.errors import UsageError
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        bare = float(text)
+    except ValueError:
+        try:
+            return Estimate("K_u", parse_quantity(text, "gain"), "Pa/m", "gain", "given")
+        except ValueError as error:
+            raise UsageError(f"--ku: {error}") from error
+    ui.note(
+        f'--ku {text}: taken without a unit; K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
+    )
+    return Estimate("K_u", bare, "1", "count", "given")
+
+
+def _time(ui: Ui, text: str) -> Estimate:
+    from pmabench.analysis.results import Estimate
+
+    return Estimate("T_u", _seconds("--tu", text, ui), "s", "time", "given")
+
+
+def _seconds(option: str, text: str, ui: Ui | None = None) -> float:
+    from pmabench.base.errors import UsageError
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        bare = float(text)
+    except ValueError:
+        try:
+            return parse_quantity(text, "time")
+        except ValueError as error:
+            raise UsageError(f"{option}: {error}") from error
+    if ui is not None:
+        ui.note(f"{option} {text}: taken as seconds")
+    return bare
+
+
+def _measured(folder: Path) -> list[tuple[Estimate, Estimate]]:
+    from pmabench.base.errors import invalid
+    from pmabench.report.analysis_folder import read_analysis
+
+    estimates = read_analysis(folder).estimates
+    periods = {tuple(sorted(e.at.items())): e for e in estimates if e.symbol == "T_u" and e.value is not None}
+    pairs = [
+        (e, periods[tuple(sorted(e.at.items()))])
+        for e in estimates
+        if e.symbol == "K_u" and e.value is not None and tuple(sorted(e.at.items())) in periods
+    ]
+    if not pairs:
+        raise invalid(folder, "holds no ultimate gain and period")
+    return pairs
+
+
+def _plausible(period: Estimate, dead_time: str | None, lags: tuple[str, ...]) -> list[str]:
+    if dead_time is None or period.value is None:
+        return []
+    from pmabench.analysis.tuning import plausibility
+    from pmabench.model.loop import Loop
+
+    loop = Loop(1.0, _seconds("--dead-time", dead_time), tuple(_seconds("--lag", lag) for lag in lags))
+    finding = plausibility(period.value, loop)
+    return [f"{finding.level}: {finding.text}"]
+
+
+def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
+    from rich.table import Table
+
+    from pmabench.base.quantities import QUANTITIES
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("rule", no_wrap=True)
+    for name in ("K_p", "T_i", "T_d", "K_i", "K_d"):
+        table.add_column(name, justify="right", no_wrap=True)
+
+    def cell(estimate: Any) -> str:
+        if estimate is None or estimate.value is None:
+            return ""
+        quantity = QUANTITIES.get(estimate.quantity)
+        if quantity is None or estimate.unit == "1" or quantity.unit != estimate.unit:
+            return f"{estimate.value:.4g} {estimate.unit if estimate.unit != '1' else ''}".strip()
+        return quantity.show(estimate.value, 4)
+
+    for row in gains:
+        table.add_row(row.rule.title, *(cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)))
+    ui.console().print(table)
