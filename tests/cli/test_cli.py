@@ -1,0 +1,178 @@
+"""The command line as a user meets it: exit codes, one JSON object, sentences, and nothing left behind."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import COMMANDS, main
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ["--set", "sweep.matrix.load=[6 kg, 16 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 300 kPa]"]
+MOCK = ["--bench", "mock", "--specimen", "mas-20-250-paper0"]
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def test_help_lists_every_command_from_the_table():
+    text = call("--help").output
+    for name, (_, line) in COMMANDS.items():
+        assert re.search(rf"^  {name}\s", text, re.MULTILINE), name
+        assert line.split()[0] in text
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_of_its_own(name):
+    assert "Usage:" in call(name, "--help").output
+
+
+def test_a_wrong_command_gets_the_nearest():
+    assert 'did you mean "check"' in call("chek", code=2).output
+
+
+def test_check_says_length_rows_and_limits():
+    data = json.loads(call("check", "contraction-relaxation", *MOCK, *SMALL, "--json", "--plan").stdout)
+    assert data["schema"] == "pmabench.check/1"
+    assert data["trials"] == 8
+    assert data["commands"]["pressure"]["highest"] == 400e3
+    assert data["commands"]["pressure"]["limits"][1] == 600e3
+    assert data["plan"]["steps"][0]["step"] == "ask"
+    text = call("check", "contraction-relaxation", *MOCK, *SMALL, "--plan").stdout
+    assert "nothing was sent to a bench" in text
+    assert "600 kPa" in text
+
+
+def test_check_simulates():
+    data = json.loads(call("check", "contraction-relaxation", *MOCK, *SMALL, "--simulate", "--json").stdout)
+    assert data["simulated"]["status"] == "finished"
+    assert 0.03 < data["simulated"]["measured"]["displacement"]["highest"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("kind: static-load\nschema: pmabench.protocol/1\n", "is missing"),
+        ("", "is empty"),
+        ("a: [", "not readable as YAML"),
+        (b"\x00\xff\xfe", "not text in UTF-8"),
+    ],
+)
+def test_bad_protocols_exit_3_in_text_and_json(tmp_path, text, says):
+    path = tmp_path / "p.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    assert says in call("check", path, *MOCK, code=3).output
+    data = json.loads(call("check", path, *MOCK, "--json", code=3).stdout)
+    assert data["schema"] == "pmabench.error/1"
+    assert data["exit_code"] == 3
+    assert says in data["error"]
+
+
+def test_problems_of_protocol_bench_and_specimen_come_together(tmp_path):
+    for name in ("p", "b", "s"):
+        (tmp_path / f"{name}.yaml").write_text("nonsense: 1\n")
+    out = call(
+        "check", tmp_path / "p.yaml", "--bench", tmp_path / "b.yaml", "--specimen", tmp_path / "s.yaml", code=3
+    ).output
+    for name in ("p.yaml", "b.yaml", "s.yaml"):
+        assert name in out
+
+
+def test_an_unknown_name_gets_the_nearest_shipped_one():
+    assert 'did you mean "static-load"' in call("check", "static-lod", *MOCK, code=3).output
+
+
+def test_a_refused_run_leaves_nothing_behind(tmp_path):
+    out = tmp_path / "runs"
+    call("run", "contraction-relaxation", *MOCK, "--out", out, "--yes", "--set", "sample_rate=500", code=3)
+    assert not out.exists()
+
+
+def test_without_a_terminal_hands_need_yes(tmp_path):
+    assert "--yes" in call("run", "contraction-relaxation", *MOCK, *SMALL, "--out", tmp_path, code=2).output
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs")
+    data = json.loads(call("run", "contraction-relaxation", *MOCK, *SMALL, "--out", out, "--yes", "--json").stdout)
+    assert data["status"] == "finished"
+    assert data["vent"]["result"] == "confirmed"
+    return Path(data["run"])
+
+
+def test_a_run_is_listed_shown_and_whole(run_folder):
+    rows = json.loads(call("runs", "list", run_folder.parent, "--json").stdout)["runs"]
+    assert [row["id"] for row in rows] == [run_folder.name]
+    assert "SIMULATED" in run_folder.name
+    shown = json.loads(call("runs", "show", run_folder, "--json").stdout)
+    assert len(shown["trials"]) == 8
+    assert json.loads(call("runs", "verify", run_folder, "--json").stdout)["runs"] == {str(run_folder): []}
+    assert "whole" in call("runs", "verify", run_folder).stdout
+    assert run_folder.name[:40] in call("runs", "list", run_folder.parent).stdout.replace("\n", "")
+
+
+def test_process_and_report_never_touch_the_run(run_folder, tmp_path):
+    before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
+    data = json.loads(call("process", run_folder, "--out", tmp_path / "a", "--json").stdout)
+    assert data["analyses"][0]["simulated"] is True
+    symbols = {(e["symbol"], e["method"]) for e in data["analyses"][0]["estimates"]}
+    for symbol in ("K", "B_c", "F_ce"):
+        assert (symbol, "measured-pressure") in symbols
+    report = tmp_path / "r.html"
+    call("report", run_folder, "-o", report)
+    text = report.read_text()
+    assert "SIMULATED" in text
+    assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", text)
+    call("report", tmp_path / "a" / "contraction-relaxation", "-o", tmp_path / "again.html")
+    assert {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()} == before
+
+
+def test_process_twice_gives_the_same_bytes(run_folder, tmp_path):
+    for name in ("a", "b"):
+        call("process", run_folder, "--out", tmp_path / name, "-q")
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
+    assert files
+    for file in files:
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_process_of_what_is_no_run_exits_3(tmp_path):
+    (tmp_path / "x").mkdir()
+    out = call("process", tmp_path / "x", tmp_path / "absent", code=3).output
+    assert "2 problems" in out
+    assert not (tmp_path / "analyses").exists()
+
+
+def test_tune_never_prints_the_papers_misprints():
+    data = json.loads(call("tune", "--ku", "7.1", "--tu", "9 s", "--rule", "Ziegler-Nichols", "--json").stdout)
+    by_form = {row["form"]: row["gains"] for row in data["settings"]}
+    assert by_form["PI"]["K_p"]["value"] == pytest.approx(3.195)
+    assert by_form["PI"]["T_i"]["value"] == pytest.approx(7.5)
+    assert by_form["PI"]["K_i"]["value"] == pytest.approx(0.426)
+    assert by_form["PID"]["T_d"]["value"] == pytest.approx(1.125)
+    text = call("tune", "--ku", "7.1", "--tu", "9 s").output
+    assert "2.195" not in text
+    assert "without a unit" in text
+
+
+def test_tune_says_what_cannot_be():
+    out = call(
+        "tune", "--ku", "7.1 bar/cm", "--tu", "9 s", "--dead-time", "40 ms", "--lag", "0.22 s", "--lag", "0.25 s"
+    ).output
+    assert "impossible for a linear loop" in out
+    assert "4.03 s" in out
+
+
+def test_tune_refuses_what_is_no_gain():
+    assert "no unit of gain" in call("tune", "--ku", "7 kPa", "--tu", "9 s", code=2).output
+    assert "give --ku and --tu" in call("tune", "--ku", "7 kPa/mm", code=2).output
+
+
+def test_schema_prints_json():
+    assert json.loads(call("schema", "bench").stdout)["title"] == "BenchFile"
