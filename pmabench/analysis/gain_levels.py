@@ -118,12 +118,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
     ended = str(search.get("ended", ""))
     if nearest is None or len(seen) < FEWEST_LEVELS:
-        dying = [level for level in levels if level.swinging is None]
-        reason = f"the loop swings at {len(seen)} of {len(levels)} levels only, {FEWEST_LEVELS} are needed"
-        if nearest is not None and dying and nearest.third > THIRD["fault"]:
-            reason += "; in between it comes to rest: a limit cycle with stiction, not an ultimate oscillation"
-        if ended:
-            reason += f"; the search ended by {ended}"
+        reason = _too_few(levels, seen, nearest, ended)
         return TrialFound(levels, tuple(seen), nearest, bias, refused=(reason,))
     used = seen[-MOST_LEVELS:]
     gains = np.array([level.gain for level in used])
@@ -251,6 +246,26 @@ def _friction(used: Sequence[Level], slope: float) -> float:
     return float(-fitted[-1] / typical / slope)
 
 
+def _too_few(levels: Sequence[Level], seen: Sequence[Level], nearest: Level | None, ended: str) -> str:
+    """Why there are not enough levels that swing: the gain was too low, or the muscle sticks."""
+    last = next((level for level in reversed(levels) if level.swinging is not None), None)
+    stop = f"; the search ended by {ended}" if ended else ""
+    sticks = any(level.swinging is None for level in levels) and nearest is not None and nearest.third > THIRD["fault"]
+    if not sticks and last is not None and last.log_ratio < -REACHED:
+        return _too_low(levels, last) + stop
+    reason = f"the loop swings at {len(seen)} of {len(levels)} levels only, {FEWEST_LEVELS} are needed"
+    if sticks:
+        reason += "; in between it comes to rest: a limit cycle with stiction, not an ultimate oscillation"
+    return reason + stop
+
+
+def _too_low(levels: Sequence[Level], last: Level) -> str:
+    return (
+        f"the gain was never high enough: up to {show(levels[-1].gain, 'gain', 3)} the swings die out, at the last to "
+        f"{np.exp(last.log_ratio):.2f} per half period"
+    )
+
+
 def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], ended: str, friction: float) -> list[str]:
     """Reasons why the trial's oscillation is not an ultimate one."""
     seen = nearest.swinging
@@ -258,10 +273,7 @@ def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], end
     if seen is None:
         return ["no swings"]
     if max(level.log_ratio for level in used) < -REACHED:
-        reasons.append(
-            f"the gain was never high enough: up to {show(levels[-1].gain, 'gain', 3)} the swings die out, at the last "
-            f"to {np.exp(used[-1].log_ratio):.2f} per half period" + (f"; the search ended by {ended}" if ended else "")
-        )
+        reasons.append(_too_low(levels, used[-1]) + (f"; the search ended by {ended}" if ended else ""))
     if nearest.saturated:
         reasons.append("the command was saturated at the level nearest to sustained oscillation")
     if seen.period_variation > PERIOD_VARIATION:

@@ -57,7 +57,7 @@ class Muscle51:
             v = size * omega * (a * np.cos(omega * time) + omega * np.sin(omega * time) - a * np.exp(-a * time))
             return mean + y, v
 
-        x, v = motion(t)
+        x, _ = motion(t)
         late_x, late_v = motion(np.maximum(t - self.skew, 0.0))
         swing = self.drag * (late_x - mean)
         friction = np.sign(late_v) * (self.F_c + (self.F_s - self.F_c) * np.clip(1 - np.abs(late_v) / 1e-3, 0, 1))

@@ -1,0 +1,101 @@
+"""Tuning rules against their printed tables, and the test of whether an ultimate period can be true."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pmabench.analysis.results import Estimate, Parts
+from pmabench.analysis.tuning import RULES, facts, plausibility, rules_named, tune
+from pmabench.model.loop import Loop, ultimate
+
+
+def pair(
+    K_u: float = 7.1, T_u: float = 9.0, unit: str = "1", half: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Estimate, Estimate]:
+    return (
+        Estimate("K_u", K_u, unit, "gain", "gain-steps", parts=Parts(repeats=half[0] * K_u)),
+        Estimate("T_u", T_u, "s", "time", "gain-steps", parts=Parts(repeats=half[1] * T_u)),
+    )
+
+
+EXPECTED = {
+    "Ziegler-Nichols P": {"K_p": 3.55},
+    "Ziegler-Nichols PI": {"K_p": 3.195, "T_i": 7.5, "K_i": 0.426},
+    "Ziegler-Nichols PID": {"K_p": 4.26, "T_i": 4.5, "T_d": 1.125, "K_i": 4.26 / 4.5, "K_d": 4.26 * 1.125},
+    "Tyreus-Luyben PI": {"K_p": 7.1 / 3.2, "T_i": 19.8, "K_i": 7.1 / 3.2 / 19.8},
+    "Tyreus-Luyben PID": {
+        "K_p": 7.1 / 2.2,
+        "T_i": 19.8,
+        "T_d": 9 / 6.3,
+        "K_i": 7.1 / 2.2 / 19.8,
+        "K_d": 7.1 / 2.2 * 9 / 6.3,
+    },
+}
+
+
+@pytest.mark.parametrize("title", EXPECTED)
+def test_gains_of_paper_0s_ultimate_gain(title: str) -> None:
+    (found,) = tune(*pair(), rules=rules_named(title))
+    assert {e.symbol: e.value for e in found.estimates} == pytest.approx(EXPECTED[title])
+
+
+def test_the_misprint_never_comes_out_as_ziegler_nichols() -> None:
+    for found in tune(*pair(), rules=rules_named("ziegler-nichols")):
+        assert found.K_p.value != pytest.approx(2.195, rel=1e-3)
+        assert found.T_i is None or found.T_i.value != pytest.approx(3.0, rel=1e-3)
+
+
+def test_units_of_ideal_and_parallel_form() -> None:
+    found = tune(*pair(60e6, 0.35, "Pa/m"), rules=rules_named("Ziegler-Nichols PID"))[0]
+    assert {e.symbol: e.unit for e in found.estimates} == {
+        "K_p": "Pa/m", "T_i": "s", "T_d": "s", "K_i": "Pa/(m.s)", "K_d": "Pa.s/m"
+    }  # fmt: skip
+    bare = tune(*pair(), rules=rules_named("Ziegler-Nichols PID"))[0]
+    assert {e.symbol: e.unit for e in bare.estimates} == {"K_p": "1", "T_i": "s", "T_d": "s", "K_i": "1/s", "K_d": "s"}
+
+
+def test_intervals_are_carried_through() -> None:
+    found = tune(*pair(60e6, 0.35, "Pa/m", (0.03, 0.04)), rules=rules_named("Ziegler-Nichols PID"))[0]
+    relative = {e.symbol: (e.parts.repeats or 0.0) / (e.value or 1.0) for e in found.estimates}
+    assert relative == pytest.approx({"K_p": 0.03, "T_i": 0.04, "T_d": 0.04, "K_i": 0.05, "K_d": 0.05})
+    assert found.K_p.parts.method is None
+
+
+def test_margins_where_a_model_is_known() -> None:
+    loop = Loop(1.466e-7, 0.041, (0.0955, 0.247))
+    true = ultimate(loop)
+    by_rule = {g.rule.title: g for g in tune(*pair(true.gain, true.period, "Pa/m"), loop=loop)}
+    assert len(by_rule) == len(RULES)
+    proportional = by_rule["Ziegler-Nichols P"].margins
+    assert proportional is not None
+    assert proportional.gain_margin == pytest.approx(2.0, rel=1e-3)
+    classic, calm = by_rule["Ziegler-Nichols PI"], by_rule["Tyreus-Luyben PI"]
+    assert (classic.overshoot or 0.0) > 0.4 > 0.2 > (calm.overshoot or 0.0)
+    assert json.loads(json.dumps(facts(by_rule.values(), {"setpoint": 0.03}), allow_nan=False))
+
+
+def test_rules_are_found_by_name_form_or_title() -> None:
+    assert {r.title for r in rules_named("pi")} == {"Ziegler-Nichols PI", "Tyreus-Luyben PI"}
+    with pytest.raises(ValueError, match="did you mean"):
+        rules_named("Ziegler-Nicols")
+    with pytest.raises(ValueError, match="above 0"):
+        tune(*pair(K_u=-1.0))
+
+
+def test_nine_seconds_are_impossible_for_a_linear_loop() -> None:
+    said = plausibility(9.0, Loop(1.466e-7, 0.04, (0.22, 0.25)))
+    assert said.level == "fault"
+    assert "T_u = 9 s is impossible" in said.text
+    assert "oscillates at 0.436 s" in said.text
+    assert "dead time of 4.03 s" in said.text
+    assert "stiction" in said.text
+
+
+def test_what_agrees_is_said_to_agree() -> None:
+    loop = Loop(1.466e-7, 0.041, (0.0955, 0.247))
+    true = ultimate(loop)
+    assert plausibility(true.period * 1.02, loop, true.gain * 0.95).level == "note"
+    assert plausibility(true.period, loop, true.gain * 1.3).level == "doubt"
+    assert plausibility(true.period, loop, true.gain * 1.8).level == "fault"

@@ -1,0 +1,149 @@
+"""Ultimate gain and period, margins and overshoot against printed tables and closed forms."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import atan, inf, pi, sqrt
+
+import numpy as np
+import pytest
+
+from pmabench.model.loop import (
+    Controller,
+    Loop,
+    dead_time_for,
+    margins,
+    mode,
+    muscle_loop,
+    overshoot,
+    sensitivity,
+    ultimate,
+)
+
+
+@pytest.mark.parametrize(
+    ("L", "T_r", "tau", "T_u", "K_u"),
+    [
+        (0.04, 0.22, 0.25, 0.4361, 12.427),
+        (0.04, 0.0955, 0.25, 0.3426, 9.464),
+        (0.04, 0.22, 0.11, 0.3503, 9.003),
+        (0.04, 0.22, 0.50, 0.4989, 18.785),
+    ],
+)
+def test_table_of_ultimate_gains(L: float, T_r: float, tau: float, T_u: float, K_u: float) -> None:
+    found = ultimate(Loop(1.0, L, (T_r, tau)))
+    assert found.period == pytest.approx(T_u, abs=5e-5)
+    assert found.gain == pytest.approx(K_u, abs=5e-4)
+
+
+def test_fixture_of_paper_0s_numbers() -> None:
+    found = ultimate(Loop(0.5174157, 2.4313531, (0.22, 5.0)))
+    assert found.gain == pytest.approx(7.1, rel=1e-6)
+    assert found.period == pytest.approx(9.0, rel=1e-6)
+
+
+def plant_51(x_mm: float, T_r: float) -> Loop:
+    """Plant 5.1 (kPa, N, mm) resting at x: L = 43 ms as in 5.4."""
+    low, high = 46.0, 700.0
+    for _ in range(60):
+        P = (low + high) / 2
+        low, high = (P, high) if 1.08 * P - 49.0 - (5.6 + 1e-3 * P + 9.7e-6 * P * P) * x_mm < 0 else (low, P)
+    K = 5.6 + 1e-3 * low + 9.7e-6 * low * low
+    gain = sensitivity(1.08, K, 1e-3 + 2 * 9.7e-6 * low, x_mm) * 1e-6
+    return muscle_loop(
+        gain=gain, K=K * 1e3, B=(1.2 + 1.6e-3 * low) * 1e3,
+        regulator_lag=T_r, dead_time=0.04, sample_period=0.002, delay=0.002,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("x", "T_r", "K_u"),
+    [(10, 0.0955, 46.8), (30, 0.0955, 59.9), (60, 0.0955, 200), (10, 0.22, 62.0), (30, 0.22, 78.7), (60, 0.22, 266)],
+)
+def test_ultimate_gain_changes_four_fold_over_the_stroke(x: float, T_r: float, K_u: float) -> None:
+    assert ultimate(plant_51(x, T_r)).gain / 1e6 == pytest.approx(K_u, rel=2e-3)
+
+
+def test_the_operating_point_of_30_mm() -> None:
+    loop = plant_51(30, 0.0955)
+    assert loop.gain * 1e6 == pytest.approx(0.1466, rel=1e-3)
+    assert loop.dead_time == pytest.approx(0.043)
+    assert sorted(complex(lag).real for lag in loop.lags) == pytest.approx([0.0955, 0.247], abs=5e-4)
+    assert ultimate(loop).period == pytest.approx(0.355, abs=1e-3)
+    assert ultimate(plant_51(30, 0.22)).period == pytest.approx(0.451, abs=1e-3)
+
+
+def test_three_equal_lags_without_dead_time() -> None:
+    found = ultimate(Loop(2.0, 0.0, (0.5, 0.5, 0.5)))
+    assert found.gain == pytest.approx(8.0 / 2.0)
+    assert found.period == pytest.approx(2 * pi * 0.5 / sqrt(3))
+
+
+def test_no_ultimate_gain_without_enough_phase() -> None:
+    with pytest.raises(ValueError, match="never oscillate"):
+        ultimate(Loop(1.0, 0.0, (0.2, 0.3)))
+    with pytest.raises(ValueError, match="gain above 0"):
+        Loop(0.0, 0.04, (0.2,))
+
+
+@pytest.mark.parametrize(("lags", "needed"), [((0.22, 0.25), 4.03), ((0.22, 5.0), 2.43), ((0.22, 20.0), 2.13)])
+def test_dead_time_that_nine_seconds_need(lags: tuple[float, ...], needed: float) -> None:
+    assert dead_time_for(9.0, lags) == pytest.approx(needed, abs=5e-3)
+
+
+def test_mass_adds_a_lag_and_may_make_a_pair_complex() -> None:
+    heavy = muscle_loop(gain=1e-7, K=6e3, B=1500.0, mass=46.0, regulator_lag=0.1, dead_time=0.04)
+    pair = [complex(lag) for lag in heavy.lags if lag != 0.1]
+    assert sum(pair) == pytest.approx(1500.0 / 6e3)
+    assert pair[0] * pair[1] == pytest.approx(46.0 / 6e3)
+    ringing = muscle_loop(gain=1e-7, K=6e3, B=400.0, mass=46.0, regulator_lag=0.1, dead_time=0.04)
+    s = 10j
+    expected = 1e-7 * np.exp(-0.04 * s) / (1 + 0.1 * s) / (1 + 400.0 / 6e3 * s + 46.0 / 6e3 * s * s)
+    assert complex(ringing.response(s)) == pytest.approx(complex(expected))
+    assert ringing.phase_lag(10.0) % (2 * pi) == pytest.approx(-np.angle(expected) % (2 * pi))
+    assert ultimate(ringing).gain > 0
+
+
+def test_mode_solves_the_characteristic_equation() -> None:
+    loop = Loop(1.5e-7, 0.041, (0.0955, 0.247))
+    found = ultimate(loop)
+    assert mode(loop, found.gain) == pytest.approx(2j * pi / found.period)
+    for factor in (0.6, 0.9, 1.2):
+        s = mode(loop, factor * found.gain)
+        assert abs(1 + factor * found.gain * complex(loop.response(s))) < 1e-9
+        assert (s.real > 0) == (factor > 1)
+
+
+def test_margins_of_a_proportional_loop() -> None:
+    loop = Loop(1.0, 0.1, (1.0,))
+    seen = margins(loop, Controller(2.0))
+    assert seen.phase_margin == pytest.approx(pi - 0.1 * sqrt(3) - atan(sqrt(3)), rel=1e-4)
+    assert seen.gain_margin == pytest.approx(ultimate(loop).gain / 2.0, rel=1e-4)
+    omega = np.linspace(0.1, 60, 200_000)
+    nearest = np.abs(1 + 2.0 * loop.response(1j * omega)).min()
+    assert seen.M_s == pytest.approx(1 / nearest, rel=1e-3)
+    assert seen.stable
+    unstable = margins(loop, Controller(1.1 * ultimate(loop).gain))
+    assert not unstable.stable
+    assert unstable.M_s == inf
+    assert overshoot(loop, Controller(1.1 * ultimate(loop).gain)) == inf
+
+
+@pytest.mark.parametrize(("T_i", "T_d"), [(inf, 0.0), (0.29, 0.0), (0.5, 0.06)])
+def test_overshoot_as_a_hand_written_simulation_has_it(T_i: float, T_d: float) -> None:
+    L, T_r, tau, K_p = 0.04, 0.1, 0.25, 3.5
+    h = 1e-4
+    line = deque([0.0] * round(L / h))
+    P = x = integral = slow = peak = 0.0
+    for _ in range(60_000):
+        error = 1.0 - x
+        integral += error * h / T_i
+        derivative = (error - slow) * 10.0 if T_d else 0.0
+        slow += h * 10.0 / T_d * (error - slow) if T_d else 0.0
+        line.append(K_p * (error + integral + derivative))
+        P += h / T_r * (line.popleft() - P)
+        x += h / tau * (P - x)
+        peak = max(peak, x)
+    final = 1.0 if T_i < inf else K_p / (1 + K_p)
+    found = overshoot(Loop(1.0, L, (T_r, tau)), Controller(K_p, T_i, T_d))
+    assert found == pytest.approx(peak / final - 1.0, abs=0.01)
