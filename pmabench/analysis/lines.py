@@ -33,7 +33,8 @@ def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = 
     """
     size = np.abs(y) if size is None else size
     floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())
-    weight = 1.0 / np.hypot(floor, _scatter(group, y))
+    error = np.hypot(floor, _scatter(group, y))
+    weight = 1.0 / error if error.min() > 0 else np.ones_like(error)
     columns = 1 if s is None else 2
     names = np.unique(group)
     if len(names) < columns:

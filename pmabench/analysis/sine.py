@@ -216,7 +216,8 @@ class _Fitted:
 
         K, B, w = self.K[0], self.loss.slope, self.width
         stiffness, damping, newton = ("N/m", "stiffness"), ("N.s/m", "damping"), ("N", "force")
-        skewed = self.skew * abs(K)
+        fastest = max(member.sine.omega for member in self.group)
+        skewed = self.skew * (abs(K) + abs(B) * fastest**2 * self.skew / 2)
         mean = "(B_c + B_r)/2"
         # The two readings of the same loops differ by what neither model holds, friction at low speed for instance.
         apart = {"B": self.loss.slope - w.slope / 2, "F_c": pi / 4 * self.loss.start - w.start / 2}

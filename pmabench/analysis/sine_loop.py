@@ -123,7 +123,7 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     window = _window(trial, frequency, discard)
     t, x, F = trial.t[window], trial.channels["displacement"][window], trial.channels["force"][window]
     slack = int(np.count_nonzero(trial.flags[window] & np.uint16(Flag.SLACK)))
-    if slack or F.min() < 3 * noise_of(F):
+    if slack or F.min() <= 3 * noise_of(F):
         raise NotUsable(f"the specimen was slack: force down to {show(float(F.min()), 'force', 3)}")
     good = trial.usable[window]
     if np.mean(~good) > UNUSABLE_SHARE:
