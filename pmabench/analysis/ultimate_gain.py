@@ -198,11 +198,10 @@ def _scale_uncertainty(run: RunData) -> float:
 def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
     where = show(cell.at["setpoint"], "length") if "setpoint" in cell.at else "this operating point"
     lines = []
-    for trial, found in zip(cell.trials, cell.found, strict=True):
-        for reason in found.refused:
-            lines.append(Finding("fault", f"trial {name_of(trial)} at {where}: {reason}"))
-        for doubt in found.doubts:
-            lines.append(Finding("doubt", f"trial {name_of(trial)} at {where}: {doubt}"))
+    said = [("fault", reason) for found in cell.found for reason in found.refused]
+    said += [("doubt", doubt) for found in cell.found for doubt in found.doubts]
+    for level, text in dict.fromkeys(said):
+        lines.append(Finding(level, f"{said.count((level, text))} of {len(cell.found)} trials at {where}: {text}"))
     if K_u.value is not None and T_u.value is not None:
         loop = next((cell.found[i].loop for i in cell.good if cell.found[i].loop is not None), None)
         text = f"at {where} the loop oscillates at K_u = {show(K_u.value, 'gain', 4)}, T_u = {T_u.value:.4g} s"

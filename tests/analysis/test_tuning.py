@@ -8,6 +8,7 @@ import pytest
 
 from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.tuning import RULES, facts, plausibility, rules_named, tune
+from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
 
 
@@ -52,6 +53,7 @@ def test_units_of_ideal_and_parallel_form() -> None:
     assert {e.symbol: e.unit for e in found.estimates} == {
         "K_p": "Pa/m", "T_i": "s", "T_d": "s", "K_i": "Pa/(m.s)", "K_d": "Pa.s/m"
     }  # fmt: skip
+    assert all(QUANTITIES[e.quantity].unit == e.unit for e in found.estimates)
     bare = tune(*pair(), rules=rules_named("Ziegler-Nichols PID"))[0]
     assert {e.symbol: e.unit for e in bare.estimates} == {"K_p": "1", "T_i": "s", "T_d": "s", "K_i": "1/s", "K_d": "s"}
 
