@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.model.curve import Array
+from pmabench.model.motion import Motion
 from pmabench.model.muscle import Muscle
-from pmabench.model.plant import Motion
 from pmabench.model.regulator import Regulated, Regulator
 from pmabench.model.signal import Wave, to_nanosecond
 

@@ -21,17 +21,17 @@ Loads land on the support and at the stop without rebound.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.model.curve import Array
+from pmabench.model.motion import NOTHING, Grid, Motion, Record
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulated, Regulator, Trace
-from pmabench.model.signal import Wave
+from pmabench.model.signal import Wave, to_nanosecond
 from pmabench.model.slip import glide, slide
 
 SETTLED_SPEED = 2e-8
@@ -39,29 +39,12 @@ SETTLED_FORCE = 5e-5
 """Slower than this [m/s] with less than this out of balance [N], a muscle counts as at rest: 10 nm from its end."""
 SHORT = 0.0041
 """Stretches up to this length [s] are stepped: starting LSODA costs more than they do."""
-STEP = 5e-4
+STEP = 1e-3
 """Longest step of those [s]."""
-GAP = 0.004
-"""Longest time that is not looked at for a turn of motion [s]."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What the plant did at times `t` [s]: all arrays of the same length, SI."""
-
-    t: Array
-    x: Array
-    """Contraction [m]."""
-    v: Array
-    """Its rate [m/s]."""
-    P: Array
-    """Gauge pressure in the muscle [Pa]."""
-    F: Array
-    """Force at the fixed end [N]."""
-    P_set: Array
-    """Pressure commanded, before the dead time [Pa]."""
-    x_set: Array
-    """Position commanded to the free end [m]; 0 where it is free."""
+LAUNCH = 2.5e-4
+"""Step at speeds of stiction [s]: whatever is unstable there is solved exactly within a step, LSODA is lost."""
+HORIZON = 1.0
+"""Longest stretch integrated at once [s]; less where the motion stops more often, since the rest is thrown away."""
 
 
 class Plant:
@@ -97,6 +80,7 @@ class Plant:
         self._damping = {1: muscle.B_c.function(), -1: muscle.B_r.function()}
         self.supply = Regulated(regulator, pressure, start)
         self.time, self.x, self.v, self.way = start, 0.0, 0.0, 0
+        self._since, self._horizon = start, HORIZON
         self.load(force, mass)
 
     def load(self, force: float, mass: float) -> None:
@@ -141,22 +125,24 @@ class Plant:
         """
         if len(times) == 0 and until - self.time <= SHORT:
             self.reach(until)
-            return _NOTHING
+            return NOTHING
         t = np.asarray(times, dtype=np.float64)
-        record = _Record(t, self.supply.setpoints(t))
+        record = Record(t, self.supply.setpoints(t))
         while self.time < until:
             trace, end = self.supply.piece(self.time)
             end = min(end, until)
             if self.way == 0:
                 self._rest(trace, end, record)
             elif end - self.time <= SHORT:
-                self._short(trace, end, record)
+                self._stepwise(trace, end, record, STEP, math.inf)
+            elif self.way * self.v < self.muscle.friction.knee:
+                self._stepwise(trace, end, record, self._fine_step(), 1.05 * self.muscle.friction.knee)
             else:
-                self._slide(trace, min(end, self.time + 1.0), record)
+                self._slide(trace, min(end, to_nanosecond(self.time + self._horizon)), record)
         if record.done < len(t):
             trace = self.supply.piece(self.time)[0]
             self._start(trace)
-            record.fill(np.full(len(t) - record.done, self.x), self.v, trace, self)
+            self._fill(record, np.full(len(t) - record.done, self.x), self.v, trace, self.way)
         return record.motion()
 
     def step(self, dt: float) -> None:
@@ -172,6 +158,21 @@ class Plant:
         while self.time < until:
             trace, end = self.supply.piece(self.time)
             self._steps(trace, min(end, until), longest)
+
+    def _fill(self, record: Record, x: Array, v: Array | float, trace: Trace, way: int) -> None:
+        """Record the next len(x) samples: contraction, speed, and the pressure and force that follow from them."""
+        P, muscle = trace.values(record.due(len(x))), self.muscle
+        F = muscle.pull(P, x)
+        if way:
+            speed = np.abs(v)
+            F -= way * (muscle.damping(P, way * speed) * speed + muscle.friction.values(speed))
+        elif self.x <= 0:
+            F = np.minimum(F, self.force)
+        elif self.x >= muscle.stop:
+            F = np.maximum(F, self.force)
+        else:
+            F = np.full(P.shape, self.force)
+        record.fill(x, v, P, F)
 
     # -- at rest -------------------------------------------------------------------------------------------------
 
@@ -193,7 +194,7 @@ class Plant:
         if self.way == 0:
             self.way = self._breaks_away(self._drive(trace.value(self.time)))
 
-    def _rest(self, trace: Trace, end: float, record: _Record) -> None:
+    def _rest(self, trace: Trace, end: float, record: Record) -> None:
         """Stay at rest until break-away or `end`, whichever is first."""
         self._start(trace)
         if self.way:
@@ -207,6 +208,7 @@ class Plant:
             free |= drive > hold
         if self.x > 0:
             free |= drive < -hold
+        free[0] = False
         first = int(free.argmax()) if free.any() else 0
         if first:
             low, high = float(grid.t[first - 1]), float(grid.t[first])
@@ -216,16 +218,17 @@ class Plant:
                     high = middle
                 else:
                     low = middle
-            end = high
-        record.fill(np.full(grid.count(end), self.x), 0.0, trace, self)
+            end = min(math.ceil(high * 1e9) / 1e9, end)
+        self._fill(record, np.full(grid.count(end), self.x), 0.0, trace, 0)
         self.time = end
+        self._since = end
         if first:
-            self.way = self._breaks_away(self._drive(trace.value(end)))
+            self.way = self._breaks_away(self._drive(trace.value(high)))
 
     # -- sliding -------------------------------------------------------------------------------------------------
 
-    def _slide(self, trace: Trace, end: float, record: _Record) -> None:
-        """Slide until it turns, lands, settles, or `end`."""
+    def _slide(self, trace: Trace, end: float, record: Record) -> None:
+        """Slide until it turns, lands, settles, comes to speeds of stiction, or `end`."""
         grid = record.grid(self.time, end)
         load = self.force, self.mass
         x, v = slide(self.muscle, trace, self.way, load, (self.x, self.v), grid.t)
@@ -233,6 +236,7 @@ class Plant:
         if first is None:
             self._record_slide(trace, grid, x, v, end, record)
             self.x, self.v, self.time = float(x[-1]), float(v[-1]), end
+            self._horizon = min(2 * self._horizon, HORIZON)
             return
         before = first - 1
         fine = np.linspace(grid.t[before], grid.t[first], 65)
@@ -241,11 +245,17 @@ class Plant:
         moment, place, lands = self._refine(fine, fine_x, fine_v, found)
         self._record_slide(trace, grid, x, v, moment, record)
         self.time, self.x, self.v = moment, place, 0.0
-        self._stand(trace, lands)
+        self._horizon = min(max(1.2 * (moment - self._since), SHORT), HORIZON)
+        self._since = moment
+        if lands or self.muscle.friction.knee == 0:
+            self._stand(trace, lands)
+        else:
+            self.v = self.way * self.muscle.friction.knee * (1 - 1e-9)
 
     def _first_event(self, trace: Trace, t: Array, x: Array, v: Array) -> int | None:
-        """Index of the first time after t[0] at which the muscle has turned, landed or settled."""
-        event = (self.way * v < 0) | (x < 0) | (x > self.muscle.stop)
+        """Index of the first time after t[0] at which the muscle has turned, become slow, landed or settled."""
+        event = self.way * v < self.muscle.friction.knee
+        event |= x > self.muscle.stop if self.way > 0 else x < 0
         slow = np.flatnonzero(np.abs(v) < SETTLED_SPEED)
         if slow.size:
             drive = self.muscle.pull(trace.values(t[slow]), x[slow]) - self.force
@@ -256,17 +266,15 @@ class Plant:
     def _refine(self, t: Array, x: Array, v: Array, i: int) -> tuple[float, float, bool]:
         """Moment, place, and whether it lands, of the event between t[i - 1] and t[i], by straight lines."""
         stop = self.muscle.stop
-        bound = 0.0 if x[i] < 0 else stop if x[i] > stop else None
+        bound = stop if self.way > 0 and x[i] > stop else 0.0 if self.way < 0 and x[i] < 0 else None
         if bound is not None:
             share = float((bound - x[i - 1]) / (x[i] - x[i - 1]))
-        elif self.way * v[i] < 0 < self.way * v[i - 1]:
-            share = float(v[i - 1] / (v[i - 1] - v[i]))
         else:
-            share = 1.0
+            before, after = self.way * float(v[i - 1]) - self.muscle.friction.knee, self.way * float(v[i] - v[i - 1])
+            share = min(max(-before / after, 0.0), 1.0) if after < 0 else 1.0
         moment = float(t[i - 1] + share * (t[i] - t[i - 1]))
         place = bound if bound is not None else float(x[i - 1] + share * (x[i] - x[i - 1]))
-        if moment - self.time < 1e-9:
-            moment = float(t[i])
+        moment = to_nanosecond(moment if moment - self.time > 1e-9 else float(t[i]))
         return moment, min(max(place, 0.0), stop), bound is not None
 
     def _stand(self, trace: Trace, lands: bool) -> None:
@@ -277,18 +285,32 @@ class Plant:
         else:
             self.way = self._breaks_away(drive)
 
-    def _record_slide(self, trace: Trace, grid: _Grid, x: Array, v: Array, end: float, record: _Record) -> None:
+    def _record_slide(self, trace: Trace, grid: Grid, x: Array, v: Array, end: float, record: Record) -> None:
         rows = grid.rows[: grid.count(end)]
-        record.fill(x[rows], v[rows], trace, self)
+        self._fill(record, x[rows], v[rows], trace, self.way)
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
-    def _short(self, trace: Trace, end: float, record: _Record) -> None:
-        """Steps from sample to sample up to `end`."""
-        for target in record.between(self.time, end):
-            self._steps(trace, target, STEP)
-            record.fill(np.array([self.x]), self.v, trace, self)
-        self._steps(trace, end, STEP)
+    def _fine_step(self) -> float:
+        """A step that follows the growth of speed out of stiction, whose time constant is M by slope [s]."""
+        slope = self.muscle.friction.slope
+        return min(max(LAUNCH, 0.05 * self.mass / slope), STEP) if slope else STEP
+
+    def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
+        """Slide in steps of at most `longest` until `end`, or until it turns, rests or is as fast as `speed`."""
+        way, samples, x, v = self.way, record.before(end), [], []
+        due = 0
+        while self.time < end and self.way == way and way * self.v < speed:
+            sample = samples[due] if due < len(samples) else math.inf
+            if sample <= self.time:
+                x.append(self.x)
+                v.append(self.v)
+                due += 1
+                continue
+            target = min(sample, end)
+            parts = math.ceil((target - self.time) / longest * (1 - 1e-9))
+            self._step(trace, target if parts <= 1 else to_nanosecond(self.time + (target - self.time) / parts))
+        self._fill(record, np.array(x), np.array(v), trace, way)
 
     def _steps(self, trace: Trace, until: float, longest: float) -> None:
         count = int((until - self.time) / longest * (1 - 1e-9)) + 1 if until > self.time else 0
@@ -320,65 +342,3 @@ class Plant:
                 break
             h = left
         self.time = until
-
-
-class _Grid:
-    """Times to look at, from now to the end of a stretch, with the rows that are samples."""
-
-    def __init__(self, t: Array, rows: NDArray[np.intp], samples: Array) -> None:
-        self.t, self.rows, self._samples = t, rows, samples
-
-    def count(self, end: float) -> int:
-        """How many of the samples lie before `end`."""
-        return int(np.searchsorted(self._samples, end))
-
-
-class _Record:
-    """Samples asked for, and how many are done."""
-
-    def __init__(self, t: Array, P_set: Array) -> None:
-        self.t, self.P_set = t, P_set
-        self.x, self.v, self.P, self.F = (np.empty(t.shape) for _ in range(4))
-        self.done = 0
-
-    def between(self, now: float, end: float) -> list[float]:
-        """Samples that are due before `end`."""
-        last = int(np.searchsorted(self.t, end))
-        return [float(moment) for moment in self.t[self.done : last]]
-
-    def grid(self, now: float, end: float) -> _Grid:
-        """The samples before `end` with `now` first and `end` last, filled up where they are far apart."""
-        samples = self.t[self.done : int(np.searchsorted(self.t, end))]
-        times = np.concatenate(([now], samples[samples > now], [end]))
-        if np.diff(times).max() > GAP:
-            even = np.linspace(now, end, int((end - now) / GAP) + 2)
-            times = np.union1d(times, even)
-        return _Grid(times, np.searchsorted(times, samples), samples)
-
-    def fill(self, x: Array, v: Array | float, trace: Trace, plant: Plant) -> None:
-        """The next len(x) samples: contraction, speed, and what follows from them."""
-        rows = slice(self.done, self.done + len(x))
-        P = trace.values(self.t[rows])
-        self.x[rows], self.v[rows], self.P[rows] = x, v, P
-        self.F[rows] = _cell(plant, P, x, self.v[rows])
-        self.done += len(x)
-
-    def motion(self) -> Motion:
-        """All samples."""
-        return Motion(self.t, self.x, self.v, self.P, self.F, self.P_set, np.zeros(self.t.shape))
-
-
-def _cell(plant: Plant, P: Array, x: Array, v: Array) -> Array:
-    """Force at the fixed end [N]; see the physics above."""
-    muscle, force, way = plant.muscle, plant.force, plant.way
-    pull = muscle.pull(P, x)
-    if way:
-        return np.asarray(pull - muscle.damping(P, way * np.abs(v)) * v - way * muscle.friction.values(np.abs(v)))
-    if plant.x <= 0:
-        return np.minimum(pull, force)
-    if plant.x >= muscle.stop:
-        return np.maximum(pull, force)
-    return np.full(P.shape, force)
-
-
-_NOTHING = Motion(*(np.empty(0) for _ in range(7)))

@@ -228,4 +228,4 @@ class Regulated:
 
         if beyond_at(low) >= 0:
             return high
-        return float(brentq(beyond_at, low, high, xtol=1e-10))
+        return max(to_nanosecond(float(brentq(beyond_at, low, high, xtol=1e-10))), to_nanosecond(t + 1e-9))

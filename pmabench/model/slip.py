@@ -1,7 +1,8 @@
 """A sliding muscle with its load: the equation of motion for LSODA, and one implicit step; knows no rest and no stops.
 
-Both solve M x'' = F_ce(P) - K(P) x - B(P) x' - friction - F_L for motion in one direction: the damping of that
-direction and the friction are carried smoothly beyond x' = 0, so that whoever calls can find the turning point.
+Both solve M x'' = F_ce(P) - K(P) x - B(P) x' - friction - F_L for motion in one direction; the damping of that
+direction goes on beyond x' = 0, so that whoever calls can find the turning point. Speeds at which the friction falls
+with speed are for `glide` only: nothing grows faster there than a stiff solver's errors.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from pmabench.model.curve import Array
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.regulator import Trace
 
-RELATIVE = 1e-6
-ABSOLUTE = 1e-9
-"""Error tolerances of LSODA, per step, of contraction [m] and speed [m/s]."""
+RELATIVE = 1e-7
+ABSOLUTE = 5e-9
+TIME = 0.01
+"""Error tolerances of LSODA per step, absolute in contraction [m] and in speed times `TIME` [s]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
 
@@ -28,39 +30,42 @@ State = np.ndarray[tuple[int], np.dtype[np.float64]]
 def equation(
     muscle: Muscle, trace: Trace, way: int, force: float, mass: float, t: float
 ) -> Callable[[State, float], State]:
-    """Right-hand side (x', x'') over (x [m], v [m/s]) and s = t - trace.start [s], for motion towards `way` (+1, -1).
+    """Right-hand side over (x [m], x' TIME [m]) and s = t - trace.start [s], for motion towards `way` (+1, -1).
 
+    Friction is F_c throughout: only sliding faster than the knee of the friction is meant.
     `force` F_L [N] and `mass` M [kg] of the load; pressure follows `trace` [Pa], to be used from `t` [s] on: once it
     is within a thousandth of a pascal of its end value it counts as constant.
     """
     f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
     damping = (muscle.B_c if way > 0 else muscle.B_r).function()
-    friction = muscle.friction
-    f_s, f_c, slope, knee = friction.F_s, friction.F_c, friction.slope, friction.knee
-    start, level, decay, lag = trace.start, trace.level, trace.decay, trace.lag
+    hold = force + way * muscle.friction.F_c
+    level, ramp, decay, lag = trace.level, trace.slope, trace.decay, trace.lag
+    omega, sin_part, cos_part = trace.omega, trace.sin_part, trace.cos_part
     result = np.empty(2)
-    exp = math.exp
+    scale = TIME / mass
+    exp, sin, cos = math.exp, math.sin, math.cos
 
     def steady(y: State, since: float) -> State:
-        x, v = y.tolist()
-        u = way * v
-        resist = f_c if u >= knee else f_s if u <= 0 else f_s - slope * u
+        x, w = y.tolist()
+        v = w / TIME
         result[0] = v
-        result[1] = (pull - K * x - B * v - way * resist) / mass
+        result[1] = (pull - K * x - B * v) * scale
         return result
 
     def moving(y: State, since: float) -> State:
-        x, v = y.tolist()
-        P = level + decay * exp(-since / lag) if settling else trace.value(start + since)
-        u = way * v
-        resist = f_c if u >= knee else f_s if u <= 0 else f_s - slope * u
+        x, w = y.tolist()
+        v = w / TIME
+        P = level + ramp * since
+        if decay:
+            P += decay * exp(-since / lag)
+        if omega:
+            P += sin_part * sin(omega * since) + cos_part * cos(omega * since)
         result[0] = v
-        result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - way * resist - force) / mass
+        result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
         return result
 
-    settling = trace.slope == 0 and trace.omega == 0
-    if settling and abs(trace.value(t) - level) < SETTLED_PRESSURE:
-        pull, K, B = f_ce(level) - force, stiffness(level), damping(level)
+    if ramp == 0 and omega == 0 and abs(trace.value(t) - level) < SETTLED_PRESSURE:
+        pull, K, B = f_ce(level) - hold, stiffness(level), damping(level)
         return steady
     return moving
 
@@ -68,16 +73,11 @@ def equation(
 def slide(
     muscle: Muscle, trace: Trace, way: int, load: tuple[float, float], state: tuple[float, float], t: Array
 ) -> tuple[Array, Array]:
-    """Contraction [m] and speed [m/s] at times t [s], from `state` (x, v) at t[0] on; `load` is (F_L [N], M [kg])."""
-    y = odeint(
-        equation(muscle, trace, way, *load, float(t[0])),
-        state,
-        t - trace.start,
-        rtol=RELATIVE,
-        atol=ABSOLUTE,
-        mxstep=100000,
-    )
-    return y[:, 0], y[:, 1]
+    """Contraction [m] and speed [m/s] at times t [s] by LSODA, from `state` (x, v) at t[0] on; `load` is (F_L, M)."""
+    acceleration = equation(muscle, trace, way, *load, float(t[0]))
+    start = (state[0], state[1] * TIME)
+    y = odeint(acceleration, start, t - trace.start, rtol=RELATIVE, atol=ABSOLUTE, mxstep=100000)
+    return y[:, 0], y[:, 1] / TIME
 
 
 def glide(

@@ -1,0 +1,82 @@
+"""What a plant did, sample by sample, and the times at which it is looked at; knows no physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.model.curve import Array
+
+GAP = 0.004
+"""Longest time that is not looked at for a turn of motion [s]."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the plant did at times `t` [s]: all arrays of the same length, SI."""
+
+    t: Array
+    x: Array
+    """Contraction [m]."""
+    v: Array
+    """Its rate [m/s]."""
+    P: Array
+    """Gauge pressure in the muscle [Pa]."""
+    F: Array
+    """Force at the fixed end [N]."""
+    P_set: Array
+    """Pressure commanded, before the dead time [Pa]."""
+    x_set: Array
+    """Position commanded to the free end [m]; 0 where it is free."""
+
+
+NOTHING = Motion(*(np.empty(0) for _ in range(7)))
+
+
+class Grid:
+    """Times to look at, from now to the end of a stretch, with the rows that are samples."""
+
+    def __init__(self, t: Array, rows: NDArray[np.intp], samples: Array) -> None:
+        self.t, self.rows, self._samples = t, rows, samples
+
+    def count(self, end: float) -> int:
+        """How many of the samples lie before `end`."""
+        return int(np.searchsorted(self._samples, end))
+
+
+class Record:
+    """Samples asked for, and how many are done."""
+
+    def __init__(self, t: Array, P_set: Array) -> None:
+        self.t, self.P_set = t, P_set
+        self.x, self.v, self.P, self.F = (np.empty(t.shape) for _ in range(4))
+        self.done = 0
+
+    def before(self, end: float) -> list[float]:
+        """When samples are due before `end`."""
+        return [float(moment) for moment in self.t[self.done : int(np.searchsorted(self.t, end))]]
+
+    def grid(self, now: float, end: float) -> Grid:
+        """The samples before `end` with `now` first and `end` last, filled up where they are far apart."""
+        samples = self.t[self.done : int(np.searchsorted(self.t, end))]
+        times = np.concatenate(([now], samples[samples > now], [end]))
+        if np.diff(times).max() > GAP:
+            even = np.linspace(now, end, int((end - now) / GAP) + 2)
+            times = np.union1d(times, even)
+        return Grid(times, np.searchsorted(times, samples), samples)
+
+    def due(self, count: int) -> Array:
+        """When the next samples are due."""
+        return self.t[self.done : self.done + count]
+
+    def fill(self, x: Array, v: Array | float, P: Array, F: Array) -> None:
+        """The next len(x) samples."""
+        rows = slice(self.done, self.done + len(x))
+        self.x[rows], self.v[rows], self.P[rows], self.F[rows] = x, v, P, F
+        self.done += len(x)
+
+    def motion(self) -> Motion:
+        """All samples."""
+        return Motion(self.t, self.x, self.v, self.P, self.F, self.P_set, np.zeros(self.t.shape))
