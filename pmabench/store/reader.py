@@ -196,13 +196,15 @@ def _in_si(table: Any, about: Mapping[str, Any], clocks: list[Mapping[str, Any]]
         if clock.get("stream") == about["stream"]:
             t = time_ns / 1e9 * (1.0 + float(clock.get("drift") or 0.0)) + float(clock.get("offset") or 0.0)
     infos = {column["name"]: _info(column) for column in about["columns"]}
+    with np.errstate(all="ignore"):  # an imported file may hold any bits
+        channels = {name: values * infos[name].slope + infos[name].offset for name, values in columns.items()}
     return Samples(
         rate=float(about.get("rate") or 0.0),
         time_ns=time_ns,
         t=t,
         raw=columns,
         raw_units={column["name"]: str(column.get("raw_unit", "")) for column in about["columns"]},
-        channels={name: values * infos[name].slope + infos[name].offset for name, values in columns.items()},
+        channels=channels,
         infos=infos,
         flags=flags,
         whole=whole,

@@ -1,7 +1,7 @@
 """Writes one run: the folder before anything moves, samples and events while it runs, the seal at its end.
 
-Samples wait in memory for at most a tenth of a second of wall clock; a thread of the writer hands them to the operating
-system and syncs them. It must not know plans, trials' meaning or SI values.
+Samples wait in memory for at most a twentieth of a second of wall clock; a thread of the writer hands them to the
+operating system and syncs them. It must not know plans, what trials mean, or SI values.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
@@ -32,7 +32,7 @@ from pmabench.store.naming import check_name
 from pmabench.store.readme import README_TEXT
 from pmabench.store.seal import seal
 
-FLUSH_EVERY = 0.1
+FLUSH_EVERY = 0.05
 """Samples go to the operating system after so long [s of wall clock]."""
 SYNC_EVERY = 1.0
 """Samples and events are synced after so long [s of wall clock]."""
@@ -146,16 +146,19 @@ class RunWriter:
             self._seq += 1
             self._last_t = max(self._last_t, float(t))
             self._lines.append(line)
-            path = self._events.path
-            try:
-                for stream in self._streams.values() if kind in _SAMPLES_FIRST else ():
-                    path = stream.file.path
-                    stream.drain()
-                path = self._events.path
-                self._events.write(b"".join(self._lines))
+            for stream in self._streams.values() if kind in _SAMPLES_FIRST else ():
+                self._try(stream.file.path, stream.drain)
+            if self._try(self._events.path, lambda: self._events.write(b"".join(self._lines))):
                 self._lines.clear()
-            except OSError as error:
-                self._failure = self._failure or cannot_write(path, error)
+
+    def _try(self, path: Path, act: Callable[[], None]) -> bool:
+        """Whether `act` could write `path`; the first failure of a run is the one that is told."""
+        try:
+            act()
+        except OSError as error:
+            self._failure = self._failure or cannot_write(path, error)
+            return False
+        return True
 
     def _check(self) -> None:
         if self._failure is not None:

@@ -1,0 +1,231 @@
+"""Import maps as strict models: what people write about an old file, checked by itself; reads no data."""
+
+from __future__ import annotations
+
+import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
+
+Reading = Annotated[tuple[float, str], BeforeValidator(raw_quantity)]
+"""A number with its unit, kept apart."""
+Text = Annotated[str, Field(max_length=600)]
+Short = Annotated[str, Field(min_length=1, max_length=120)]
+
+Role = Literal[
+    "time",
+    "pressure",
+    "displacement",
+    "force",
+    "pressure_command",
+    "displacement_command",
+    "supply",
+    "phase",
+    "ignore",
+]
+PointName = Literal["contraction", "load", "mass", "pressure", "frequency"]
+
+
+class Layout(Strict):
+    """How the text is laid out; pandas guesses none of it."""
+
+    delimiter: Literal["comma", "semicolon", "tab", "blank", "bar"]
+    """`blank`: any run of blanks and tabs."""
+    header: Literal["first line", "none"]
+    names: Annotated[list[Short], Field(max_length=200)] = []
+    """Names of the columns in order, where the file does not give them."""
+    decimal: Literal["point", "comma"] = "point"
+    encoding: Literal["utf-8", "latin-1", "utf-16"] = "utf-8"
+    blank_lines: Literal["refuse", "skip"] = "refuse"
+    comment: Annotated[str, Field(min_length=1, max_length=8)] | None = None
+    """Lines that begin so are left out."""
+    skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Lines before the header, or before the data."""
+    missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
+    """Texts that stand for "no value"; nothing else may."""
+
+    @model_validator(mode="after")
+    def _names(self) -> Layout:
+        if (self.header == "none") != bool(self.names):
+            raise ValueError('"header: none" needs "names", and "header: first line" has them already')
+        if len(set(self.names)) != len(self.names):
+            raise ValueError("two columns have the same name")
+        if self.delimiter == "comma" and self.decimal == "comma":
+            raise ValueError("comma cannot be delimiter and decimal sign at once")
+        return self
+
+
+class Line(Strict):
+    """A straight line: value = slope x reading + offset."""
+
+    slope: Reading
+    """For instance `0.683 N/count`."""
+    offset: Reading
+
+
+class Contraction(Strict):
+    """How a displacement sensor tells contraction, which is positive when the muscle shortens."""
+
+    reading: Literal["falls", "rises"]
+    """What the reading does while the muscle shortens."""
+    zero: Reading
+    """The reading at no contraction."""
+
+
+class ColumnFile(Strict):
+    """What one column is, and how its numbers become SI."""
+
+    is_: Annotated[Role, Field(alias="is")]
+    unit: Short = ""
+    """Unit of the raw reading: `mA`, `count`, `ms`, `kPa` ..."""
+    points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)] | None = None
+    line: Line | None = None
+    recorded_with: Line | None = None
+    """The file does not hold the reading but what somebody made of it with this line; it is turned back first."""
+    whole: bool = False
+    """The reading is a whole number of counts."""
+    contraction: Contraction | None = None
+    range: tuple[Reading, Reading] | None = None
+    dropout: Reading | None = None
+    """What a cut wire reads."""
+    blip: Reading | None = None
+    """Nonsense where a single sample between two others reads so."""
+    stale_after: Time | None = None
+    late_by: tuple[Time, Time] = (0.0, 0.0)
+    """How much older a value may be than its time stamp, least and most."""
+    expanded_uncertainty: Reading | None = None
+    gain_uncertainty: Ratio = 0.0
+    reference: Text = ""
+    """Where the scale comes from."""
+    marks: Annotated[dict[Short, Annotated[int, Field(ge=-1000, le=1000)]], Field(max_length=20)] = {}
+    """Of a phase column: name of the phase -> its number."""
+    optional: bool = False
+    """Absent in some files."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> ColumnFile:
+        measured = self.is_ not in {"time", "phase", "ignore"}
+        if self.points is not None and self.line is not None:
+            raise ValueError('give "points" or "line", not both')
+        if (measured or self.is_ == "time") and not self.unit:
+            raise ValueError(f'"{self.is_}" needs "unit", the unit of its raw reading')
+        if (self.is_ == "phase") != bool(self.marks):
+            raise ValueError('"is: phase" and "marks" belong together')
+        if self.contraction is not None and self.is_ != "displacement":
+            raise ValueError('"contraction" stands with "is: displacement" only')
+        given = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip"} & self.model_fields_set
+        if not measured and given:
+            raise ValueError(f'"{self.is_}" takes no "{min(given)}"')
+        if self.late_by[0] > self.late_by[1]:
+            raise ValueError('"late_by" is [least, most]')
+        return self
+
+
+def _column(value: Any) -> Any:
+    return {"is": "ignore"} if value == "ignore" else value
+
+
+class NameFile(Strict):
+    """What the file's or the folder's name tells, as forms with {placeholders} for numbers; `*` is any text."""
+
+    of: Literal["file", "folder"] = "file"
+    forms: Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(min_length=1, max_length=20)]
+    decimal: Literal["point", "comma"] = "point"
+    units: dict[PointName, Short] = {}
+    otherwise: dict[PointName, Reading] = {}
+    """Values where the form that fits does not hold the placeholder."""
+
+
+class Sampling(Strict):
+    """What the time stamps should look like."""
+
+    rate: tuple[Frequency, Frequency]
+    gap: Time
+    """Samples further apart have others missing between them."""
+    leap: Time = 60.0
+    """Further apart than this the clock itself leapt."""
+
+
+class Trials(Strict):
+    """How a file is cut into trials."""
+
+    by: Literal["file", "step", "gap"]
+    """The whole file, every step of the command, or between gaps in time."""
+    smallest: Pressure | None = None
+    """Smallest change of the commanded pressure that is a step."""
+    lead: Time = 0.0
+    """A trial begins so long before its step."""
+    longer_than: Time | None = None
+    """Shortest gap that parts two trials."""
+    point: dict[PointName, Reading] = {}
+    phases: Annotated[dict[Short, Time], Field(max_length=20)] = {}
+    """Name of each phase -> when it begins, where no column marks it."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Trials:
+        if self.by == "step" and self.smallest is None:
+            raise ValueError('"by: step" needs "smallest", for instance "10 kPa"')
+        if (self.by == "gap") != (self.longer_than is not None):
+            raise ValueError('"by: gap" and "longer_than" belong together')
+        return self
+
+
+class SpecimenText(Strict):
+    """What is known of the muscle."""
+
+    make: Text = ""
+    type: Text
+    serial: Text = "unknown"
+    nominal_length: Length | None = None
+    inner_diameter: Length | None = None
+
+
+class AnalysisRule(Strict):
+    """Which samples enter the fit, written down before anyone looks at the result."""
+
+    force_above: Force = 0.0
+    also_at: Annotated[list[Force], Field(max_length=20)] = []
+    """Other thresholds, shown beside it."""
+    phases: Annotated[list[Short], Field(max_length=20)] = []
+    """Empty: all."""
+    why: Text = ""
+
+
+class MapFile(Strict):
+    """The map of one layout of old files."""
+
+    schema_: Annotated[Literal["pmabench.map/1"], Field(alias="schema")]
+    name: Text
+    source: Text
+    """Who recorded such files, and where they are to be found."""
+    kind: Literal["isometric", "recorded-step", "recorded-sine", "recorded-pull"]
+    bench: Text = ""
+    recorded: datetime.date | None = None
+    """Day of the recording, where the name of the file does not tell."""
+    file: Layout
+    columns: Annotated[dict[Short, Annotated[ColumnFile, BeforeValidator(_column)]], Field(max_length=200)]
+    name_tells: NameFile | None = None
+    notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
+    """File beside it that holds notes, `*` is any text."""
+    sampling: Sampling
+    trials: Trials
+    siblings: dict[Literal["pressure", "displacement", "force", "supply"], Ratio] = {}
+    """How far the peak of a file may lie from those of other files at the same point."""
+    specimen: SpecimenText
+    analysis: AnalysisRule = AnalysisRule()
+
+    @model_validator(mode="after")
+    def _roles(self) -> MapFile:
+        roles = [column.is_ for column in self.columns.values() if column.is_ != "ignore"]
+        twice = sorted({role for role in roles if roles.count(role) > 1})
+        if twice:
+            raise ValueError(f'two columns are "{twice[0]}"')
+        for role in ("time", "pressure"):
+            if role not in roles:
+                raise ValueError(f'no column is "{role}"')
+        if self.trials.by == "step" and "pressure_command" not in roles:
+            raise ValueError('"by: step" needs a column that is "pressure_command"')
+        return self

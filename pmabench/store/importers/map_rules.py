@@ -1,0 +1,359 @@
+"""An import map as plain SI rules: scales, ranges, limits and names resolved, every mistake with its place.
+
+Reads the map and nothing else; knows no data.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
+from pmabench.files.document import Document, Location, read_document, validate
+from pmabench.files.quantity import unit_factor
+from pmabench.store.importers.map_file import AnalysisRule, ColumnFile, Layout, Line, MapFile, Trials
+
+POINT_QUANTITY = {
+    "contraction": "length",
+    "load": "force",
+    "mass": "mass",
+    "pressure": "pressure",
+    "frequency": "frequency",
+}
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
+_SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
+
+
+@dataclass(frozen=True)
+class ColumnRule:
+    """One column: raw reading = (number in the file - back[1]) / back[0]; SI = slope x raw + offset."""
+
+    column: str
+    role: str
+    raw_unit: str = ""
+    slope: float = 1.0
+    offset: float = 0.0
+    back: tuple[float, float] = (1.0, 0.0)
+    whole: bool = False
+    low: float = -inf
+    high: float = inf
+    dropout: float | None = None
+    """Raw reading of a cut wire."""
+    blip: float | None = None
+    stale_after: float | None = None
+    late_by: tuple[float, float] = (0.0, 0.0)
+    optional: bool = False
+    marks: Mapping[float, str] = field(default_factory=dict)
+    calibration: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def quantity(self) -> str:
+        """Key of `QUANTITIES`."""
+        return CHANNEL_QUANTITY[self.role]
+
+    def record(self, whole: bool) -> dict[str, Any]:
+        """The column as `RunWriter.open_stream` wants it; `whole`: stored as int32 counts."""
+        return {
+            "name": self.role,
+            "quantity": self.quantity,
+            "device": "imported",
+            "input": self.column,
+            "raw_type": "int32" if whole else "float64",
+            "raw_unit": self.raw_unit,
+            "scale": {"slope": self.slope, "offset": self.offset},
+            "low": None if self.low == -inf else self.low,
+            "high": None if self.high == inf else self.high,
+            "reference": "gauge",
+            "calibration": dict(self.calibration),
+        }
+
+
+@dataclass(frozen=True)
+class NameRule:
+    """What a name tells: forms as patterns that cannot hang, and the factors of their numbers to SI."""
+
+    of: str
+    forms: tuple[re.Pattern[str], ...]
+    comma: bool
+    factors: Mapping[str, float]
+    otherwise: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class ImportMap:
+    """A map, ready to use."""
+
+    path: str
+    texts: Mapping[str, str]
+    name: str
+    source: str
+    kind: str
+    bench: str
+    recorded: str
+    layout: Layout
+    columns: tuple[ColumnRule, ...]
+    """Without those that are ignored."""
+    ignored: tuple[str, ...]
+    name_rule: NameRule | None
+    notes: str | None
+    rate: tuple[float, float]
+    gap: float
+    leap: float
+    trials: Trials
+    point: Mapping[str, float]
+    siblings: Mapping[str, float]
+    specimen: Mapping[str, Any]
+    analysis: AnalysisRule
+
+    def column(self, role: str) -> ColumnRule | None:
+        """The column with a role, where there is one."""
+        return next((column for column in self.columns if column.role == role), None)
+
+
+def read_map(path: Path) -> ImportMap:
+    """Read a map file; raises InvalidFile with every mistake at file:line:column."""
+    document = read_document(path)
+    return _Rules(document, validate(MapFile, document)).build()
+
+
+class _Rules:
+    """Turns one validated map into rules and gathers what is wrong with it."""
+
+    def __init__(self, document: Document, file: MapFile) -> None:
+        self.document, self.file = document, file
+        self.problems: list[Problem] = []
+
+    def fault(self, location: Location, message: str) -> None:
+        self.problems.append(self.document.problem(location, message))
+
+    def si(self, reading: tuple[float, str], quantity: str, location: Location) -> float:
+        try:
+            return reading[0] * factor_of(reading[1], quantity)
+        except ValueError as error:
+            self.fault(location, str(error))
+            return 0.0
+
+    def build(self) -> ImportMap:
+        file = self.file
+        if file.file.names:
+            for name in file.columns:
+                if name not in file.file.names:
+                    self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, file.file.names)}')
+        columns = [self.column(name, c) for name, c in file.columns.items() if c.is_ != "ignore"]
+        phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
+        for index, phase in enumerate(file.analysis.phases):
+            if phase not in phases:
+                self.fault(("analysis", "phases", index), f'no phase is called "{phase}"{did_you_mean(phase, phases)}')
+        if file.sampling.rate[0] > file.sampling.rate[1]:
+            self.fault(("sampling", "rate"), "is [least, most]")
+        for channel in file.siblings:
+            if channel not in {column.role for column in columns}:
+                self.fault(("siblings", channel), f'no column is "{channel}"')
+        built = ImportMap(
+            path=self.document.path,
+            texts=dict(self.document.texts),
+            name=file.name,
+            source=file.source,
+            kind=file.kind,
+            bench=file.bench,
+            recorded=file.recorded.isoformat() if file.recorded else "",
+            layout=file.file,
+            columns=tuple(columns),
+            ignored=tuple(name for name, column in file.columns.items() if column.is_ == "ignore"),
+            name_rule=self.name_rule(),
+            notes=file.notes,
+            rate=file.sampling.rate,
+            gap=file.sampling.gap,
+            leap=file.sampling.leap,
+            trials=file.trials,
+            point={
+                name: self.si(reading, POINT_QUANTITY[name], ("trials", "point", name))
+                for name, reading in file.trials.point.items()
+            },
+            siblings=file.siblings,
+            specimen=file.specimen.model_dump(mode="json"),
+            analysis=file.analysis,
+        )
+        if self.problems:
+            raise InvalidFile(self.problems)
+        return built
+
+    def column(self, name: str, file: ColumnFile) -> ColumnRule:
+        at: Location = ("columns", name)
+        if file.is_ == "phase":
+            return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ == "time":
+            slope = self.si((1.0, file.unit), "time", (*at, "unit"))
+            return ColumnRule(name, "time", file.unit, slope, optional=False)
+        quantity = CHANNEL_QUANTITY[file.is_]
+        slope, offset, bend = self.scale(file, quantity, at)
+        if slope == 0:
+            self.fault(at, "has a scale of slope 0: every reading would be the same")
+            slope = 1.0
+        if file.contraction is not None:
+            zero = self.raw(file.contraction.zero, file.unit, (*at, "contraction", "zero"))
+            slope = abs(slope) * (-1.0 if file.contraction.reading == "falls" else 1.0)
+            offset = -slope * zero
+        uncertainty = 0.0
+        if file.expanded_uncertainty is not None:
+            uncertainty = self.si(file.expanded_uncertainty, quantity, (*at, "expanded_uncertainty"))
+        if bend > uncertainty:
+            self.fault(
+                (*at, "points"),
+                f"bend away from a straight line by {show(bend, quantity, 3)}, more than expanded_uncertainty",
+            )
+        limits = (-inf, inf)
+        if file.range is not None:
+            ends = [
+                self.limit(end, file.unit, quantity, slope, offset, (*at, "range", i))
+                for i, end in enumerate(file.range)
+            ]
+            limits = (min(ends), max(ends))
+        return ColumnRule(
+            column=name,
+            role=file.is_,
+            raw_unit=file.unit,
+            slope=slope,
+            offset=offset,
+            back=self.back(file, at),
+            whole=file.whole,
+            low=limits[0],
+            high=limits[1],
+            dropout=None if file.dropout is None else self.raw(file.dropout, file.unit, (*at, "dropout")),
+            blip=None if file.blip is None else self.raw(file.blip, file.unit, (*at, "blip")),
+            stale_after=file.stale_after,
+            late_by=file.late_by,
+            optional=file.optional,
+            calibration={
+                "id": f"{Path(self.document.path).name}: {name}",
+                "reference": file.reference,
+                "date": "",
+                "valid_until": "",
+                "offset_uncertainty": uncertainty,
+                "gain_uncertainty": file.gain_uncertainty,
+                "sensor_lag": 0.0,
+                "sha256": "",
+            },
+        )
+
+    def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
+        """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""
+        if file.line is not None:
+            slope = self.per(file.line.slope, file.unit, (*at, "line", "slope"))
+            si = (self.si((slope[0], slope[1]), quantity, (*at, "line", "slope"))) if slope[1] else 0.0
+            return si, self.si(file.line.offset, quantity, (*at, "line", "offset")), 0.0
+        if file.points is None:
+            return self.si((1.0, file.unit), quantity, (*at, "unit")), 0.0, 0.0
+        raw = [self.raw(p[0], file.unit, (*at, "points", i, 0)) for i, p in enumerate(file.points)]
+        value = [self.si(p[1], quantity, (*at, "points", i, 1)) for i, p in enumerate(file.points)]
+        if len(set(raw)) < 2:
+            self.fault((*at, "points"), "need two different readings")
+            return 1.0, 0.0, 0.0
+        mean = sum(raw) / len(raw)
+        slope_si, middle = np.polyfit(np.array(raw) - mean, value, 1)
+        offset = float(middle - slope_si * mean)
+        bend = float(np.abs(np.array(raw) * slope_si + offset - value).max())
+        return float(slope_si), offset, 0.0 if bend < 1e-9 * max(map(abs, value)) else bend
+
+    def raw(self, reading: tuple[float, str], unit: str, at: Location) -> float:
+        if reading[1] != unit:
+            self.fault(at, f'is a reading in {unit}, not in {reading[1]}; write for instance "{reading[0]:g} {unit}"')
+        return reading[0]
+
+    def per(self, slope: tuple[float, str], unit: str, at: Location) -> tuple[float, str]:
+        """Number and upper unit of `0.683 N/count`."""
+        upper, _, lower = slope[1].rpartition("/")
+        if lower.strip() != unit or not upper:
+            self.fault(at, f'is so much per {unit}, for instance "0.683 N/{unit}"')
+            return slope[0], ""
+        return slope[0], upper.strip()
+
+    def back(self, file: ColumnFile, at: Location) -> tuple[float, float]:
+        if file.recorded_with is None:
+            return (1.0, 0.0)
+        line: Line = file.recorded_with
+        slope, unit = self.per(line.slope, file.unit, (*at, "recorded_with", "slope"))
+        if unit and line.offset[1] != unit:
+            self.fault((*at, "recorded_with", "offset"), f"is in {unit}, as the slope is, not in {line.offset[1]}")
+        if slope == 0:
+            self.fault((*at, "recorded_with", "slope"), "of 0 cannot be turned back")
+            slope = 1.0
+        return (slope, line.offset[0])
+
+    def limit(
+        self, reading: tuple[float, str], unit: str, quantity: str, slope: float, offset: float, at: Location
+    ) -> float:
+        """An end of the range [SI], given in the raw unit or in a unit of the quantity."""
+        if reading[1] == unit:
+            return slope * reading[0] + offset
+        return self.si(reading, quantity, at)
+
+    def name_rule(self) -> NameRule | None:
+        file = self.file.name_tells
+        if file is None:
+            return None
+        used: set[str] = set()
+        forms = []
+        for index, form in enumerate(file.forms):
+            try:
+                forms.append(form_pattern(form, file.decimal == "comma", used))
+            except ValueError as error:
+                self.fault(("name_tells", "forms", index), str(error))
+        factors: dict[str, float] = {}
+        for name in sorted(used - set(_SPECIAL)):
+            if name not in file.units:
+                self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
+        for unit_of, unit in file.units.items():
+            factors[unit_of] = self.si((1.0, unit), POINT_QUANTITY[unit_of], ("name_tells", "units", unit_of))
+        otherwise = {
+            name: self.si(reading, POINT_QUANTITY[name], ("name_tells", "otherwise", name))
+            for name, reading in file.otherwise.items()
+        }
+        return NameRule(file.of, tuple(forms), file.decimal == "comma", factors, otherwise)
+
+
+def factor_of(unit: str, quantity: str) -> float:
+    """SI units in one `unit`; a frequency may also be given in rad/s, which is no Hz."""
+    if quantity == "frequency" and unit.replace(" ", "") in {"rad/s", "1/s"}:
+        if unit.startswith("1"):
+            raise ValueError('"1/s" may mean Hz or rad/s; write which')
+        return 1.0 / (2.0 * pi)
+    return unit_factor(unit, quantity)
+
+
+def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
+    """`Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`. At most two `*`.
+
+    Between two placeholders some other text must stand, so that matching takes a time that is bounded.
+    """
+    number = r"[+-]?\d{1,9}(?:[,.]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:\.\d{1,9})?"
+    parts: list[str] = []
+    here: set[str] = set()
+    end, stars = 0, 0
+    for match in _PLACEHOLDER.finditer(form):
+        if match.start() == end and end > 0:
+            raise ValueError("between two placeholders some text must stand")
+        parts.append(re.escape(form[end : match.start()]))
+        end = match.end()
+        if match[2]:
+            stars += 1
+            parts.append(".*")
+            continue
+        name = match[1]
+        if name not in POINT_QUANTITY and name not in _SPECIAL:
+            raise ValueError(f'unknown placeholder "{name}"{did_you_mean(name, [*POINT_QUANTITY, *_SPECIAL])}')
+        if name in here:
+            raise ValueError(f'"{{{name}}}" stands twice')
+        here.add(name)
+        parts.append(f"(?P<{name}>{_SPECIAL.get(name, number)})")
+    if stars > 2:
+        raise ValueError('at most two "*"')
+    used |= here
+    return re.compile("".join(parts) + re.escape(form[end:]))

@@ -1,0 +1,225 @@
+"""Reads columns of numbers from text with a layout that is given: nothing is guessed; knows no channels.
+
+Rows are checked for their number of fields and characters before pandas turns them into numbers, because it fills
+short rows and takes words for numbers without a word.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.store.importers.map_file import Layout
+from pmabench.store.records import Array
+
+MAX_BYTES = 200_000_000
+CHUNK = 100_000
+"""Rows that pandas turns into numbers at a time."""
+SHOWN = 10
+"""Faulty rows that are told of one file."""
+_DELIMITER = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
+_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?\s*")
+_PLAIN = frozenset("0123456789+-.eE \t")
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Columns of one file."""
+
+    path: Path
+    sha256: str
+    content: bytes
+    columns: dict[str, Array]
+    """Name -> numbers, shape (n,); NaN where the file says that there is none."""
+    lines: NDArray[np.int64]
+    """Line in the file of each row, from 1."""
+    cut_end: bool
+    """The last row has no line end: its last number may be cut."""
+
+
+def read_table(path: Path, layout: Layout, wanted: Sequence[str], optional: Sequence[str] = ()) -> TextTable:
+    """The `wanted` columns of a text file as numbers, and those of `optional` that it has.
+
+    Raises InvalidFile, at file:line where there is one, for what is empty, binary, cut off, of another layout, lacks a
+    column or holds no number where one should stand.
+    """
+    content = _content(path)
+    text = _decoded(path, content, layout.encoding)
+    kept, lines = _kept(path, text, layout)
+    names, first = _names(path, kept, lines, layout, optional)
+    wanted = [*wanted, *(name for name in optional if name in names)]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise InvalidFile(
+            Problem(str(path), lines[0], 1, f'has no column "{name}"{did_you_mean(name, names)}') for name in missing
+        )
+    body, numbers = kept[first:], lines[first:]
+    if not body:
+        raise invalid(path, "holds a header and no data", lines[0] if lines else 0, 1)
+    _rectangular(path, body, numbers, layout, names)
+    used = {name: names.index(name) for name in wanted}
+    _only_numbers(path, body, numbers, layout, used)
+    return TextTable(
+        path=path,
+        sha256=hashlib.sha256(content).hexdigest(),
+        content=content,
+        columns=_numbers(path, body, layout, names, wanted),
+        lines=np.array(numbers, dtype=np.int64),
+        cut_end=not text.endswith("\n"),
+    )
+
+
+def _content(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise invalid(path, "is not a file" if path.exists() else "there is no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise invalid(path, f"is larger than {MAX_BYTES // 1_000_000} MB; import it in parts")
+        content = path.read_bytes()
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    if not content.strip():
+        raise invalid(path, "is empty")
+    return content
+
+
+def _decoded(path: Path, content: bytes, encoding: str) -> str:
+    if encoding != "utf-16" and b"\0" in content:
+        raise invalid(path, f"is binary, not text (a zero at byte {content.index(0)})")
+    try:
+        text = content.decode("utf-8-sig" if encoding == "utf-8" else encoding)
+    except UnicodeError as error:
+        where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
+        raise invalid(path, f"is not text in {encoding}{where}; say the right encoding, or it is binary") from error
+    return text.replace("\r\n", "\n")
+
+
+def _kept(path: Path, text: str, layout: Layout) -> tuple[list[str], list[int]]:
+    """Lines that count and their numbers, without comments, skipped and blank lines."""
+    kept: list[str] = []
+    lines: list[int] = []
+    all_lines = text.removesuffix("\n").split("\n")
+    for number, line in enumerate(all_lines, 1):
+        if number <= layout.skip_lines or (layout.comment and line.lstrip().startswith(layout.comment)):
+            continue
+        if not line.strip():
+            if layout.blank_lines == "refuse":
+                raise invalid(path, 'the line is blank; if that is usual say "blank_lines: skip"', number, 1)
+            continue
+        kept.append(line)
+        lines.append(number)
+    if not kept:
+        raise invalid(path, "holds no data: all lines are blank, skipped or comments")
+    return kept, lines
+
+
+def _split(line: str, layout: Layout) -> list[str]:
+    return line.split() if layout.delimiter == "blank" else line.split(_DELIMITER[layout.delimiter])
+
+
+def _names(
+    path: Path, kept: list[str], lines: list[int], layout: Layout, optional: Sequence[str]
+) -> tuple[list[str], int]:
+    """Names of the columns of this file in order, and the index of the first row."""
+    if layout.header == "first line":
+        names = [field.strip().strip('"') for field in _split(kept[0], layout)]
+        if len(set(names)) < len(names):
+            raise invalid(path, "two columns have the same name", lines[0], 1)
+        return names, 1
+    names, count = list(layout.names), len(_split(kept[0], layout))
+    while len(names) > count and names[-1] in optional:
+        names.pop()
+    return names, 0
+
+
+def _rectangular(path: Path, body: list[str], numbers: list[int], layout: Layout, names: list[str]) -> None:
+    """Every row has as many fields as there are names."""
+    expected = len(names)
+    if layout.delimiter == "blank":
+        counts = [len(line.split()) for line in body]
+    else:
+        mark = _DELIMITER[layout.delimiter]
+        counts = [line.count(mark) + 1 for line in body]
+    wrong = [index for index, count in enumerate(counts) if count != expected]
+    if not wrong:
+        return
+    if wrong == [len(body) - 1]:
+        message = f"the last row is cut off: {counts[-1]} of {expected} columns"
+        raise invalid(path, message, numbers[-1], 1)
+    if len(wrong) == len(body) and set(counts) == {1}:
+        message = f"is not delimited by {layout.delimiter}: the whole line is one column, {expected} are expected"
+        raise invalid(path, message, numbers[0], 1)
+    raise InvalidFile(
+        Problem(str(path), numbers[index], 1, f"has {counts[index]} columns, {expected} are expected")
+        for index in wrong[:SHOWN]
+    )
+
+
+def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layout, used: dict[str, int]) -> None:
+    """Every used field is a number or one of the texts for "no value"; a quick look first, then field by field."""
+    allowed = _PLAIN | {_DELIMITER.get(layout.delimiter, " ")}
+    if layout.decimal == "comma":
+        allowed = (allowed - {"."}) | {","}
+    plain = not layout.missing and all(allowed.issuperset(line) for line in body)
+    problems: list[Problem] = []
+    comma = layout.decimal == "comma"
+    for line, number in zip(body, numbers, strict=True):
+        fields = _split(line, layout)
+        for name, index in used.items():
+            field = fields[index]
+            if field.strip() in layout.missing:
+                continue
+            text = field
+            if comma:
+                text = "?" if "." in field else field.replace(",", ".")
+            if _NUMBER.fullmatch(text) is None:
+                column = 1 + sum(len(f) + 1 for f in fields[:index])
+                shown = field.strip()[:40]
+                problems.append(Problem(str(path), number, column, f'"{shown}" is no number, in column "{name}"'))
+        if len(problems) >= SHOWN:
+            break
+        if plain and number - numbers[0] > 1000:
+            break
+    if problems:
+        raise InvalidFile(problems)
+
+
+def _numbers(path: Path, body: list[str], layout: Layout, names: list[str], wanted: Sequence[str]) -> dict[str, Array]:
+    """The columns, a chunk of rows at a time."""
+    parts: list[pd.DataFrame] = []
+    try:
+        reader = pd.read_csv(
+            io.StringIO("\n".join(body) + "\n"),
+            sep=r"\s+" if layout.delimiter == "blank" else _DELIMITER[layout.delimiter],
+            header=None,
+            names=names,
+            index_col=False,
+            usecols=list(wanted),
+            dtype=np.float64,
+            decimal="," if layout.decimal == "comma" else ".",
+            quoting=3,
+            keep_default_na=False,
+            na_values=list(layout.missing),
+            float_precision="round_trip",
+            engine="c",
+            chunksize=CHUNK,
+        )
+        with reader:
+            parts.extend(reader)
+    except (ValueError, pd.errors.ParserError) as error:
+        raise invalid(path, f"cannot be read as numbers: {' '.join(str(error).split())[:200]}") from error
+    table = pd.concat(parts)
+    columns = {name: table[name].to_numpy(dtype=np.float64) for name in wanted}
+    for name, values in columns.items():
+        if len(values) != len(body) or np.isinf(values).any() or (np.isnan(values).any() and not layout.missing):
+            raise invalid(path, f'column "{name}" holds what is no finite number')
+    return columns
