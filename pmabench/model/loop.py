@@ -195,13 +195,13 @@ def margins(loop: Loop, controller: Controller) -> Margins:
 def overshoot(loop: Loop, controller: Controller) -> float:
     """Overshoot [1] of the displacement after a set-point step, as a fraction of its final value.
 
-    Simulated for 12 T_u at T_u/200: the plant's lags by their exact discrete equivalent, the error in all three terms
+    Simulated for 12 T_u at T_u/400: the plant's lags by their exact discrete equivalent, the error in all three terms
     of the controller. An unstable loop overshoots without end.
     """
     if not margins(loop, controller).stable:
         return inf
     period = ultimate(loop).period
-    h = period / 200
+    h = period / 400
     waiting = max(1, round(loop.dead_time / h))
     h = loop.dead_time / waiting if loop.dead_time > 0 else h
     den = np.array([1.0 + 0j])
