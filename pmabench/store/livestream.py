@@ -160,7 +160,9 @@ class LiveStream:
 
     def _build(self, columns: Mapping[str, NDArray[Any]], end: int = 0) -> None:
         count = len(columns[TIME])
-        batch = pa.record_batch([pa.array(column) for column in columns.values()], schema=self._schema)
+        # `pa.array` would import pandas
+        arrays = [pa.Array.from_buffers(f.type, count, [None, pa.py_buffer(columns[f.name])]) for f in self._schema]
+        batch = pa.RecordBatch.from_arrays(arrays, schema=self._schema)
         rows = self.rows + count
         crc = zlib.crc32(b"%d %d %d" % (self._seq, rows, end), self._head)
         for column in columns.values():

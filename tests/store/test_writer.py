@@ -290,6 +290,34 @@ def test_a_dead_run_is_closed_as_interrupted_with_all_that_is_whole(tmp_path):
     assert verify(folder) == []
 
 
+class _Died(BaseException):
+    """The program ends here."""
+
+
+@pytest.mark.parametrize(
+    "place", ["archive._digest", "seal.span_of", "seal.decode", "seal.sha256_of", "folder.write_whole"]
+)
+def test_a_program_that_dies_while_it_closes_loses_nothing(tmp_path, monkeypatch, place):
+    writer = begin(tmp_path)
+    record(writer)
+
+    def die_here(*_):
+        raise _Died
+
+    monkeypatch.setattr(f"pmabench.store.{place}", die_here)
+    with pytest.raises(_Died):
+        writer.close("finished")
+    monkeypatch.undo()
+    (writer.folder / "streams" / ".daq.parquet.part").write_bytes(b"half")
+    _forget_writer(writer.folder / "manifest.json")
+    run = open_run(writer.folder)
+    assert run.status == "interrupted"
+    assert [len(trial.t) for trial in run.trials] == [1000, 1000]
+    close_interrupted(writer.folder)
+    assert verify(writer.folder) == []
+    assert read_stream(writer.folder, raw=True)["pressure"].tolist() == block(0, 2000)[1]["pressure"].tolist()
+
+
 def _forget_writer(path):
     from pmabench.store.folder import sealed_json
 
