@@ -12,7 +12,7 @@ from typing import Any
 
 from pmabench.store.arrow import pa, pq
 from pmabench.store.folder import sync_folder
-from pmabench.store.livestream import LiveReader, about_stream
+from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 
 GROUP = 500_000
 """Rows of a row group."""
@@ -93,7 +93,7 @@ def _digest(table: Any) -> bytes:
     digest = hashlib.sha256()
     for column in table.columns:
         for chunk in column.chunks:
-            digest.update(chunk.to_numpy())
+            digest.update(raw_bytes(chunk))
     return digest.digest()
 
 

@@ -197,7 +197,9 @@ def _in_si(table: Any, about: Mapping[str, Any], clocks: list[Mapping[str, Any]]
             t = time_ns / 1e9 * (1.0 + float(clock.get("drift") or 0.0)) + float(clock.get("offset") or 0.0)
     infos = {column["name"]: _info(column) for column in about["columns"]}
     with np.errstate(all="ignore"):  # an imported file may hold any bits
-        channels = {name: values * infos[name].slope + infos[name].offset for name, values in columns.items()}
+        channels = {name: values * infos[name].slope for name, values in columns.items()}
+        for name, values in channels.items():
+            values += infos[name].offset
     return Samples(
         rate=float(about.get("rate") or 0.0),
         time_ns=time_ns,
