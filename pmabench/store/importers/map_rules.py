@@ -146,6 +146,9 @@ class _Rules:
             for name in file.columns:
                 if name not in file.file.names:
                     self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, file.file.names)}')
+            for index, name in enumerate(file.file.names):
+                if name not in file.columns:
+                    self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
         columns = [self.column(name, c) for name, c in file.columns.items() if c.is_ != "ignore"]
         phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
         for index, phase in enumerate(file.analysis.phases):
@@ -177,7 +180,7 @@ class _Rules:
                 name: self.si(reading, POINT_QUANTITY[name], ("trials", "point", name))
                 for name, reading in file.trials.point.items()
             },
-            siblings=file.siblings,
+            siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
         )
@@ -312,7 +315,7 @@ class _Rules:
                 self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
         for unit_of, unit in file.units.items():
             factors[unit_of] = self.si((1.0, unit), POINT_QUANTITY[unit_of], ("name_tells", "units", unit_of))
-        otherwise = {
+        otherwise: dict[str, float] = {
             name: self.si(reading, POINT_QUANTITY[name], ("name_tells", "otherwise", name))
             for name, reading in file.otherwise.items()
         }

@@ -46,11 +46,13 @@ class TextTable:
     """The last row has no line end: its last number may be cut."""
 
 
-def read_table(path: Path, layout: Layout, wanted: Sequence[str], optional: Sequence[str] = ()) -> TextTable:
+def read_table(
+    path: Path, layout: Layout, wanted: Sequence[str], optional: Sequence[str] = (), ignored: Sequence[str] = ()
+) -> TextTable:
     """The `wanted` columns of a text file as numbers, and those of `optional` that it has.
 
-    Raises InvalidFile, at file:line where there is one, for what is empty, binary, cut off, of another layout, lacks a
-    column or holds no number where one should stand.
+    It may hold those of `ignored` too, and no others. Raises InvalidFile, at file:line where there is one, for what is
+    empty, binary, cut off, of another layout, lacks a column or holds no number where one should stand.
     """
     content = _content(path)
     text = _decoded(path, content, layout.encoding)
@@ -58,21 +60,35 @@ def read_table(path: Path, layout: Layout, wanted: Sequence[str], optional: Sequ
     names, first = _names(path, kept, lines, layout, optional)
     wanted = [*wanted, *(name for name in optional if name in names)]
     missing = [name for name in wanted if name not in names]
-    if missing:
+    known = [*wanted, *ignored]
+    strange = [name for name in names if name not in known]
+    if missing or strange:
         raise InvalidFile(
-            Problem(str(path), lines[0], 1, f'has no column "{name}"{did_you_mean(name, names)}') for name in missing
+            [
+                *(Problem(str(path), lines[0], 1, f'has no column "{n}"{did_you_mean(n, names)}') for n in missing),
+                *(
+                    Problem(str(path), lines[0], 1, f'the map does not say what column "{n}" is')
+                    for n in strange[:SHOWN]
+                ),
+            ]
         )
     body, numbers = kept[first:], lines[first:]
     if not body:
         raise invalid(path, "holds a header and no data", lines[0] if lines else 0, 1)
     _rectangular(path, body, numbers, layout, names)
     used = {name: names.index(name) for name in wanted}
-    _only_numbers(path, body, numbers, layout, used)
+    if not _looks_plain(body, layout):
+        _only_numbers(path, body, numbers, layout, used)
+    try:
+        columns = _numbers(path, body, layout, names, wanted)
+    except InvalidFile:
+        _only_numbers(path, body, numbers, layout, used)
+        raise
     return TextTable(
         path=path,
         sha256=hashlib.sha256(content).hexdigest(),
         content=content,
-        columns=_numbers(path, body, layout, names, wanted),
+        columns=columns,
         lines=np.array(numbers, dtype=np.int64),
         cut_end=not text.endswith("\n"),
     )
@@ -164,14 +180,17 @@ def _rectangular(path: Path, body: list[str], numbers: list[int], layout: Layout
     )
 
 
-def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layout, used: dict[str, int]) -> None:
-    """Every used field is a number or one of the texts for "no value"; a quick look first, then field by field."""
+def _looks_plain(body: list[str], layout: Layout) -> bool:
+    """Nothing but characters of numbers stands anywhere; words that pandas takes for numbers cannot hide then."""
     allowed = _PLAIN | {_DELIMITER.get(layout.delimiter, " ")}
     if layout.decimal == "comma":
         allowed = (allowed - {"."}) | {","}
-    plain = not layout.missing and all(allowed.issuperset(line) for line in body)
+    return not layout.missing and all(allowed.issuperset(line) for line in body)
+
+
+def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layout, used: dict[str, int]) -> None:
+    """Raises where a used field is neither a number nor one of the texts for "no value"."""
     problems: list[Problem] = []
-    comma = layout.decimal == "comma"
     for line, number in zip(body, numbers, strict=True):
         fields = _split(line, layout)
         for name, index in used.items():
@@ -179,15 +198,13 @@ def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layou
             if field.strip() in layout.missing:
                 continue
             text = field
-            if comma:
+            if layout.decimal == "comma":
                 text = "?" if "." in field else field.replace(",", ".")
             if _NUMBER.fullmatch(text) is None:
                 column = 1 + sum(len(f) + 1 for f in fields[:index])
                 shown = field.strip()[:40]
                 problems.append(Problem(str(path), number, column, f'"{shown}" is no number, in column "{name}"'))
         if len(problems) >= SHOWN:
-            break
-        if plain and number - numbers[0] > 1000:
             break
     if problems:
         raise InvalidFile(problems)
@@ -209,7 +226,6 @@ def _numbers(path: Path, body: list[str], layout: Layout, names: list[str], want
             quoting=3,
             keep_default_na=False,
             na_values=list(layout.missing),
-            float_precision="round_trip",
             engine="c",
             chunksize=CHUNK,
         )

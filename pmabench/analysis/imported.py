@@ -1,0 +1,78 @@
+"""What runs made of old files say beside their samples: the rule written beforehand, time skew, what was found wrong.
+
+Knows the manifest of imports; no reduction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Finding
+from pmabench.store.records import Flag, RunData, TrialData
+
+LEVELS = ("fault", "doubt", "note")
+
+
+def import_of(run: RunData) -> Mapping[str, Any]:
+    """What the importer wrote into the manifest; empty for runs of a bench."""
+    told = run.manifest.get("imported")
+    return told if isinstance(told, Mapping) else {}
+
+
+def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[str, Any], list[Finding]]:
+    """The analysis rule of the map, options before it; a doubt where the maps of these runs disagree."""
+    rules = [dict(import_of(run).get("analysis") or {}) for run in runs]
+    findings: list[Finding] = []
+    if any(rule != rules[0] for rule in rules):
+        findings.append(Finding("doubt", "the runs were imported with different analysis rules; the first one counts"))
+    rule = {**(rules[0] if rules else {}), **options}
+    changed = sorted(name for name in options if rules and rules[0].get(name) != options[name])
+    if changed and rules[0]:
+        findings.append(Finding("note", f"not the rule that the map gives: changed by options: {', '.join(changed)}"))
+    return rule, findings
+
+
+def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
+    """How much older a channel's values are than their time stamps, least and most [s]; None where it is not told."""
+    told = (import_of(run).get("late_by") or {}).get(channel)
+    return None if told is None else (float(told[0]), float(told[1]))
+
+
+def import_findings(runs: Sequence[RunData]) -> list[Finding]:
+    """What was found wrong with the files: faults and doubts of each, notes counted by kind over all of them."""
+    findings: list[Finding] = []
+    notes: dict[str, list[Mapping[str, Any]]] = {}
+    for run in runs:
+        for found in import_of(run).get("findings") or ():
+            if found.get("level") == "note":
+                notes.setdefault(str(found.get("kind")), []).append(found)
+            else:
+                name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
+                findings.append(Finding(str(found.get("level", "doubt")), f"{name}: {found.get('text', '')}"))
+    for kind, group in sorted(notes.items()):
+        more = f" (and {len(group) - 1} more of this kind)" if len(group) > 1 else ""
+        findings.append(Finding("note", f"import, {kind}: {group[0].get('text', '')}{more}"))
+    return sorted(findings, key=lambda finding: LEVELS.index(finding.level) if finding.level in LEVELS else 0)
+
+
+def unusable_because(trial: TrialData) -> str:
+    """Which flags keep samples of a trial from use, with counts, for instance `29000 suspect, 3 dropout`."""
+    counts = {
+        str(flag.name).lower(): int(np.count_nonzero(trial.flags & np.uint16(flag)))
+        for flag in Flag
+        if flag and flag not in {Flag.LATE, Flag.SLACK}
+    }
+    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return told or "none"
+
+
+def flagged_counts(runs: Sequence[RunData]) -> dict[str, int]:
+    """Number of flagged samples by flag over all runs."""
+    counts: dict[str, int] = {}
+    for run in runs:
+        for name, count in (import_of(run).get("flagged") or {}).items():
+            counts[str(name)] = counts.get(str(name), 0) + int(count)
+    return counts
