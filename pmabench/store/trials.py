@@ -33,16 +33,18 @@ def cut_trials(
     """The trials of a run in order; `t` [s], each of `channels` [SI] and `flags` have shape (n,).
 
     A trial without an end is `interrupted`, and so is one that claims to be finished after `recorded_until` [s], where
-    the samples of a dead run end.
+    the samples of a dead run end. A sample at which one trial ends and the next begins belongs to the first of them.
     """
     ordered = bool(np.all(t[1:] >= t[:-1])) if len(t) > 1 else True
     trials = []
+    before, taken = -np.inf, 0
     for cut in _cuts(events):
         end = np.inf if cut.end is None else cut.end
         part: Any
         if ordered:
-            first, last = np.searchsorted(t, [cut.begin - _SLACK, end + _SLACK])
-            part = slice(first, last)
+            first, last = (int(at) for at in np.searchsorted(t, [cut.begin - _SLACK, end + _SLACK]))
+            part = slice(max(first, taken) if abs(cut.begin - before) <= _SLACK else first, last)
+            before, taken = end, last
         else:
             part = (t >= cut.begin - _SLACK) & (t <= end + _SLACK)
         lost = cut.end is None or (cut.status == "finished" and cut.end > recorded_until)

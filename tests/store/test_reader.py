@@ -84,6 +84,16 @@ def test_a_command_before_its_trial_begins_belongs_to_it_and_a_repeated_trial_st
     assert [(trial.t[0], trial.t[-1]) for trial in trials] == [(0.1, 0.3), (0.5, 0.7)]
 
 
+def test_a_sample_where_one_trial_ends_and_the_next_begins_is_not_counted_twice(tmp_path):
+    writer = begin(tmp_path)
+    for trial in range(3):
+        writer.event("trial-begin", trial * 0.2, trial=trial, point={}, repeat=0, reference=False)
+        writer.event("trial-end", trial * 0.2 + 0.2, trial=trial, status="finished")
+    writer.append("daq", *block(0, 301))
+    trials = open_run(writer.close("finished")).trials
+    assert np.concatenate([trial.t for trial in trials]).tolist() == [k / 500 for k in range(301)]
+
+
 def test_what_is_not_a_number_is_null_in_the_record(tmp_path):
     writer = begin(tmp_path)
     writer.event("found", 0.0, phase="x", result={"K_u": float("nan"), "list": np.array([1.0, np.inf])}, trial=None)

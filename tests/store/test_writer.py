@@ -223,6 +223,18 @@ def test_a_disk_that_fills_up_ends_the_run_and_keeps_what_was_written(tmp_path, 
     assert verify(writer.folder) == []
 
 
+def test_where_not_even_the_seal_can_be_written_the_run_is_that_of_a_dead_writer(tmp_path):
+    writer = begin(tmp_path)
+    record(writer)
+    with _FileSizeLimit(50), pytest.raises(RecordError, match="File too large"):
+        writer.close("finished")
+    assert not (writer.folder / "seal.json").exists()
+    _forget_writer(writer.folder / "manifest.json")
+    assert open_run(writer.folder).status == "interrupted"
+    assert [len(trial.t) for trial in open_run(writer.folder).trials] == [1000, 1000]
+    assert verify(close_interrupted(writer.folder)) == []
+
+
 def test_nothing_is_lost_when_space_comes_back_before_the_end(tmp_path):
     writer = begin(tmp_path)
     sent = []
