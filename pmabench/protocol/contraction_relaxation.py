@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -11,6 +12,8 @@ from pmabench.files.quantity import Load, Pressure, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
+
+MOST_RELAXATIONS = 200
 
 
 class ContractionAxes(Strict):
@@ -81,17 +84,27 @@ class ContractionRelaxation(ProtocolHead):
                 Set("contract", "pressure", pressure),
                 Hold("contract", trial.contract.hold),
             ]
-            if relax.by > 0:
-                target = pressure - relax.by
-                while target > relax.then + 1e-6:
-                    c.steps += [Set("relax", "pressure", target), Hold("relax", relax.hold)]
-                    target -= relax.by
+            for target in self._down(c, pressure):
+                c.steps += [Set("relax", "pressure", target), Hold("relax", relax.hold)]
             c.steps += [
                 Set("vent", "pressure", relax.then),
                 Hold("vent", relax.hold_at_end),
                 Record("vent", False, index),
             ]
         return c.plan("contraction-relaxation", {"contract_hold": trial.contract.hold, "relax_by": relax.by})
+
+    def _down(self, c: Compilation, pressure: float) -> list[float]:
+        """The pressures of the relaxation between the first and the last [Pa]."""
+        relax = self.trial.relax
+        if relax.by <= 0:
+            return []
+        count = (pressure - relax.then) / relax.by
+        if count > MOST_RELAXATIONS:
+            c.fault(
+                ("trial", "relax", "by"), f"makes {count:.0f} steps a trial; at most {MOST_RELAXATIONS} are allowed"
+            )
+            return []
+        return [pressure - step * relax.by for step in range(1, ceil(count - 1e-9))]
 
     def _order(self, points: list[Point]) -> list[tuple[Point, bool]]:
         reference = self.reference_trial

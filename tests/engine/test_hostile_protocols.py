@@ -1,0 +1,195 @@
+"""No generated protocol, valid or hostile, gets a command outside the limits past a recording device (promise S1)."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pmabench.base.errors import PmaError
+from pmabench.bench.compile import mount
+from pmabench.bench.interface import Block, Identity
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+from pmabench.files.document import Document
+from pmabench.protocol.compile import compile_protocol, read_protocol
+from tests.engine.benches import ROOT, SPECIMEN
+
+CASES = int(os.environ.get("PMABENCH_CASES", "500"))
+LOW, HIGH = (
+    {"pressure": -1.0, "displacement": -1e-9},
+    {"pressure": 600e3 * (1 + 1e-6), "displacement": 50e-3 * (1 + 1e-6)},
+)
+SI_PER_UNIT = {"pressure": 1000e3 / 65535, "displacement": 1e-3}
+"""Written out again here: the judge does not use the scales of the bench files."""
+
+
+class Judge:
+    """A device without physics that decodes by itself whatever it is told; its displacement moves at random."""
+
+    told: list[tuple[str, float]] = []
+
+    def __init__(self, device, clock):
+        self.device, self.clock = device, clock
+        self.held = {"pressure": 0.0, "displacement": 0.0}
+        self.random = np.random.default_rng(1)
+        self.start_at, self.rate, self.count = 0.0, 500.0, 0
+
+    def open(self):
+        return Identity("test", "judge", "1", "0", simulated=True)
+
+    def close(self):
+        pass
+
+    def start(self, rate):
+        self.start_at, self.rate, self.count = self.clock.now(), rate, 0
+        return rate
+
+    def collect(self):
+        due = int((self.clock.now() - self.start_at) * self.rate + 1e-6) + 1
+        index = np.arange(self.count, max(due, self.count))
+        self.count = max(due, self.count)
+        n = len(index)
+        si = {
+            "pressure": np.full(n, min(self.held["pressure"] * SI_PER_UNIT["pressure"], 10e3)),
+            "displacement": self.random.uniform(-4e-3, 60e-3, n),
+            "force": np.full(n, 100.0),
+            "pressure_command": np.full(n, self.held["pressure"] * SI_PER_UNIT["pressure"]),
+            "displacement_command": np.full(n, self.held["displacement"] * SI_PER_UNIT["displacement"]),
+        }
+        columns = {c.name: c.scale.to_raw(si[c.name]) for c in self.device.channels}
+        return Block((self.start_at * 1e9 + index * (1e9 / self.rate)).astype(np.int64), columns)
+
+    def stop(self):
+        pass
+
+    def write(self, output, value):
+        self.told.append((output, value * SI_PER_UNIT[output]))
+        self.held[output] = value
+
+    def read_back(self, output):
+        return self.held[output]
+
+    def follow(self, output, segment):
+        unit = SI_PER_UNIT[output]
+        for value in (segment.origin, segment.origin - segment.amplitude, segment.origin + segment.amplitude):
+            self.told.append((output, value * unit))
+        if segment.kind == "ramp":
+            self.told.append((output, segment.target * unit))
+        self.held[output] = segment.target if segment.kind == "ramp" else segment.origin
+
+    def place(self, load):
+        pass
+
+
+def judged(name):
+    made = mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
+    devices = tuple(replace(d, driver=f"{__name__}:Judge") for d in made.bench.devices)
+    return replace(made, bench=replace(made.bench, devices=devices))
+
+
+BENCHES = {"weights": judged("mock"), "actuator": judged("mock-actuator")}
+BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator",
+              "ultimate-gain": "weights"}  # fmt: skip
+
+number = st.one_of(
+    st.floats(0, 700).map(lambda v: f"{v:.6g}"),
+    st.sampled_from(["0", "-1", "599.99999", "600", "600.0001", "1e3", "1e308", "-0.0", "nan", "inf", ".5", "1,5"]),
+)
+pressure = st.builds(
+    lambda n, u: f"{n} {u}", number, st.sampled_from(["kPa", "kPa", "kPa", "bar", "psi", "Pa", "mm", ""])
+)
+length = st.builds(
+    lambda n, u: f"{n} {u}", st.floats(-5, 70).map(lambda v: f"{v:.4g}"), st.sampled_from(["mm", "mm", "cm", "kPa"])
+)
+seconds = st.floats(-0.1, 1.0).map(lambda v: f"{v:.3g} s")
+SETTINGS = {
+    "contraction-relaxation": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=3).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.relax.by": pressure,
+        "trial.relax.then": pressure,
+        "prepare.precondition.pressure": pressure,
+        "trial.contract.hold": seconds,
+    },
+    "static-load": {
+        "trial.search.up_to": pressure,
+        "trial.search.back_off": pressure,
+        "trial.search.rate": st.floats(-1, 400).map(lambda v: f"{v:.4g} kPa/s"),
+        "trial.search.approach_rate": st.floats(-1, 400).map(lambda v: f"{v:.4g} kPa/s"),
+        "trial.search.moved": length,
+    },
+    "sinusoidal-displacement": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.mean": length,
+        "trial.amplitude": length,
+        "sweep.matrix.frequency": st.floats(-1, 30).map(lambda v: f"[{v:.3g} Hz]"),
+    },
+    "ultimate-gain": {
+        "sweep.zip.bias": pressure.map(lambda v: f"[{v}]"),
+        "trial.pressure": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
+        "trial.gain_steps.start": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/mm"),
+        "trial.gain_steps.window": length,
+    },
+}
+SHORT = {
+    "contraction-relaxation": {"sweep.matrix.load": "[6 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "1",
+                               "trial.relax.hold": "0.1 s", "trial.relax.hold_at_end": "0.2 s"},
+    "static-load": {"sweep.matrix.load": "[6 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0"},
+    "sinusoidal-displacement": {"sweep.repeat.count": "1", "trial.at_least": "0 s", "prepare.precondition.cycles": "0"},
+    "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",
+                      "trial.gain_steps.level_time": "0.05 s", "trial.gain_steps.settle": "0.05 s"},
+}  # fmt: skip
+
+
+@st.composite
+def protocols(draw):
+    kind = draw(st.sampled_from(sorted(SETTINGS)))
+    chosen = draw(st.lists(st.sampled_from(sorted(SETTINGS[kind])), max_size=3, unique=True))
+    return kind, [*SHORT[kind].items(), *((name, draw(SETTINGS[kind][name])) for name in chosen)]
+
+
+LONGEST = 300.0
+"""Plans that could take longer [s of bench time] are judged by their envelope only."""
+
+TALLY = {"run": 0, "refused": 0}
+
+
+@settings(max_examples=CASES, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(protocols())
+def test_nothing_outside_the_limits_reaches_the_device(protocol):
+    kind, changes = protocol
+    Judge.told.clear()
+    mounted = BENCHES[BENCHES_OF[kind]]
+    try:
+        document, model = read_protocol(ROOT / "protocols" / f"{kind}.yaml", changes)
+        plan = compile_protocol(document, model, mounted)
+    except PmaError as error:
+        TALLY["refused"] += 1
+        assert "--set" in str(error) or ".yaml:" in str(error), "refused without a place"
+        assert not Judge.told
+        return
+    for output, (low, high) in plan.commands().items():
+        assert LOW[output] <= low <= high <= HIGH[output]
+    if plan.duration()[1] > LONGEST:
+        return
+    TALLY["run"] += 1
+    outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
+    assert outcome.exit_code in {0, 5, 6}, outcome.why
+    for output, value in Judge.told:
+        assert LOW[output] <= value <= HIGH[output], f"{output} was commanded to {value}"
+    assert ("pressure", 0.0) in Judge.told[-3:], "did not vent"
+
+
+def test_the_generator_makes_both_kinds():
+    assert TALLY["run"] > CASES // 10
+    assert TALLY["refused"] > CASES // 10
+
+
+def test_the_judge_would_notice():
+    document = Document("x", "a: 1")
+    assert document.data == {"a": 1}
+    judge = Judge(BENCHES["weights"].bench.devices[0], None)
+    judge.write("pressure", 65535.0)
+    output, value = Judge.told[-1]
+    assert not LOW[output] <= value <= HIGH[output]
