@@ -14,6 +14,10 @@ REDUCTIONS = {
     "contraction-relaxation": "contraction",
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
+    "isometric": "isometric",
+    "recorded-step": "recorded_steps",
+    "recorded-sine": "recorded_sines",
+    "recorded-pull": "recorded_steps",
 }
 """Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
 

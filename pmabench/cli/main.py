@@ -13,6 +13,7 @@ COMMANDS = {
     "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
     "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
     "campaign": ("campaign", "Run several protocols on one specimen, in order."),
+    "import": ("import_", "Make runs of files that other programs recorded, by a column map."),
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
     "report": ("report", "Write the characterisation report as one HTML file."),
     "tune": ("tune", "Controller settings from an ultimate gain and period."),

@@ -10,7 +10,7 @@ import click
 
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map")
 
 
 @click.command(name="schema")

@@ -117,7 +117,7 @@ class Document:
                 del table[known]
 
     def _read(self, text: str) -> dict[str, Any]:
-        yaml = YAML(typ="rt", pure=True)
+        yaml = YAML(typ="safe", pure=True)
         yaml.allow_duplicate_keys = False
         try:
             node = yaml.compose(text)

@@ -129,3 +129,7 @@ def test_any_text_gives_a_model_or_an_invalid_file(text):
         validate(Outer, Document("f", text))
     except InvalidFile as error:
         assert error.problems
+
+
+def test_folded_text_is_one_line_without_marks():
+    assert Document("f", "a: >-\n  one;\n  two\n").data == {"a": "one; two"}

@@ -1,0 +1,54 @@
+"""`pmabench import`: old files of other programs become runs, by a map; what is suspicious is told, never mended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.store.importers.importing import ImportedRun
+
+
+@click.command(name="import")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--map", "map_name", required=True, help="Map file, or the name of a shipped one.")
+@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@common
+def command(ui: Ui, files: tuple[Path, ...], map_name: str, out: Path) -> int | None:
+    """Make one run of each FILE, as the map says; the files themselves are never touched."""
+    from pmabench.files.shipped import find_file
+    from pmabench.store.importers.importing import import_files
+
+    runs = import_files(files, find_file("map", map_name), out)
+    data = {"schema": "pmabench.import/1", "runs": [_plain(run) for run in runs]}
+
+    def human() -> None:
+        for run in runs:
+            flagged = ", ".join(
+                f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count
+            )
+            click.echo(f"{run.source.name}: {run.rows:,} rows, {run.trials} trials; flagged: {flagged or 'nothing'}")
+            for finding in run.findings:
+                if ui.verbose or finding.level != "note":
+                    click.echo(f"  {finding.level}: {finding.text}")
+            click.echo(f"  {run.path}")
+
+    ui.result(data, human)
+    return None
+
+
+def _plain(run: ImportedRun) -> dict[str, Any]:
+    return {
+        "run": str(run.path),
+        "id": run.id,
+        "source": str(run.source),
+        "kind": run.kind,
+        "rows": run.rows,
+        "trials": run.trials,
+        "flagged": dict(run.flagged),
+        "findings": [vars(finding) for finding in run.findings],
+    }
