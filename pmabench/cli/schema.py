@@ -57,6 +57,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
     from pmabench.protocol.compile import kind_class
+    from pmabench.store.importers.map_file import MapFile
 
     if kind == "protocol":
         kinds = tuple(kind_class(name) for name in PROTOCOLS)
@@ -70,5 +71,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "specimen": SpecimenFile,
         "calibration": CalibrationFile,
         "campaign": CampaignFile,
+        "map": MapFile,
     }
     return models[kind].model_json_schema()
