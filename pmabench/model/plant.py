@@ -43,6 +43,8 @@ STEP = 1e-3
 """Longest step of those [s]."""
 LAUNCH = 2.5e-4
 """Step at speeds of stiction [s]: whatever is unstable there is solved exactly within a step, LSODA is lost."""
+REST = 2.0
+"""Longest stretch of rest looked through at once [s]."""
 HORIZON = 1.0
 """Longest stretch integrated at once [s]; less where the motion stops more often, since the rest is thrown away."""
 
@@ -132,11 +134,12 @@ class Plant:
             trace, end = self.supply.piece(self.time)
             end = min(end, until)
             if self.way == 0:
-                self._rest(trace, end, record)
+                self._rest(trace, min(end, to_nanosecond(self.time + REST)), record)
             elif end - self.time <= SHORT:
                 self._stepwise(trace, end, record, STEP, math.inf)
             elif self.way * self.v < self.muscle.friction.knee:
-                self._stepwise(trace, end, record, self._fine_step(), 1.05 * self.muscle.friction.knee)
+                soon = min(end, to_nanosecond(self.time + HORIZON))
+                self._stepwise(trace, soon, record, self._fine_step(), 1.05 * self.muscle.friction.knee)
             else:
                 self._slide(trace, min(end, to_nanosecond(self.time + self._horizon)), record)
         if record.done < len(t):

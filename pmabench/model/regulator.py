@@ -227,5 +227,5 @@ class Regulated:
             return float(beyond(np.array([at]))[0])
 
         if beyond_at(low) >= 0:
-            return high
+            return to_nanosecond(low if low > t else high)
         return max(to_nanosecond(float(brentq(beyond_at, low, high, xtol=1e-10))), to_nanosecond(t + 1e-9))

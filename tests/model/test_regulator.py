@@ -1,0 +1,117 @@
+"""Commands through dead time and lag against closed forms and an independent integration."""
+
+import copy
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pmabench.model.regulator import Regulated, Regulator
+from pmabench.model.signal import constant, ramp, sine
+
+
+def test_a_step_arrives_after_the_dead_time_exactly_at_that_sample():
+    regulated = Regulated(Regulator(dead_time=0.04))
+    regulated.command(constant(1.0, 300e3))
+    t = np.array([1.0, 1.038, 1.04, 1.042])
+    assert regulated.values(t)[0].tolist() == [0, 0, 300e3, 300e3]
+
+
+def test_a_step_through_a_lag_is_an_exponential():
+    regulated = Regulated(Regulator(dead_time=0.04, lag=0.0955))
+    regulated.command(constant(0.0, 400e3))
+    t = np.linspace(0.04, 1, 50)
+    np.testing.assert_allclose(regulated.values(t)[0], 400e3 * (1 - np.exp(-(t - 0.04) / 0.0955)), rtol=1e-12)
+
+
+def test_setpoints_are_those_before_the_dead_time():
+    regulated = Regulated(Regulator(dead_time=0.04), 10.0)
+    regulated.command(constant(1.0, 20.0))
+    regulated.command(ramp(2.0, 20.0, 30.0, 10.0))
+    t = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5])
+    assert regulated.setpoints(t).tolist() == pytest.approx([10, 20, 20, 20, 25, 30, 30])
+    assert [regulated.setpoint(float(s)) for s in t] == pytest.approx([10, 20, 20, 20, 25, 30, 30])
+
+
+def test_a_new_command_ends_the_rest_of_the_old_one():
+    regulated = Regulated(Regulator(dead_time=0.04))
+    regulated.command(ramp(0.0, 0.0, 100.0, 10.0))
+    assert regulated.value(1.0) == pytest.approx(9.6)
+    regulated.command(constant(1.0, 5.0))
+    assert regulated.values(np.array([1.02, 1.04, 20.0]))[0].tolist() == pytest.approx([9.8, 5.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    "regulator",
+    [
+        Regulator(0.04, 0.0955),
+        Regulator(0.0, 0.22),
+        Regulator(0.04, 0.1, vent_ratio=1.5),
+        Regulator(0.04, 0.1, vent_ratio=1.5, dead_band=5.0),
+        Regulator(0.04, 0.1, dead_band=5.0),
+    ],
+)
+def test_ramps_and_sines_agree_with_an_independent_integration(regulator):
+    waves = [
+        (0.5, ramp(0.5, 0.0, 100.0, 80.0)),
+        (2.5, sine(2.5, 100.0, 40.0, 0.7, 2)),
+        (6.0, ramp(6.0, 100.0, 20.0, 100.0)),
+        (7.1, constant(7.1, 60.0)),
+    ]
+    edges = [0.5, 1.75, 2.5, 2.5 + 2 / 0.7, 6.0, 6.8, 7.1]
+
+    def command(t):
+        if t < 0.5:
+            return 0.0
+        if t < 2.5:
+            return min(100.0, 80.0 * (t - 0.5))
+        if t < 2.5 + 2 / 0.7:
+            return 100 + 40 * math.sin(2 * math.pi * 0.7 * (t - 2.5))
+        if t < 6:
+            return 100.0
+        return max(20.0, 100 - 100 * (t - 6)) if t < 7.1 else 60.0
+
+    def rate(t, y):
+        error = command(t - regulator.dead_time) - y[0]
+        if abs(error) <= regulator.dead_band:
+            return [0.0]
+        pull = error - math.copysign(regulator.dead_band, error)
+        return [pull / (regulator.lag * (1 if error > 0 else regulator.vent_ratio))]
+
+    regulated, values, truth, y = Regulated(regulator), [], [], 0.0
+    breaks = [0.0, *(edge + regulator.dead_time for edge in edges), 9.0]
+    for begin, end in itertools.pairwise(breaks):
+        t = np.linspace(begin, end - 1e-6, 40)
+        solution = solve_ivp(rate, (begin, end - 1e-6), [y], t_eval=t, rtol=1e-9, atol=1e-9, max_step=5e-3)
+        truth.append(solution.y[0])
+        y = solution.y[0][-1]
+        for start, wave in list(waves):
+            if start <= begin:
+                regulated.command(wave)
+                waves.remove((start, wave))
+        values.append(regulated.values(t)[0])
+    np.testing.assert_allclose(np.concatenate(values), np.concatenate(truth), atol=2e-4)
+
+
+def test_rates_are_the_slope_of_the_values():
+    regulated = Regulated(Regulator(dead_time=0.0, lag=0.1), 5.0)
+    regulated.command(sine(0.0, 1.0, 2.0, 1.3, 4))
+    t = np.linspace(0.01, 3, 200)
+    before, after = (copy.copy(regulated).values(t + d)[0] for d in (-1e-6, 1e-6))
+    np.testing.assert_allclose(regulated.values(t)[1], (after - before) / 2e-6, atol=1e-5)
+
+
+def test_a_failed_supply_falls_whatever_is_commanded():
+    regulated = Regulated(Regulator(0.04, 0.1), 300e3)
+    regulated.fail(1.0, 0.01)
+    regulated.command(constant(1.0, 500e3))
+    assert regulated.value(1.01) == pytest.approx(300e3 / math.e)
+    assert regulated.value(2.0) == pytest.approx(0, abs=1e-9)
+    assert regulated.setpoint(2.0) == 500e3
+
+
+def test_a_dead_band_needs_a_lag():
+    with pytest.raises(ValueError, match="lag"):
+        Regulator(lag=0.0, dead_band=1.0)
