@@ -1,0 +1,301 @@
+"""Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods side by side.
+
+`measured-pressure` (primary) is the pooled fit of `pooled`, driven by the pressure that was measured;
+`step-exponential` is the papers' way. Knows the samples and the plan's commands; not how the bench is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis import contraction_steps, contraction_view, replay
+from pmabench.analysis.curves import curve
+from pmabench.analysis.intervals import Trust, assess, replay_fits
+from pmabench.analysis.pooled import SYMBOLS, Fit, first_knots, fit
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
+from pmabench.analysis.segments import Gate, Noise, Samples, Segments, cut, noise_seen, samples_of
+from pmabench.base.quantities import show
+from pmabench.store.records import RunData, TrialData
+
+KIND = "contraction-relaxation"
+METHOD = "measured-pressure"
+REPLAYS = 10
+"""Replays of the fitted muscle, for the bias of the estimator and its scatter."""
+WIDE = 0.25
+"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
+FEWEST = 3
+"""Fewest segments near a pressure for a coefficient there."""
+NUMERICS = 2e-4
+"""The method part is no smaller than this share of a coefficient: replays are integrated, too."""
+AFTER = 0.15
+"""Time that a replay goes on after the last segment of a stroke [s]."""
+QUANTITY = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
+
+    runs: tuple[RunData, ...]
+    trials: tuple[TrialData, ...]
+    samples: tuple[Samples, ...]
+    cells: NDArray[np.intp]
+    rate: float
+    cell: bool
+    """A load cell was recorded."""
+    noise: Noise
+
+    def name(self, number: int) -> str:
+        """`run/index` of a trial."""
+        return f"{self.trials[number].run}/{self.trials[number].index}"
+
+    @property
+    def tested(self) -> tuple[float, ...]:
+        """Pressures of the trials [Pa], rising."""
+        return tuple(sorted({trial.point["pressure"] for trial in self.trials}))
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """What the primary method found."""
+
+    segments: Segments
+    fit: Fit
+    expected: float
+    """Noise of a segment [N] that the channels explain."""
+    trust: Trust
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
+
+    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (papers.md 2.1), fitted to all trials at once over short
+    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
+
+    `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
+    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K.
+    """
+    options = options or {}
+    campaign, dropped = _campaign(runs)
+    base = {"kind": KIND, "runs": tuple(run.id for run in runs), "simulated": any(run.simulated for run in runs)}
+    pooled = _pool(campaign, options) if campaign is not None else None
+    if campaign is None or pooled is None:
+        reason = "no trial moves: there is nothing to fit"
+        if campaign is not None:
+            dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
+        facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
+        return Analysis(**base, dropped=tuple(dropped), findings=(Finding("fault", reason),), facts=facts)
+    estimates, curves = _estimates(campaign, pooled)
+    beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
+    dropped += _unmoved(campaign, pooled)
+    traces, free_run = contraction_view.overlays(campaign, pooled)
+    return Analysis(
+        **base,
+        estimates=(*estimates, *beside.estimates),
+        curves=(*curves, *beside.curves),
+        dropped=tuple(dropped),
+        findings=(*contraction_view.findings(campaign, pooled, estimates, free_run), *beside.findings),
+        traces=traces,
+        facts={
+            "options": dict(options),
+            "trials": sum(len(run.trials) for run in runs),
+            **contraction_view.facts(campaign, pooled),
+            "free_run_rms": free_run,
+            "steps": beside.table,
+        },
+    )
+
+
+def _campaign(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
+    """The usable trials; None without one."""
+    dropped: list[Dropped] = []
+    members: list[tuple[RunData, TrialData]] = []
+    for run in runs:
+        for trial in run.trials:
+            reason = _unusable(run, trial, runs[0].rate)
+            if reason:
+                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, reason))
+            else:
+                members.append((run, trial))
+    if not members:
+        return None, dropped
+    samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
+    keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
+    numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
+    return (
+        Campaign(
+            runs=tuple(runs),
+            trials=tuple(trial for _, trial in members),
+            samples=samples,
+            cells=np.array([numbers[key] for key in keys], dtype=np.intp),
+            rate=runs[0].rate,
+            cell=all(s.force is not None for s in samples),
+            noise=noise_seen(samples, [_settled(trial) for _, trial in members]),
+        ),
+        dropped,
+    )
+
+
+def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
+    """Why a trial cannot be used; empty where it can."""
+    if trial.status != "finished":
+        return f"the trial is {trial.status}"
+    for channel in ("pressure", "displacement"):
+        if channel not in trial.channels:
+            return f"the {channel} is not recorded"
+    if "pressure" not in trial.point:
+        return "the trial names no pressure"
+    if abs(run.rate - rate) > 1e-6 * rate:
+        return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
+    if len(trial.t) < 2 or not trial.usable.any():
+        return "no sample is usable"
+    return ""
+
+
+def strokes(trial: TrialData) -> list[slice]:
+    """Rows between one pressure command and the next; the whole trial where commands are not recorded."""
+    times = [c.t for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
+    edges = [int(np.searchsorted(trial.t, t - 1e-9)) for t in times] or [0]
+    return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
+
+
+def _settled(trial: TrialData) -> slice:
+    """The last fifth of the hold at pressure."""
+    first = strokes(trial)[0]
+    return slice(first.stop - max(8, (first.stop - first.start) // 5), first.stop)
+
+
+def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
+    """The pooled fit with its trust; None where nothing moves."""
+    gate = Gate(speed=float(options.get("speed", Gate.speed)))
+    tested = np.array(campaign.tested)
+    commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
+    knots = first_knots(tested, commanded)
+    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+
+    def segments_of(samples: Sequence[Samples]) -> Segments:
+        found = cut(samples, campaign.rate, gate)
+        return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+
+    segments = segments_of(campaign.samples)
+    if len(segments) < 2 * FEWEST:
+        return None
+    solved, expected = fit(segments, knots, campaign.noise)
+    work = replay.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+    again = replay.run(solved, work.P, work.dt, work.load, work.mass, work.x)
+
+    def replayed(seed: int) -> Segments:
+        return segments_of(replay.measured(work, again, campaign.noise, campaign.cell, seed))
+
+    replays = replay_fits(replayed, solved, expected, int(options.get("replays", REPLAYS)))
+    infos = [run.channels for run in campaign.runs]
+    return Pooled(segments, solved, expected, assess(segments, solved, expected, campaign.cells, replays, infos))
+
+
+def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:
+    """The strokes that have segments, each up to a moment after its last one."""
+    pieces = []
+    for number in np.unique(segments.trial):
+        samples, trial = campaign.samples[number], campaign.trials[number]
+        begins = np.searchsorted(samples.t, segments.t[segments.trial == number])
+        for rows in strokes(trial):
+            mine = begins[(begins >= rows.start) & (begins < rows.stop)]
+            if len(mine):
+                stop = int(mine.max()) + segments.v.shape[1] + round(AFTER * campaign.rate)
+                pieces.append((samples, slice(rows.start, min(rows.stop, stop))))
+    return pieces
+
+
+def _estimates(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+    """The primary method's coefficients at the tested pressures, and curves through them."""
+    estimates: list[Estimate] = []
+    curves: list[Curve] = []
+    for symbol in SYMBOLS:
+        found = [_estimate(campaign, pooled, symbol, P) for P in campaign.tested]
+        estimates += found
+        known = [e for e in found if e.value is not None]
+        places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
+        for order in ORDERS[symbol]:
+            through = curve(known, order, pooled.trust, places)
+            if through is not None:
+                curves.append(through)
+    estimates.append(_friction(campaign, pooled))
+    return estimates, curves
+
+
+def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Estimate:
+    """One coefficient at one pressure [Pa], or why there is none."""
+    solved, segments = pooled.fit, pooled.segments
+    knot = solved.at(P)
+    near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(np.delete(solved.knots, knot) - P)))
+    if symbol in ("B_c", "B_r"):
+        near &= (segments.way > 0) == (symbol == "B_c")
+    numbers = np.unique(segments.trial[near])
+    unit, quantity = QUANTITY[symbol]
+    base: dict[str, Any] = {
+        "symbol": symbol,
+        "unit": unit,
+        "quantity": quantity,
+        "method": METHOD,
+        "at": {"pressure": P},
+        "n": len(numbers),
+        "trials": tuple(campaign.name(int(number)) for number in numbers),
+    }
+    moving = {"B_c": "contracting", "B_r": "relaxing"}.get(symbol, "moving")
+    if near.sum() < FEWEST:
+        return Estimate(value=None, note=f"not identifiable: no {moving} samples near this pressure", **base)
+    combination = np.zeros(len(solved.theta))
+    combination[solved.index(symbol, knot)] = 1.0
+    value = float(combination @ solved.theta)
+    parts, bias = pooled.trust.parts(combination, NUMERICS * abs(value))
+    start = solved.index(symbol)
+    size = float(np.median(np.abs(solved.theta[start : start + len(solved.knots)])))
+    if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
+        note = f"not identifiable: the {moving} samples near this pressure leave it open"
+        return Estimate(value=None, note=note, **base)
+    return Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, **base)
+
+
+def _friction(campaign: Campaign, pooled: Pooled) -> Estimate:
+    """F_c over the whole campaign."""
+    numbers = np.unique(pooled.segments.trial)
+    base: dict[str, Any] = {
+        "symbol": "F_c",
+        "unit": "N",
+        "quantity": "force",
+        "method": METHOD,
+        "n": len(numbers),
+        "trials": tuple(campaign.name(int(number)) for number in numbers),
+    }
+    if not pooled.fit.friction:
+        note = "not identifiable: the samples move one way only, and F_ce carries the friction"
+        return Estimate(value=None, note=note, **base)
+    combination = np.zeros(len(pooled.fit.theta))
+    combination[-1] = 1.0
+    parts, bias = pooled.trust.parts(combination)
+    return Estimate(value=pooled.fit.F_c - bias, parts=parts, bias=bias, corrected=True, **base)
+
+
+def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:
+    """Trials without a segment, and why: the load is more than the muscle lifts, or it moves too little."""
+    used = set(pooled.segments.trial.tolist())
+    dropped = []
+    for number, trial in enumerate(campaign.trials):
+        if number in used:
+            continue
+        samples = campaign.samples[number]
+        P, load = trial.point["pressure"], trial.point.get("load", 0.0)
+        pull = float(pooled.fit.values("F_ce", np.array([P]))[0])
+        if load >= pull:
+            reason = f"the load, {show(load, 'force', 4)}, is not below F_ce = {show(pull, 'force', 4)}"
+        else:
+            moved = float(np.max(samples.x[samples.ok])) - float(np.min(samples.x[samples.ok]))
+            reason = f"too little motion: {show(moved, 'length', 3)} with F_ce - F_L = {show(pull - load, 'force', 3)}"
+        dropped.append(Dropped(campaign.name(number), trial.point, reason))
+    return dropped

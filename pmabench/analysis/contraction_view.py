@@ -1,0 +1,136 @@
+"""What is said and shown of the pooled fit of contraction-relaxation runs: findings, facts, overlays; no estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pmabench.analysis import replay
+from pmabench.analysis.results import Estimate, Finding, Trace
+from pmabench.base.quantities import show
+from pmabench.store.records import Array
+
+if TYPE_CHECKING:
+    from pmabench.analysis.contraction import Campaign, Pooled
+
+MISFIT = 3.0
+"""A residual this many times larger than the channels' noise explains puts the model's form in doubt."""
+UNEVEN = 2.0
+"""Variance between trials by that of noise, from which on it is said that trials differ."""
+SHOWN = 6
+LONGEST_TRACE = 1500
+COARSE = 4
+"""A free run steps over this many samples."""
+
+
+def facts(campaign: Campaign, pooled: Pooled) -> dict[str, Any]:
+    """Numbers behind the fit, SI."""
+    used = np.unique(pooled.segments.trial)
+    return {
+        "trials_used": len(used),
+        "cells": len(np.unique(campaign.cells)),
+        "cells_used": len(np.unique(campaign.cells[used])),
+        "segments": len(pooled.segments),
+        "residual_rms": pooled.fit.rms,
+        "expected_rms": pooled.expected,
+        "knots": [float(P) for P in pooled.fit.knots],
+        "noise": {
+            "pressure": campaign.noise.pressure,
+            "displacement": campaign.noise.displacement,
+            "force": campaign.noise.force,
+        },
+        "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
+        "load_cell": campaign.cell,
+    }
+
+
+def findings(
+    campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], free_run: float | None
+) -> list[Finding]:
+    """Adequacy of the model, what could not be identified, and how trials scatter."""
+    rms, expected = pooled.fit.rms, pooled.expected
+    size = f"residual {show(rms, 'force', 2)} rms over {len(pooled.segments)} segments"
+    if rms > MISFIT * expected:
+        text = (
+            f"{size}, {rms / expected:.2g} times what the noise explains ({show(expected, 'force', 2)}): the model does"
+            " not have the form of this muscle, the pressure is not that inside it, or trials differ by themselves"
+        )
+        lines = [Finding("doubt", text)]
+    else:
+        lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
+    if free_run is not None:
+        lines.append(
+            Finding(
+                "note", f"free run of the fitted muscle with the measured pressure: {show(free_run, 'length', 2)} rms"
+            )
+        )
+    if not campaign.cell:
+        lines.append(Finding("note", "no load cell: F_L is the weight, with the inertia of the moving mass"))
+    if not pooled.fit.friction:
+        lines.append(Finding("doubt", "all samples move one way: F_ce carries the friction"))
+    for symbol in ("F_ce", "K", "B_c", "B_r"):
+        none = [e.at["pressure"] for e in estimates if e.symbol == symbol and e.value is None]
+        if none:
+            places = ", ".join(show(P, "pressure", 4) for P in none)
+            lines.append(Finding("note", f"{symbol} is not identifiable at {places}"))
+    trust = pooled.trust
+    uneven = [symbol for symbol, value in trust.excess.items() if value > UNEVEN]
+    if uneven:
+        between = "repeats of a cell scatter" if trust.within else "trials scatter about the fit"
+        lines.append(Finding("note", f"{between} more than the noise explains ({', '.join(uneven)}); intervals follow"))
+    if not trust.within:
+        lines.append(
+            Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
+        )
+    return lines
+
+
+def overlays(campaign: Campaign, pooled: Pooled) -> tuple[tuple[Trace, ...], float | None]:
+    """Measured and modelled contraction of some trials, run freely from rest, and the root mean square error [m]."""
+    used = np.unique(pooled.segments.trial)
+    ordered = sorted(used.tolist(), key=lambda i: (campaign.trials[i].point["pressure"], campaign.samples[i].load, i))
+    picks = list(dict.fromkeys(ordered[round(i)] for i in np.linspace(0, len(ordered) - 1, SHOWN)))
+    picks = [i for i in picks if campaign.samples[i].ok.all()]
+    if not picks:
+        return (), None
+    whole = [(campaign.samples[i], slice(0, len(campaign.samples[i].t))) for i in picks]
+    work = replay.stretches(whole, 1 / campaign.rate, 1)
+    P = _thinned(work.P)
+    run = replay.run(pooled.fit, P, COARSE * work.dt, work.load, work.mass, work.x, substeps=1)
+    traces = []
+    power, count = 0.0, 0
+    for column, i in enumerate(picks):
+        samples, trial = campaign.samples[i], campaign.trials[i]
+        rows = np.arange(0, len(samples.t), COARSE)
+        model, x = run.x[: len(rows), column], samples.x[rows]
+        power += float(np.sum((model - x) ** 2))
+        count += len(rows)
+        stride = -(-len(rows) // LONGEST_TRACE)
+        P_trial = trial.point["pressure"]
+        traces.append(
+            Trace(
+                name=f"overlay-{P_trial / 1e3:.0f}kPa-{samples.load:.0f}N-{i}",
+                figure="overlay",
+                title=f"{show(P_trial, 'pressure', 4)}, {show(samples.load, 'force', 4)}: measured and fitted muscle",
+                columns={
+                    "t": (samples.t[rows] - samples.t[0])[::stride],
+                    "pressure": P[: len(rows), column][::stride],
+                    "displacement": x[::stride],
+                    "model": model[::stride],
+                },
+                quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
+                marks={"pressure": P_trial, "load": samples.load},
+            )
+        )
+    return tuple(traces), sqrt(power / count)
+
+
+def _thinned(P: Array) -> Array:
+    """Every `COARSE`-th row, as the mean of the rows around it."""
+    sums = np.cumsum(np.vstack([np.zeros((1, P.shape[1])), P]), axis=0)
+    rows = np.arange(0, len(P), COARSE)
+    first, last = np.maximum(0, rows - COARSE // 2), np.minimum(len(P), rows + COARSE // 2 + 1)
+    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])

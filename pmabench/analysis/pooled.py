@@ -1,0 +1,207 @@
+"""The pooled fit: one least squares over all segments of a campaign; knows no trial, no interval, no protocol.
+
+    F_L = F_ce(P) - K(P) x - B(P) x' - F_c sign(x'),   B = B_c contracting, B_r relaxing
+
+(papers.md 2.1 with Coulomb friction), every coefficient a polygon over pressure: its values at knots, with straight
+lines between. Linear in all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.segments import Noise, Segments
+from pmabench.store.records import Array
+
+SYMBOLS = ("F_ce", "K", "B_c", "B_r")
+BEND = 0.2
+"""How far a knot may lie off the line between its neighbours, as a share of the coefficient's size: a weak prior
+(one standard deviation) that counts only where the samples say next to nothing."""
+EXCESS = 1.5
+"""A stretch between knots gets one more knot where its mean square residual is this many times that of the noise."""
+GAIN = 0.03
+"""Least relative fall of the sum of squares for which one more knot is kept."""
+MOST_KNOTS = 8
+"""Most knots that are added."""
+FLOOR = 1e-4
+"""Least noise, as a share of the typical force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A solved fit. `theta` (p,) holds F_ce [N], K [N/m], B_c, B_r [N.s/m] at the `knots` [Pa], then F_c [N]."""
+
+    knots: Array
+    theta: Array
+    inverse: Array
+    """Inverse of the normal matrix, shape (p, p); times the squared noise it is the covariance."""
+    design: Array
+    residual: Array
+    """[N], one per segment."""
+    friction: bool
+    """False: all segments go one way, and F_c cannot be told from F_ce."""
+
+    def index(self, symbol: str, knot: int = 0) -> int:
+        """Place of a coefficient in `theta`."""
+        return SYMBOLS.index(symbol) * len(self.knots) + knot if symbol in SYMBOLS else len(self.theta) - 1
+
+    def at(self, P: float) -> int:
+        """Number of the knot at pressure P [Pa]."""
+        return int(np.argmin(np.abs(self.knots - P)))
+
+    def values(self, symbol: str, P: Array) -> Array:
+        """A coefficient [SI] at pressures P [Pa] of any shape."""
+        k = len(self.knots)
+        start = self.index(symbol)
+        left, share = place(P, self.knots)
+        values = self.theta[start : start + k]
+        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+
+    @property
+    def F_c(self) -> float:
+        """Coulomb friction [N], 0 where it cannot be told."""
+        return float(self.theta[-1]) if self.friction else 0.0
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square residual [N], with the degrees of freedom that the fit took."""
+        free = max(1.0, len(self.residual) - float(np.sum(self.design @ self.inverse * self.design)))
+        return float(np.sqrt(self.residual @ self.residual / free))
+
+
+def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
+    """Left neighbour among the knots, and the way to the right one as a share; lines go on beyond the ends."""
+    left = np.clip(np.searchsorted(knots, P, side="right") - 1, 0, len(knots) - 2)
+    return left, (P - knots[left]) / (knots[left + 1] - knots[left])
+
+
+def spread(P: Array, by: Array, knots: Array) -> Array:
+    """Sums over the second axis of hat functions at P (n, w) times `by` (n, w); shape (n, len(knots))."""
+    left, share = place(P, knots)
+    n, k = len(P), len(knots)
+    rows = np.arange(n)[:, None] * k + left
+    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), n * k)
+    total += np.bincount(rows.ravel() + 1, (by * share).ravel(), n * k)
+    return total.reshape(n, k)
+
+
+def design_of(segments: Segments, knots: Array) -> Array:
+    """Regressors, shape (n, 4 k + 1), in the order of `Fit.theta`."""
+    weights = np.broadcast_to(segments.weights, segments.P.shape)
+    damping = spread(segments.P_mid, segments.v / segments.v.shape[1], knots)
+    contracting = segments.way[:, None] > 0
+    return np.hstack(
+        [
+            spread(segments.P, weights, knots),
+            -spread(segments.P, weights * segments.x, knots),
+            -np.where(contracting, damping, 0.0),
+            -np.where(contracting, 0.0, damping),
+            -segments.way[:, None],
+        ]
+    )
+
+
+def solve(segments: Segments, knots: Array, noise: float) -> Fit:
+    """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
+    design = design_of(segments, knots)
+    friction = bool((segments.way > 0).any() and (segments.way < 0).any())
+    if not friction:
+        design[:, -1] = 0.0
+    prior = _prior(segments, design, knots, noise)
+    normal = design.T @ design + prior.T @ prior
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    theta = inverse @ (design.T @ segments.force)
+    return Fit(knots, theta, inverse, design, segments.force - design @ theta, friction)
+
+
+def _prior(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
+    """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
+    k, p = len(knots), design.shape[1]
+    force = float(np.sqrt(np.mean(segments.force**2))) or 1.0
+    noise = max(noise, FLOOR * force)
+    x, v = (float(np.sqrt(np.mean(values**2))) for values in (segments.x, segments.v))
+    sizes = (force, force / x, force / v, force / v)
+    rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * force)])]
+    for number, size in enumerate(sizes):
+        bend = np.zeros((k - 2, p))
+        for j in range(1, k - 1):
+            share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
+            bend[j - 1, number * k + j - 1 : number * k + j + 2] = share - 1, 1, -share
+        rows.append(bend * (noise / (BEND * size)))
+    return np.vstack(rows)
+
+
+def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> float:
+    """What the residual of a segment would be from the noise of the channels alone [N], as root mean square.
+
+    Force noise, or displacement noise in M x'' where no cell measures; pressure noise times the slope of F_ce - K x;
+    displacement noise in the velocity times B.
+    """
+    share = float(segments.weights @ segments.weights)
+    n = segments.v.shape[1]
+    window = segments.x.shape[1] - n
+    P, step = segments.pressure, 1e3
+    x = segments.x @ segments.weights
+    slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
+    slope = (slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step)
+    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
+    per_window = noise.displacement / (window * segments.dt)
+    speed = per_window * np.sqrt(2 * min(n, window)) / n
+    inertia = segments.mass * per_window * 2 / ((n + 1) * segments.dt)
+    load = np.where(segments.mass > 0, inertia**2, noise.force**2 * share)
+    return float(np.sqrt(np.mean(load + (slope * noise.pressure) ** 2 * share + (damping * speed) ** 2)))
+
+
+def first_knots(tested: Array, commanded: Array) -> Array:
+    """The tested and the commanded pressures [Pa], those half way between, and two below the least tested one.
+
+    Commanded pressures below the tested ones count as far down as the tested ones lie apart.
+    """
+    tested = np.unique(tested)
+    gap = float(np.min(np.diff(tested))) if len(tested) > 1 else 0.25 * float(tested[0])
+    low = max(0.0, float(tested[0]) - gap)
+    within = commanded[(commanded >= low) & (commanded <= tested[-1])]
+    near = 0.2 * gap
+    chosen = [float(P) for P in tested]
+    for P in np.unique(np.concatenate((within, [low]))):
+        if min(abs(P - other) for other in chosen) > near:
+            chosen.append(float(P))
+    chosen.sort()
+    return np.unique(np.concatenate((chosen, 0.5 * (np.array(chosen[1:]) + np.array(chosen[:-1])))))
+
+
+def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
+    """The pooled fit and the noise [N] that a segment should have, with knots added where the residual asks for them.
+
+    A coefficient that bends sharply between two knots leaves a residual there; a knot in the middle of the worst such
+    stretch is kept if the sum of squares falls by more than `GAIN`.
+    """
+    floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
+    solved = solve(segments, knots, floor)
+    for _ in range(MOST_KNOTS):
+        expected = max(floor, expected_noise(segments, solved, noise))
+        middle = _worst_stretch(segments, solved, expected)
+        if middle is None:
+            break
+        finer = solve(segments, np.sort(np.append(solved.knots, middle)), expected)
+        if finer.residual @ finer.residual > (1 - GAIN) * (solved.residual @ solved.residual):
+            break
+        solved = finer
+    expected = max(floor, expected_noise(segments, solved, noise))
+    return solve(segments, solved.knots, expected), expected
+
+
+def _worst_stretch(segments: Segments, solved: Fit, expected: float) -> float | None:
+    """Middle of the stretch between knots with the largest sum of squares in excess of the noise; None for none."""
+    k = len(solved.knots)
+    left, _ = place(segments.pressure, solved.knots)
+    count = np.bincount(left, minlength=k - 1)
+    power = np.bincount(left, solved.residual**2, k - 1)
+    excess = np.where((count >= 20) & (power > EXCESS * expected**2 * count), power - expected**2 * count, 0.0)
+    worst = int(np.argmax(excess))
+    return 0.5 * float(solved.knots[worst] + solved.knots[worst + 1]) if excess[worst] > 0 else None

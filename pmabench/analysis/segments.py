@@ -1,0 +1,202 @@
+"""Cuts trials into short gated segments, the rows of the pooled fit; knows samples and loads, no coefficient.
+
+A segment is a stretch of about 40 ms in which the muscle moves one way, faster than a gate, off its support, without a
+flagged sample. Averages over it stand for the equation of motion in weak form (performance.md (c), c4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.oscillation import noise_of
+from pmabench.store.records import Array, RunData, TrialData
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What counts as a segment."""
+
+    length: float = 0.04
+    """[s]"""
+    reach: float = 0.008
+    """Half the window of the velocity x' = (x(t + reach) - x(t - reach)) / (2 reach) [s]."""
+    speed: float = 2e-3
+    """Least |x'| [m/s]; above the speeds at which stiction passes into sliding friction."""
+    lift: float = 50e-6
+    """Least contraction that counts as off the support [m]."""
+
+    def samples(self, rate: float) -> tuple[int, int]:
+        """Samples of a segment and of the reach, at `rate` [Hz]."""
+        return max(4, round(self.length * rate)), max(1, round(self.reach * rate))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One stretch of samples on its way into segments: arrays of shape (n,), SI.
+
+    `force` is the measured F_L, None where there is no load cell: then it is `load` [N] moving with `mass` [kg].
+    """
+
+    trial: int
+    t: Array
+    P: Array
+    x: Array
+    force: Array | None
+    ok: NDArray[np.bool_]
+    load: float
+    mass: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation of the white noise of each channel, as seen in the samples [SI]."""
+
+    pressure: float = 0.0
+    displacement: float = 0.0
+    force: float = 0.0
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Segments of a whole campaign, one per row.
+
+    `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed as
+    the velocity is. `P_mid` and `v` [m/s] have shape (n, s) and are averaged evenly. `force` (n,) is the mean F_L [N],
+    with M x'' added where F_L is a weight and no cell measures it; `mass` (n,) is that M [kg], 0 with a cell. `way` (n,) is +1 contracting, -1 relaxing; `trial`
+    (n,) the number of the trial; `t` (n,) its first time [s]; `dt` the sampling period [s].
+    """
+
+    trial: NDArray[np.intp]
+    t: Array
+    way: Array
+    P: Array
+    x: Array
+    P_mid: Array
+    v: Array
+    force: Array
+    mass: Array
+    weights: Array
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.way)
+
+    @property
+    def pressure(self) -> Array:
+        """Mean pressure of each segment [Pa], shape (n,)."""
+        return self.P @ self.weights
+
+    def where(self, rows: NDArray[np.bool_]) -> Segments:
+        """Only some of the rows."""
+        return replace(
+            self,
+            trial=self.trial[rows],
+            t=self.t[rows],
+            way=self.way[rows],
+            P=self.P[rows],
+            x=self.x[rows],
+            P_mid=self.P_mid[rows],
+            v=self.v[rows],
+            force=self.force[rows],
+            mass=self.mass[rows],
+        )
+
+    def shifted(self, channel: str, gain: float, offset: float) -> Segments:
+        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI]."""
+        if channel == "pressure":
+            return replace(self, P=self.P * (1 + gain) + offset, P_mid=self.P_mid * (1 + gain) + offset)
+        if channel == "displacement":
+            return replace(self, x=self.x * (1 + gain) + offset, v=self.v * (1 + gain))
+        return replace(self, force=np.where(self.mass > 0, self.force, self.force * (1 + gain) + offset))
+
+
+def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
+    """A trial's samples; a channel that the record calls late by `sensor_lag` is taken that much later."""
+
+    def channel(name: str) -> Array:
+        lag = run.channels[name].sensor_lag if name in run.channels else 0.0
+        values = trial.channels[name]
+        return np.interp(trial.t + lag, trial.t, values) if lag else values
+
+    return Samples(
+        trial=number,
+        t=trial.t,
+        P=channel("pressure"),
+        x=channel("displacement"),
+        force=channel("force") if "force" in trial.channels else None,
+        ok=trial.usable,
+        load=trial.point.get("load", 0.0),
+        mass=trial.point.get("mass", 0.5),
+    )
+
+
+def velocity(t: Array, x: Array, reach: int) -> Array:
+    """Mean velocity [m/s] over `reach` samples on both sides of each sample; 0 at the ends; shape (n,)."""
+    v = np.zeros(len(t))
+    if len(t) > 2 * reach:
+        v[reach:-reach] = (x[2 * reach :] - x[: -2 * reach]) / (t[2 * reach :] - t[: -2 * reach])
+    return v
+
+
+def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
+    """All segments of the stretches, in their order, contracting before relaxing in each."""
+    n, m = gate.samples(rate)
+    weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
+    parts = [_cut_one(samples, n, m, gate, weights) for samples in stretches]
+    found = [part for part in parts if part is not None]
+    if not found:
+        none = np.empty(0)
+        wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
+        return Segments(np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, none, none, weights, 1 / rate)
+    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+    return Segments(columns[0].astype(np.intp), *columns[1:], weights, 1 / rate)
+
+
+def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tuple[Array, ...] | None:
+    """Columns of `Segments` of one stretch, in the order of their declaration."""
+    v = velocity(samples.t, samples.x, m)
+    usable = samples.ok & (samples.x > gate.lift)
+    starts: list[Array] = []
+    ways: list[Array] = []
+    for way in (1.0, -1.0):
+        inside = np.concatenate(([False], usable & (way * v > gate.speed), [False]))
+        edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
+        for first, last in edges:
+            begin = first + 2 * m + 1
+            count = (last - m - begin) // n
+            if count > 0:
+                starts.append(begin + n * np.arange(count))
+                ways.append(np.full(count, way))
+    if not starts:
+        return None
+    start, way_of = np.concatenate(starts), np.concatenate(ways)
+    middle = start[:, None] + np.arange(n)
+    around = start[:, None] + np.arange(-m, n + m)
+    mass = np.zeros(len(start))
+    if samples.force is not None:
+        force = samples.force[around] @ weights
+    else:
+        mass += samples.mass
+        gained = v[start + n] - v[start - 1]
+        force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
+    number = np.full(len(start), samples.trial)
+    P, x = samples.P[around], samples.x[around]
+    return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], force, mass
+
+
+def noise_seen(stretches: Sequence[Samples], still: Sequence[slice]) -> Noise:
+    """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves."""
+
+    def typical(name: str) -> float:
+        values = []
+        for samples, rows in zip(stretches, still, strict=True):
+            column = getattr(samples, name)
+            if column is not None and samples.ok[rows].all():
+                values.append(noise_of(column[rows]))
+        return float(np.median(values)) if values else 0.0
+
+    return Noise(typical("P"), typical("x"), typical("force"))
