@@ -21,7 +21,9 @@ class MockBench:
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
     `displacement`. Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
-    the plant catch up with it, and when the clock was taken back, the plant goes back too.
+    the plant catch up with it, and when the clock was taken back, the plant goes back too. Whoever takes the clock back
+    calls `collect` (which then returns nothing) before time goes on: a jump back and forth between two calls is not
+    seen.
     """
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
