@@ -230,6 +230,7 @@ class Acquisition:
         if at is not None and (index is None or at < index):
             index, trip, stopped = at, None, float(t[at])
         if index is not None and index < count - 1 and self.clock.back_to(float(t[index])):
+            source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
             count = index + 1
             time_ns = time_ns[:count]
             raw = {name: column[:count] for name, column in raw.items()}

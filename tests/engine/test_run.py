@@ -188,6 +188,17 @@ def test_samples_lie_on_the_grid_and_only_recorded_time_is_kept(monkeypatch):
     assert {b - a for a, b in itertools.pairwise(kept)} == {2_000_000}
 
 
+def test_no_sample_is_lost_where_a_wait_ends_a_block_early():
+    made = one_trial(
+        Set("w", "pressure", 3e5), WaitUntil("w", "displacement", "above", 0.02, 0.01, 5.0), Hold("after", 3.0)
+    )
+    outcome = execute(made)
+    begun = next(t for kind, t, _ in outcome.events if kind == "trial-begin")
+    ended = next(t for kind, t, _ in outcome.events if kind == "trial-end")
+    assert outcome.status == "finished"
+    assert abs(outcome.rows - (ended - begun) * 500) <= 1
+
+
 def test_a_run_is_the_same_twice():
     made = one_trial(*STEPS["hold"])
     assert execute(made).extremes == execute(made).extremes
