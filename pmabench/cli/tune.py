@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from pmabench.cli.common import Ui, common
 if TYPE_CHECKING:
     from pmabench.analysis.results import Estimate
     from pmabench.analysis.tuning import Gains, Rule
+    from pmabench.model.loop import Loop
 
 
 @click.command(name="tune")
@@ -41,11 +43,11 @@ def command(
         rules: tuple[Rule, ...] = RULES if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    pairs = _measured(analysis) if analysis is not None else [(_gain(ui, ku or ""), _time(ui, tu or ""))]
+    pairs = _measured(analysis) if analysis is not None else [(_gain(ui, ku or ""), _time(ui, tu or ""), None)]
     found: list[tuple[dict[str, float], tuple[Gains, ...]]] = []
-    for gain, period in pairs:
+    for gain, period, loop in pairs:
         try:
-            found.append((dict(gain.at), tune(gain, period, rules)))
+            found.append((dict(gain.at), tune(gain, period, rules, loop)))
         except ValueError as error:
             raise UsageError(str(error)) from error
     notes = _plausible(pairs[0][1], dead_time, lags)
@@ -107,20 +109,32 @@ def _seconds(option: str, text: str, ui: Ui | None = None) -> float:
     return bare
 
 
-def _measured(folder: Path) -> list[tuple[Estimate, Estimate]]:
+def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
+    """Gain, period and the identified loop (where there is one) at each operating point."""
     from pmabench.base.errors import invalid
+    from pmabench.model.loop import Loop
     from pmabench.report.analysis_folder import read_analysis
 
-    estimates = read_analysis(folder).estimates
-    periods = {tuple(sorted(e.at.items())): e for e in estimates if e.symbol == "T_u" and e.value is not None}
-    pairs = [
-        (e, periods[tuple(sorted(e.at.items()))])
-        for e in estimates
-        if e.symbol == "K_u" and e.value is not None and tuple(sorted(e.at.items())) in periods
+    analysis = read_analysis(folder)
+    loops = {
+        _point(fact["at"]): Loop(fact["gain"], fact["dead_time"], tuple(fact["lags"]))
+        for fact in analysis.facts.get("loops", [])
+        if all(isinstance(lag, int | float) for lag in fact["lags"])
+    }
+    known = [e for e in analysis.estimates if e.value is not None]
+    periods = {_point(e.at): e for e in known if e.symbol == "T_u"}
+    found = [
+        (e, periods[_point(e.at)], loops.get(_point(e.at)))
+        for e in known
+        if e.symbol == "K_u" and _point(e.at) in periods
     ]
-    if not pairs:
+    if not found:
         raise invalid(folder, "holds no ultimate gain and period")
-    return pairs
+    return found
+
+
+def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(at.items()))
 
 
 def _plausible(period: Estimate, dead_time: str | None, lags: tuple[str, ...]) -> list[str]:
@@ -152,6 +166,14 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
             return f"{estimate.value:.4g} {estimate.unit if estimate.unit != '1' else ''}".strip()
         return quantity.show(estimate.value, 4)
 
+    known = any(row.margins is not None for row in gains)
+    for name in ("M_s", "gain margin", "phase margin", "overshoot") if known else ():
+        table.add_column(name, justify="right", no_wrap=True)
     for row in gains:
-        table.add_row(row.rule.title, *(cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)))
+        cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
+        if row.margins is not None:
+            cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
+            cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
+            cells.append("" if row.overshoot is None else f"{100 * row.overshoot:.0f} %")
+        table.add_row(row.rule.title, *cells)
     ui.console().print(table)
