@@ -7,20 +7,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis import contraction_steps, contraction_view, replay
+from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
-from pmabench.analysis.intervals import Trust, assess, replay_fits
-from pmabench.analysis.pooled import SYMBOLS, Fit, first_knots, fit
+from pmabench.analysis.intervals import Pooled, assess, replay_fits
+from pmabench.analysis.pooled import SYMBOLS, first_knots, fit
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
-from pmabench.analysis.segments import Gate, Noise, Samples, Segments, cut, noise_seen, samples_of
+from pmabench.analysis.segments import Gate, Samples, Segments, cut
 from pmabench.base.quantities import show
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.records import RunData
 
 KIND = "contraction-relaxation"
 METHOD = "measured-pressure"
@@ -38,40 +37,6 @@ QUANTITY = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", 
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
-    """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
-
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    samples: tuple[Samples, ...]
-    cells: NDArray[np.intp]
-    rate: float
-    cell: bool
-    """A load cell was recorded."""
-    noise: Noise
-
-    def name(self, number: int) -> str:
-        """`run/index` of a trial."""
-        return f"{self.trials[number].run}/{self.trials[number].index}"
-
-    @property
-    def tested(self) -> tuple[float, ...]:
-        """Pressures of the trials [Pa], rising."""
-        return tuple(sorted({trial.point["pressure"] for trial in self.trials}))
-
-
-@dataclass(frozen=True, eq=False)
-class Pooled:
-    """What the primary method found."""
-
-    segments: Segments
-    fit: Fit
-    expected: float
-    """Noise of a segment [N] that the channels explain."""
-    trust: Trust
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
 
@@ -82,8 +47,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K.
     """
     options = options or {}
-    campaign, dropped = _campaign(runs)
-    base = {"kind": KIND, "runs": tuple(run.id for run in runs), "simulated": any(run.simulated for run in runs)}
+    campaign, dropped = gather(runs)
+    base: dict[str, Any] = {
+        "kind": KIND,
+        "runs": tuple(run.id for run in runs),
+        "simulated": any(run.simulated for run in runs),
+    }
     pooled = _pool(campaign, options) if campaign is not None else None
     if campaign is None or pooled is None:
         reason = "no trial moves: there is nothing to fit"
@@ -94,7 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, curves = _estimates(campaign, pooled)
     beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
-    traces, free_run = contraction_view.overlays(campaign, pooled)
+    traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
     return Analysis(
         **base,
         estimates=(*estimates, *beside.estimates),
@@ -110,65 +79,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "steps": beside.table,
         },
     )
-
-
-def _campaign(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
-    """The usable trials; None without one."""
-    dropped: list[Dropped] = []
-    members: list[tuple[RunData, TrialData]] = []
-    for run in runs:
-        for trial in run.trials:
-            reason = _unusable(run, trial, runs[0].rate)
-            if reason:
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, reason))
-            else:
-                members.append((run, trial))
-    if not members:
-        return None, dropped
-    samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
-    keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
-    numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
-    return (
-        Campaign(
-            runs=tuple(runs),
-            trials=tuple(trial for _, trial in members),
-            samples=samples,
-            cells=np.array([numbers[key] for key in keys], dtype=np.intp),
-            rate=runs[0].rate,
-            cell=all(s.force is not None for s in samples),
-            noise=noise_seen(samples, [_settled(trial) for _, trial in members]),
-        ),
-        dropped,
-    )
-
-
-def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
-    """Why a trial cannot be used; empty where it can."""
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
-    for channel in ("pressure", "displacement"):
-        if channel not in trial.channels:
-            return f"the {channel} is not recorded"
-    if "pressure" not in trial.point:
-        return "the trial names no pressure"
-    if abs(run.rate - rate) > 1e-6 * rate:
-        return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
-    if len(trial.t) < 2 or not trial.usable.any():
-        return "no sample is usable"
-    return ""
-
-
-def strokes(trial: TrialData) -> list[slice]:
-    """Rows between one pressure command and the next; the whole trial where commands are not recorded."""
-    times = [c.t for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
-    edges = [int(np.searchsorted(trial.t, t - 1e-9)) for t in times] or [0]
-    return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
-
-
-def _settled(trial: TrialData) -> slice:
-    """The last fifth of the hold at pressure."""
-    first = strokes(trial)[0]
-    return slice(first.stop - max(8, (first.stop - first.start) // 5), first.stop)
 
 
 def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -279,7 +189,7 @@ def _friction(campaign: Campaign, pooled: Pooled) -> Estimate:
     combination = np.zeros(len(pooled.fit.theta))
     combination[-1] = 1.0
     parts, bias = pooled.trust.parts(combination)
-    return Estimate(value=pooled.fit.F_c - bias, parts=parts, bias=bias, corrected=True, **base)
+    return Estimate(value=pooled.fit.coulomb - bias, parts=parts, bias=bias, corrected=True, **base)
 
 
 def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:

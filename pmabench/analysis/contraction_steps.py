@@ -1,4 +1,4 @@
-"""Beside the pooled fit of contraction-relaxation runs: the papers' exponentials (method `step-exponential`), dead times.
+"""Beside the pooled fit: the papers' exponentials (method `step-exponential`) and dead times of contraction runs.
 
 Knows trials and what the primary method found; computes no interval of the latter.
 """
@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.curves import curve
 from pmabench.analysis.onset import KINDS, dead_times
 from pmabench.analysis.pooled import SYMBOLS, Fit
@@ -19,9 +20,6 @@ from pmabench.analysis.results import Curve, Estimate, Finding, Parts
 from pmabench.analysis.segments import Gate
 from pmabench.analysis.steps import Regression, Step, half_width, mean_with_half, regress, steps_of, stiffness
 from pmabench.base.quantities import show
-
-if TYPE_CHECKING:
-    from pmabench.analysis.contraction import Campaign
 
 METHOD = "step-exponential"
 KNOWN_F_CE = "step-exponential, F_ce known"

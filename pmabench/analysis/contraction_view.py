@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pmabench.analysis import replay
+from pmabench.analysis.campaign import Campaign
+from pmabench.analysis.intervals import Pooled
 from pmabench.analysis.results import Estimate, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
-
-if TYPE_CHECKING:
-    from pmabench.analysis.contraction import Campaign, Pooled
 
 MISFIT = 3.0
 """A residual this many times larger than the channels' noise explains puts the model's form in doubt."""
@@ -88,14 +87,20 @@ def findings(
     return lines
 
 
-def overlays(campaign: Campaign, pooled: Pooled) -> tuple[tuple[Trace, ...], float | None]:
-    """Measured and modelled contraction of some trials, run freely from rest, and the root mean square error [m]."""
-    used = np.unique(pooled.segments.trial)
-    ordered = sorted(used.tolist(), key=lambda i: (campaign.trials[i].point["pressure"], campaign.samples[i].load, i))
-    picks = list(dict.fromkeys(ordered[round(i)] for i in np.linspace(0, len(ordered) - 1, SHOWN)))
-    picks = [i for i in picks if campaign.samples[i].ok.all()]
-    if not picks:
+def overlays(
+    campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]
+) -> tuple[tuple[Trace, ...], float | None]:
+    """Measured and modelled contraction of some trials, run freely from rest, and the root mean square error [m].
+
+    Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the error counts where the
+    pressure lies in the fit's range.
+    """
+    unknown = {e.at["pressure"] for e in estimates if e.value is None and e.symbol in ("F_ce", "K", "B_c")}
+    used = [i for i in np.unique(pooled.segments.trial).tolist() if campaign.trials[i].point["pressure"] not in unknown]
+    ordered = sorted(used, key=lambda i: (campaign.trials[i].point["pressure"], campaign.samples[i].load, i))
+    if not ordered:
         return (), None
+    picks = list(dict.fromkeys(ordered[round(i)] for i in np.linspace(0, len(ordered) - 1, SHOWN)))
     whole = [(campaign.samples[i], slice(0, len(campaign.samples[i].t))) for i in picks]
     work = replay.stretches(whole, 1 / campaign.rate, 1)
     P = _thinned(work.P)
@@ -106,8 +111,9 @@ def overlays(campaign: Campaign, pooled: Pooled) -> tuple[tuple[Trace, ...], flo
         samples, trial = campaign.samples[i], campaign.trials[i]
         rows = np.arange(0, len(samples.t), COARSE)
         model, x = run.x[: len(rows), column], samples.x[rows]
-        power += float(np.sum((model - x) ** 2))
-        count += len(rows)
+        ok = samples.ok[rows] & (P[: len(rows), column] >= pooled.fit.knots[0])
+        power += float(np.sum((model - x)[ok] ** 2))
+        count += int(ok.sum())
         stride = -(-len(rows) // LONGEST_TRACE)
         P_trial = trial.point["pressure"]
         traces.append(
@@ -125,7 +131,7 @@ def overlays(campaign: Campaign, pooled: Pooled) -> tuple[tuple[Trace, ...], flo
                 marks={"pressure": P_trial, "load": samples.load},
             )
         )
-    return tuple(traces), sqrt(power / count)
+    return tuple(traces), sqrt(power / max(1, count))
 
 
 def _thinned(P: Array) -> Array:

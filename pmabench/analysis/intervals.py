@@ -43,11 +43,22 @@ class Trust:
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
-        repeats = NORMAL * float(np.sqrt(max(0.0, combination @ self.covariance @ combination)))
+        repeats = NORMAL * float(np.sqrt(max(0.0, float(combination @ self.covariance @ combination))))
         bias = float(combination @ self.bias)
         calibration = float(np.sqrt(np.sum((self.shifts @ combination) ** 2))) if len(self.shifts) else 0.0
         method = float(np.sqrt(bias**2 + np.sum((combination * self.mean_error) ** 2) + extra_method**2))
         return Parts(repeats=repeats, method=method, calibration=calibration), bias
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """A pooled fit with its segments and its trust."""
+
+    segments: Segments
+    fit: Fit
+    expected: float
+    """Noise of a segment [N] that the channels explain."""
+    trust: Trust
 
 
 def assess(
@@ -67,7 +78,7 @@ def assess(
     cells
         Cell number of each trial number in `segments.trial`.
     replays
-        theta of fits to replays of `fit`.
+        `Fit.theta` of fits to replays of `fit`.
     infos
         Channels of each run; the largest uncertainty counts.
     """
@@ -75,10 +86,9 @@ def assess(
     noise = max(fit.rms, expected)
     covariance = noise**2 * fit.inverse
     analytic = np.diag(covariance)
+    seen = analytic
     if expected > 0 and len(replays) > 1:
         seen = 0.5 * (analytic + (noise / expected * spread) ** 2)
-    else:
-        seen = analytic
     between, freedom, within = _between(segments, fit, cells)
     stretch = student.ppf(0.975, freedom) / NORMAL
     ratio = between / np.maximum(seen, 1e-300)
@@ -159,5 +169,5 @@ def _calibration(segments: Segments, fit: Fit, expected: float, infos: Sequence[
 
 
 def replay_fits(replay: Callable[[int], Segments], fit: Fit, expected: float, count: int) -> list[Array]:
-    """theta of fits, on the same knots, to `count` replays; `replay(seed)` gives the segments of one."""
+    """`Fit.theta` of fits on the same knots to `count` replays; `replay(seed)` gives the segments of one."""
     return [solve(replay(seed), fit.knots, expected).theta for seed in range(count)]

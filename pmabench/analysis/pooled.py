@@ -62,7 +62,7 @@ class Fit:
         return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
     @property
-    def F_c(self) -> float:
+    def coulomb(self) -> float:
         """Coulomb friction [N], 0 where it cannot be told."""
         return float(self.theta[-1]) if self.friction else 0.0
 
@@ -84,7 +84,7 @@ def spread(P: Array, by: Array, knots: Array) -> Array:
     left, share = place(P, knots)
     n, k = len(P), len(knots)
     rows = np.arange(n)[:, None] * k + left
-    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), n * k)
+    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), n * k).astype(np.float64)
     total += np.bincount(rows.ravel() + 1, (by * share).ravel(), n * k)
     return total.reshape(n, k)
 
@@ -160,10 +160,11 @@ def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> float:
 def first_knots(tested: Array, commanded: Array) -> Array:
     """The tested and the commanded pressures [Pa], those half way between, and two below the least tested one.
 
-    Commanded pressures below the tested ones count as far down as the tested ones lie apart.
+    Commanded pressures below the tested ones count as far down as the tested ones lie apart; below a single tested
+    pressure, down to its half.
     """
     tested = np.unique(tested)
-    gap = float(np.min(np.diff(tested))) if len(tested) > 1 else 0.25 * float(tested[0])
+    gap = float(np.min(np.diff(tested))) if len(tested) > 1 else 0.5 * float(tested[0])
     low = max(0.0, float(tested[0]) - gap)
     within = commanded[(commanded >= low) & (commanded <= tested[-1])]
     near = 0.2 * gap

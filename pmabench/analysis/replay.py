@@ -44,7 +44,7 @@ def run(fit: Fit, P: Array, dt: float, load: Array, mass: Array, x: Array, subst
         F_L [N], moving mass [kg] and contraction at the start [m] of each stretch, shape (m,).
     """
     F_ce, K, B_c, B_r = _coefficients(fit, P)
-    F_c = max(0.0, fit.F_c)
+    F_c = max(0.0, fit.coulomb)
     h = dt / substeps
     v = np.zeros(P.shape[1])
     all_x, all_v = np.empty(P.shape), np.empty(P.shape)

@@ -65,9 +65,10 @@ class Segments:
     """Segments of a whole campaign, one per row.
 
     `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed as
-    the velocity is. `P_mid` and `v` [m/s] have shape (n, s) and are averaged evenly. `force` (n,) is the mean F_L [N],
-    with M x'' added where F_L is a weight and no cell measures it; `mass` (n,) is that M [kg], 0 with a cell. `way` (n,) is +1 contracting, -1 relaxing; `trial`
-    (n,) the number of the trial; `t` (n,) its first time [s]; `dt` the sampling period [s].
+    the velocity is. `P_mid` and `v` [m/s] have shape (n, s) and are averaged evenly. The others have shape (n,):
+    `force` is the mean F_L [N], with M x'' added where F_L is a weight and no cell measures it, `mass` that M [kg], 0
+    with a cell; `way` is +1 contracting, -1 relaxing; `trial` the number of the trial, `t` its first time [s]. `dt` is
+    the sampling period [s].
     """
 
     trial: NDArray[np.intp]
@@ -152,8 +153,8 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
         none = np.empty(0)
         wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
         return Segments(np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, none, none, weights, 1 / rate)
-    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-    return Segments(columns[0].astype(np.intp), *columns[1:], weights, 1 / rate)
+    trial, t, way, P, x, P_mid, v, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, force, mass, weights, 1 / rate)
 
 
 def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tuple[Array, ...] | None:

@@ -107,7 +107,7 @@ def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
     result = []
     commands = [c for c in trial.commands if c.output == "pressure" and c.phase in ("contract", "relax", "vent")]
     ends = [*(c.t for c in commands[1:]), float(samples.t[-1]) + 1e-9]
-    for command, end in zip(commands, ends, strict=True):
+    for command, end in zip(commands, ends, strict=False):
         rows = np.flatnonzero((samples.t >= command.t - 1e-9) & (samples.t < end - 1e-9) & samples.ok)
         before = (samples.t < command.t + 1e-9) & (samples.t > command.t - 0.2) & samples.ok
         if len(rows) < 50 or not before.any() or command.phase == "vent":
@@ -123,7 +123,7 @@ def steps_of(samples: Samples, trial: TrialData, lift: float) -> list[Step]:
 
 
 def regress(load: Array, x: Array) -> Regression | None:
-    """Two parameters: x = (F_ce - F_L) / K by least squares of x on F_L (noise is in x); None with fewer than 2 loads."""
+    """Two parameters: x = (F_ce - F_L) / K by least squares of x on F_L (noise is in x); None below 2 loads."""
     if len(np.unique(load)) < 2:
         return None
     off = load - load.mean()

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 from pmabench.model.muscle import Muscle
 from pmabench.model.plant import Plant
@@ -103,7 +104,7 @@ def static_run(
     trials = []
     found: dict[str, Mapping[str, float]]
     for load in loads:
-        near = (load - bench.muscle.F_ce(0.0)) / _slope(bench.muscle)
+        near = brentq(lambda P, load=load: bench.muscle.F_ce(P) - load, 0.0, 1e6)
         low = max(0.0, near - 25e3)
         plant = Plant(bench.muscle, bench.setup.regulator, force=load, mass=bench.mass(load))
         plant.command(constant(0.0, low))
@@ -130,10 +131,6 @@ def static_run(
                     found[phase] = {"found": False, "reason": "displacement did not cross before the end of the range"}
             trials.append(replace(trial, found=found))
     return _run("static-load", bench, trials, name)
-
-
-def _slope(muscle: Muscle) -> float:
-    return (muscle.F_ce(500e3) - muscle.F_ce(0.0)) / 500e3
 
 
 def _contract(bench: Rig, load: float, pressure: float) -> tuple[Array, dict[str, Array]]:
