@@ -265,7 +265,10 @@ def _sentences(
         lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {told}"))
     if len(branches) > 1:
         told = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in branches.items())
-        lines.append(Finding("note", f"{where}: the branches differ, {told}; the line lies between them"))
+        text = f"{where}: slope of each branch alone {told}"
+        if not min(branches.values()) <= slopes[above] <= max(branches.values()):
+            text += "; the line through both lies outside these, for they are apart and not evenly sampled"
+        lines.append(Finding("note", text))
     return lines
 
 

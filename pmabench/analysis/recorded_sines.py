@@ -18,7 +18,7 @@ from pmabench.analysis.lines import mean_half
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.sine_loop import three_parameter
 from pmabench.base.quantities import show
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-sine"
 METHOD = "sine-harmonic"
@@ -132,6 +132,8 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
     window = (trial.t >= begin) & (trial.t < begin + whole / frequency)
     if whole < 2:
         return "it holds fewer than two whole cycles beyond those left out"
+    if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
+        return "its clock jumps: what lies before and after has no common phase"
     if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
         return f"too many samples are flagged: {unusable_because(trial)}"
     good = window & trial.usable

@@ -17,7 +17,7 @@ from pmabench.analysis.imported import flagged_counts, import_findings, late_by,
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.steps import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"
 STEP, RINGING = "recorded-step", "ringing-of-known-mass"
@@ -66,11 +66,13 @@ class Step:
     stroke: float
     """Change of contraction at the end of the trial [m]."""
     dead: float
-    """Command to pressure [s]."""
+    """Command to pressure [s]: both in the middle of the samples that they lie between, the lateness taken off."""
     dead_half: float
-    """Half the time between the samples that the onset lies between, and of the command's own doubt [s]."""
+    """Half of those intervals together [s]."""
     rise: float
     """From onset to 63 % of the change of pressure [s]."""
+    rise_half: float
+    """Half the time between the samples that the onset lies between [s]."""
     motions: tuple[Motion, ...]
 
     @property
@@ -149,6 +151,8 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
         return f"{' and '.join(missing)} not recorded" if missing else "it has no commanded step"
     if trial.status != "finished":
         return f"the trial is {trial.status}"
+    if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
+        return "its clock jumps"
     good = trial.usable
     t = trial.t[good] - command.t
     P, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
@@ -172,7 +176,9 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     near = (t >= -BEFORE) & (t <= AFTER)
     shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
     motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
-    return Step(trial, t, P, x, size, stroke, onset, doubt + within / 2, float(t[most[0]]) - onset, motions)
+    dead = onset + within / 2 - (late[0] + late[1]) / 2
+    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
+    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(t[most[0]]) - onset, doubt, motions)
 
 
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
@@ -242,7 +248,7 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
         return Estimate(symbol, mean, *kind, how, at, parts, len(values), note=note, trials=parents)
 
     dead = estimate("t_d", ("s", "time"), [s.dead for s in steps], max(s.dead_half for s in steps), None, "to pressure")
-    rise = estimate("tau_P", ("s", "time"), [s.rise for s in steps], max(s.dead_half for s in steps), None, "63 %")
+    rise = estimate("tau_P", ("s", "time"), [s.rise for s in steps], max(s.rise_half for s in steps), None, "63 %")
     strokes = [step.stroke for step in steps]
     stroke = estimate("X", ("m", "length"), strokes, None, gain_x * abs(float(np.mean(strokes))) if gain_x else None)
     slopes = [step.size / step.stroke if step.stroke else inf for step in steps]

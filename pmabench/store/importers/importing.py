@@ -98,11 +98,12 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
             continue
         summaries.append(_summary(prepared))
         hashes.append(prepared.table.sha256)
-    problems += [
-        Problem(str(path), 0, 0, f"holds the same bytes as {files[hashes.index(digest)]}")
-        for path, digest in zip(files, hashes, strict=False)
-        if len(hashes) == len(files) and files[hashes.index(digest)] != path
-    ]
+    if not problems:
+        problems = [
+            Problem(str(path), 0, 0, f"holds the same bytes as {files[hashes.index(digest)]}")
+            for number, (path, digest) in enumerate(zip(files, hashes, strict=True))
+            if hashes.index(digest) != number
+        ]
     if problems:
         raise InvalidFile(problems)
     among = quality.compare(summaries, rules.siblings)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
 
-Reading = Annotated[tuple[float, str], BeforeValidator(raw_quantity)]
+Reading = Annotated[
+    tuple[float, str],
+    BeforeValidator(raw_quantity),
+    WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["4 mA", "0.683 N/count"]}),
+]
 """A number with its unit, kept apart."""
 Text = Annotated[str, Field(max_length=600)]
 Short = Annotated[str, Field(min_length=1, max_length=120)]
@@ -128,6 +132,10 @@ def _column(value: Any) -> Any:
     return {"is": "ignore"} if value == "ignore" else value
 
 
+Column = Annotated[ColumnFile, BeforeValidator(_column, json_schema_input_type=ColumnFile | Literal["ignore"])]
+"""A column may be just `ignore`."""
+
+
 class NameFile(Strict):
     """What the file's or the folder's name tells, as forms with {placeholders} for numbers; `*` is any text."""
 
@@ -206,7 +214,7 @@ class MapFile(Strict):
     recorded: datetime.date | None = None
     """Day of the recording, where the name of the file does not tell."""
     file: Layout
-    columns: Annotated[dict[Short, Annotated[ColumnFile, BeforeValidator(_column)]], Field(max_length=200)]
+    columns: Annotated[dict[Short, Column], Field(max_length=200)]
     name_tells: NameFile | None = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
     """File beside it that holds notes, `*` is any text."""

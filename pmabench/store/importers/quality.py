@@ -123,10 +123,11 @@ def _time(report: _Report, rate: tuple[float, float], gap: float, leap: float) -
         behind = np.concatenate([[False], t[1:] <= latest[:-1]]) & (np.cumsum(back) > 0)
         report.mark(back | behind, Flag.TIME_JUMP, "fault", "time-jump", text)
     ahead = steps > leap
-    longest = f"{steps.max():.3g} s"
-    report.mark(ahead, Flag.TIME_JUMP, "fault", "leap", f"the time leaps ahead by up to {longest}")
+    text = f"the time leaps ahead by up to {steps.max():.3g} s"
+    report.mark(ahead, Flag.TIME_JUMP, "fault", "leap", text)
     between = (steps > gap) & ~ahead
-    report.mark(between, Flag.GAP, "note", "gap", f"samples are missing before these, for up to {longest}")
+    text = f"samples are missing before these, for up to {steps[~ahead].max():.3g} s"
+    report.mark(between, Flag.GAP, "note", "gap", text)
     same = np.concatenate([[False], steps[1:] == 0])
     if same.any():
         first = int(np.argmax(same))

@@ -59,10 +59,10 @@ def segments(
     spans: list[tuple[float, float, dict[str, float], list[Mapping[str, Any]]]] = []
     if rules.trials.by == "step":
         lead = rules.trials.lead
-        ends = [step.t - lead for step in steps[1:]] + [float(t.max())]
+        ends = [step.t - lead - 1e-5 for step in steps[1:]] + [float(t.max())]
         for step, end in zip(steps, ends, strict=False):
             here = {**point, "from": step.before, "pressure": step.value}
-            spans.append((max(step.t - lead, float(t.min())), end - 1e-5, here, [step.command()]))
+            spans.append((max(step.t - lead, float(t.min())), end, here, [step.command()]))
     elif rules.trials.by == "gap":
         cuts = np.flatnonzero(np.diff(t) > (rules.trials.longer_than or np.inf)) + 1
         for rows in np.split(np.arange(len(t)), cuts):

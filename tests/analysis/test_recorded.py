@@ -1,0 +1,181 @@
+"""Steps and sines of pressure from polled logs: what is known is found, what cannot be known is not claimed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmabench.analysis import isometric, recorded_sines, recorded_steps
+from pmabench.store.importers.importing import import_files
+from pmabench.store.reader import open_run
+from pmabench.store.records import Flag
+from tests import fixtures_old_runs as made
+from tests.recorded import recorded_data
+
+FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
+OLD = FIXTURES / "old-runs"
+TRUTH = made.TRUTH
+
+
+def runs_of(files, map_path, out):
+    return [open_run(run.path) for run in import_files(sorted(files), map_path, out)]
+
+
+@pytest.fixture(scope="module")
+def steps(tmp_path_factory):
+    return runs_of(OLD.glob("polled/*step_exp/*_data.dat"), OLD / "step.yaml", tmp_path_factory.mktemp("steps"))
+
+
+@pytest.fixture(scope="module")
+def sines(tmp_path_factory):
+    return runs_of(OLD.glob("polled/*frq*/*_data.dat"), OLD / "sine.yaml", tmp_path_factory.mktemp("sines"))
+
+
+def only(analysis, symbol, **at):
+    (found,) = [e for e in analysis.estimates if e.symbol == symbol and dict(e.at) == pytest.approx(at)]
+    return found
+
+
+def covers(estimate, truth):
+    low, high = estimate.ci95
+    return low <= truth <= high
+
+
+def without_lateness(run):
+    imported = {**run.manifest["imported"], "late_by": {}}
+    return replace(run, manifest={**run.manifest, "imported": imported})
+
+
+def test_ringing_of_a_known_mass_gives_K_and_B(steps):
+    analysis = recorded_steps.reduce(steps)
+    for before, after in ((120e3, 360e3), (360e3, 120e3)):
+        at = {"from": before, "pressure": after}
+        K, B = only(analysis, "K", **at), only(analysis, "B", **at)
+        assert K.value == pytest.approx(TRUTH["K"], rel=0.1)
+        assert B.value == pytest.approx(TRUTH["B"], rel=0.1)
+        assert covers(K, TRUTH["K"])
+        assert covers(B, TRUTH["B"])
+        assert K.parts.method > 0.05 * K.value
+        stroke = TRUTH["force_per_pressure"] * (after - before) / TRUTH["K"]
+        assert only(analysis, "X", **at).value == pytest.approx(stroke, rel=0.03)
+        assert only(analysis, "X", **at).parts.calibration == pytest.approx(0.23 * abs(stroke), rel=0.03)
+
+
+def test_the_dead_time_says_how_well_it_is_known(steps):
+    estimate = only(recorded_steps.reduce(steps), "t_d")
+    assert covers(estimate, TRUTH["dead"])
+    assert estimate.parts.method > 0.015
+
+
+def test_the_best_lateness_is_near_the_true_one(steps):
+    analysis = recorded_steps.reduce(steps)
+    for step in analysis.facts["steps"]:
+        best = min(step["motions"], key=lambda motion: motion["rms"])
+        assert best["late"] == pytest.approx(TRUTH["late"], abs=0.006)
+
+
+def test_without_a_mass_only_ratios_are_known(steps):
+    bare = [
+        replace(
+            run,
+            trials=tuple(
+                replace(t, point={"from": t.point["from"], "pressure": t.point["pressure"]}) for t in run.trials
+            ),
+        )
+        for run in steps
+    ]
+    analysis = recorded_steps.reduce(bare)
+    K = only(analysis, "K", **{"from": 120e3, "pressure": 360e3})
+    assert K.value is None
+    assert "ratios only" in K.note
+
+
+def test_a_range_of_lateness_as_wide_as_the_value_is_no_value(steps):
+    analysis = recorded_steps.reduce(steps, {"late_by": [-0.05, 0.2]})
+    assert all(e.value is None and e.note for e in analysis.estimates if e.symbol in {"K", "B"})
+
+
+def test_unknown_lateness_is_said(steps, sines):
+    for module, runs in ((recorded_steps, steps), (recorded_sines, sines)):
+        analysis = module.reduce([without_lateness(run) for run in runs])
+        assert any("nothing is known of the time between the channels" in f.text for f in analysis.findings)
+
+
+def test_a_step_without_onset_is_dropped(steps):
+    def flat(trial):
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(trial.t), 2e5)})
+
+    analysis = recorded_steps.reduce([replace(run, trials=tuple(flat(t) for t in run.trials)) for run in steps])
+    assert len(analysis.dropped) == 4
+    assert not analysis.estimates
+
+
+def test_amplitudes_and_phases_of_sines(sines):
+    analysis = recorded_sines.reduce(sines)
+    for omega in (6.28, 12.56):
+        at = {"frequency": omega / (2 * np.pi)}
+        assert only(analysis, "x", **at).value == pytest.approx(0.020, rel=0.005)
+        assert only(analysis, "P/x", **at).value == pytest.approx(1 / TRUTH["sine_gain"], rel=0.005)
+        phase = only(analysis, "phi_x", **at)
+        assert phase.value == pytest.approx(TRUTH["sine_phase"], abs=0.01)
+        assert phase.parts.method == pytest.approx(omega * 0.015)
+        width = 2 * 0.020 * np.sin(abs(TRUTH["sine_phase"]))
+        assert only(analysis, "H", **at).value == pytest.approx(width, rel=0.03)
+        assert only(analysis, "phi_P", **at).value == pytest.approx(-0.01 * omega, abs=0.01)
+
+
+def test_a_sine_over_a_jumping_clock_is_not_fitted(sines):
+    assert np.any(sines[2].trials[0].flags & np.uint16(Flag.TIME_JUMP))
+    (dropped,) = recorded_sines.reduce(sines).dropped
+    assert "its clock jumps" in dropped.reason
+
+
+def test_a_wrong_frequency_in_the_name_is_doubted(sines):
+    trial = sines[0].trials[0]
+    wrong = replace(sines[0], trials=(replace(trial, point={"frequency": trial.point["frequency"] * 0.97}),))
+    analysis = recorded_sines.reduce([wrong])
+    assert any(f.level == "doubt" and "off the frequency" in f.text for f in analysis.findings)
+
+
+def test_traces_have_columns_of_one_length(steps, sines):
+    for analysis in (recorded_steps.reduce(steps), recorded_sines.reduce(sines)):
+        assert analysis.traces
+        assert analysis.to_dict()["schema"]
+        for trace in analysis.traces:
+            assert len({len(column) for column in trace.columns.values()}) == 1
+            assert set(trace.quantities) == set(trace.columns)
+
+
+def test_recorded_steps_of_a_lab(tmp_path):
+    files = recorded_data().glob("mit_2-151/*step_exp/*_data.dat")
+    analysis = recorded_steps.reduce(runs_of(files, FIXTURES / "maps" / "mit-2-151-step.yaml", tmp_path))
+    assert analysis.facts["trials"] == 11
+    assert not analysis.dropped
+    t_d = only(analysis, "t_d")
+    assert 0 < t_d.value < 0.06
+    K = only(analysis, "K", **{"from": 120e3, "pressure": 360e3})
+    assert 4e3 < K.value < 12e3
+    assert K.parts.method > 0.1 * K.value
+    assert only(analysis, "K", **{"from": 360e3, "pressure": 120e3}).value is None
+
+
+def test_recorded_sines_of_a_lab(tmp_path):
+    files = recorded_data().glob("mit_2-151/*frq*/*_data.dat")
+    analysis = recorded_sines.reduce(runs_of(files, FIXTURES / "maps" / "mit-2-151-sine.yaml", tmp_path))
+    assert len(analysis.facts["frequencies"]) == 7
+    assert not analysis.dropped
+    phases = [e for e in analysis.estimates if e.symbol == "phi_x"]
+    assert all(e.value < 0 for e in phases)
+    assert [e.parts.method for e in phases] == pytest.approx(
+        [w * 0.015 for w in (1.57, 3.14, 6.28, 9.42, 12.56, 18.84, 31.4)]
+    )
+
+
+def test_a_recorded_pull_test_of_a_lab(tmp_path):
+    files = recorded_data().glob("mit_2-151/*characterization_exp/*_data.dat")
+    analysis = isometric.reduce(runs_of(files, FIXTURES / "maps" / "mit-2-151-pull.yaml", tmp_path))
+    slopes = [e.value for e in analysis.estimates if e.symbol == "m" and e.method == isometric.METHOD]
+    assert len(slopes) == 10
+    assert slopes[0] == pytest.approx(0.885e-3, rel=0.01)
+    assert analysis.facts["flagged"]["gap"] == 13
