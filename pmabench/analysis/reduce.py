@@ -17,7 +17,7 @@ REDUCTIONS = {
     "isometric": "isometric",
     "recorded-step": "recorded_steps",
     "recorded-sine": "recorded_sines",
-    "recorded-pull": "recorded_steps",
+    "recorded-pull": "isometric",
 }
 """Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
 
