@@ -26,8 +26,8 @@ def onset(t: Array, y: Array, command: float, least: float) -> float | None:
     """The moment [s] at which `y` leaves its level before `command` [s]; None if it does not.
 
     Threshold: `SEEN` times the noise of the samples before the command, at least `least`. From there a line through
-    the first samples above it is followed back to the level; where it misses the last still sample, a jump from one
-    sample to the next began at the latter.
+    the first samples above it is followed back to the level; where it misses the last still sample by far, y has
+    jumped from one sample to the next, at the latter.
     """
     before = y[t < command - 1e-9]
     if len(before) < 8:
@@ -47,8 +47,8 @@ def onset(t: Array, y: Array, command: float, least: float) -> float | None:
     still = np.flatnonzero(rise[:first] <= threshold / SEEN)
     reached, earliest = float(t[first]), float(t[still[-1]]) if len(still) else command
     at = reached - float(height / slope) if slope > 0 else command
-    if at >= earliest:
-        return min(reached, at)
+    if at >= earliest - float(t[first] - t[first - 1]):
+        return min(reached, max(earliest, at))
     return reached if rise[first] > RISE * threshold else earliest
 
 

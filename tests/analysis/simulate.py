@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,7 @@ def static_run(
     return _run("static-load", bench, trials, name)
 
 
+@lru_cache(maxsize=64)
 def _contract(bench: Rig, load: float, pressure: float) -> tuple[Array, dict[str, Array]]:
     """Noise-free samples of one trial."""
     commands = steps(pressure)

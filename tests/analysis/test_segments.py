@@ -1,0 +1,86 @@
+"""Segments are moving, unflagged, off the support; their averages satisfy the equation of motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.segments import Gate, Noise, Samples, cut, noise_seen, velocity
+
+RATE = 500.0
+B, K, F_CE, F_L, TAU = 1500.0, 6000.0, 300.0, 100.0, 0.25
+
+
+def exponential(noise: float = 0.0) -> Samples:
+    """x = 33.3 mm (1 - exp(-t/0.25 s)) at constant pressure: B x' + K x = F_ce - F_L exactly."""
+    t = np.arange(0, 4, 1 / RATE)
+    x = (F_CE - F_L) / K * (1 - np.exp(-t / TAU))
+    x += noise * np.random.default_rng(3).standard_normal(len(t))
+    ok = np.ones(len(t), dtype=np.bool_)
+    return Samples(0, t, np.full(len(t), 3e5), x, np.full(len(t), F_L), ok, F_L, 0.5)
+
+
+def test_averages_satisfy_the_equation_of_motion():
+    segments = cut([exponential()], RATE, Gate())
+    assert len(segments) > 10
+    x, v = segments.x @ segments.weights, segments.v.mean(axis=1)
+    assert segments.weights.sum() == pytest.approx(1.0)
+    assert (F_CE - K * x - B * v) == pytest.approx(F_L, abs=5e-3)
+    assert segments.force == pytest.approx(F_L)
+    assert (segments.way == 1.0).all()
+
+
+def test_every_segment_moves_faster_than_the_gate():
+    gate = Gate(speed=20e-3)
+    segments = cut([exponential(2e-6)], RATE, gate)
+    assert np.abs(segments.v).min() > gate.speed
+    # x' = 133 mm/s exp(-t / 0.25 s) falls below 20 mm/s at 0.474 s
+    assert segments.t.max() + gate.length < 0.475
+
+
+def test_relaxing_and_the_inertia_of_a_weight():
+    up = exponential()
+    down = replace(up, x=up.x[::-1].copy(), force=None, mass=40.0)
+    segments = cut([down], RATE, Gate())
+    assert (segments.way == -1.0).all()
+    v = segments.v.mean(axis=1)
+    # going backwards, x'' = v / tau: M x'' adds to the weight
+    assert segments.force == pytest.approx(F_L + 40.0 * v / TAU, rel=2e-3)
+    assert (segments.mass == 40.0).all()
+
+
+def test_flagged_samples_are_in_no_segment():
+    samples = exponential()
+    samples.ok[100:103] = False
+    samples.x[100:103] = np.nan
+    segments = cut([samples], RATE, Gate())
+    assert np.isfinite(segments.x).all()
+    assert np.isfinite(segments.v).all()
+    flagged = samples.t[101]
+    assert not np.any((segments.t < flagged) & (segments.t + 0.04 > flagged))
+
+
+def test_nothing_moves_no_segment():
+    samples = exponential()
+    none = cut([replace(samples, x=np.zeros_like(samples.x))], RATE, Gate())
+    assert len(none) == 0
+
+
+def test_velocity_of_a_straight_line():
+    t = np.arange(50) / RATE
+    assert velocity(t, 0.3 * t, 4)[4:-4] == pytest.approx(0.3)
+
+
+def test_a_shifted_channel():
+    segments = cut([exponential()], RATE, Gate())
+    assert segments.shifted("pressure", 0.01, 100.0).pressure == pytest.approx(3e5 * 1.01 + 100.0)
+    longer = segments.shifted("displacement", 0.01, 0.0)
+    assert longer.v == pytest.approx(1.01 * segments.v)
+    assert segments.shifted("force", 0.0, 2.0).force == pytest.approx(F_L + 2.0)
+
+
+def test_noise_is_seen_where_nothing_moves():
+    samples = exponential(5e-6)
+    assert noise_seen([samples], [slice(1000, 2000)]) == Noise(0.0, pytest.approx(5e-6, rel=0.1), 0.0)

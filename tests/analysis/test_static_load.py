@@ -1,0 +1,131 @@
+"""Static load: F_ce(P) between lift and set-down is that of plant 5.1, half their difference its friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.results import Analysis
+from pmabench.analysis.static_load import reduce
+from pmabench.store.records import RunData, TrialData
+from tests.analysis.simulate import LOADS, rig, static_run
+
+
+@cache
+def study(kind: str) -> tuple[RunData, Analysis]:
+    run = static_run(rig("paper0", kind, uncertainty=True))
+    return run, reduce([run])
+
+
+def F_ce(P: float) -> float:
+    """papers.md 5.1."""
+    return 1.08e-3 * P - 49.0
+
+
+def at(analysis: Analysis, method: str) -> dict[float, float]:
+    return {e.at["pressure"]: e.value for e in analysis.estimates if e.method == method and "pressure" in e.at}
+
+
+def found_at(load: float, lift: float | None, set_down: float | None, index: int = 0, **point: float) -> TrialData:
+    """A trial of which only the results are known."""
+    found = {}
+    for phase, P in (("lift", lift), ("set-down", set_down)):
+        no = {"found": False, "reason": "displacement did not cross before the end of the range"}
+        found[phase] = {"found": True, "pressure": P, "t": 1.0, "displacement": 2e-5} if P is not None else no
+    return TrialData(
+        "s", index, {"load": load, "mass": 5.0, **point}, 0, False, "finished", np.empty(0), {},
+        np.empty(0, dtype=np.uint16), (), found,
+    )  # fmt: skip
+
+
+def of(trials: list[TrialData]) -> Analysis:
+    return reduce([replace(study("ideal")[0], trials=tuple(trials))])
+
+
+def test_ideal_gives_the_line_of_f_ce():
+    _, analysis = study("ideal")
+    line = next(c for c in analysis.curves if c.method == "static-mean")
+    assert line.terms[0].value == pytest.approx(-49.0, abs=1.0)
+    assert line.terms[1].value == pytest.approx(1.08e-3, rel=0.01)
+    assert list(at(analysis, "static-mean")) == pytest.approx([1e3 * P for P in range(100, 551, 50)])
+
+
+def test_bench_mean_of_both_directions_is_f_ce_and_one_side_is_not():
+    _, analysis = study("bench")
+    for P, value in at(analysis, "static-mean").items():
+        assert abs(value - F_ce(P)) < 0.01 * F_ce(P) + 2.5
+    for method, sign in (("static-lift", -1), ("static-set-down", 1)):
+        off = [value - F_ce(P) for P, value in at(analysis, method).items()]
+        assert all(6.0 < sign * value < 11.0 for value in off)
+    assert all(e.bias is not None and not e.corrected for e in analysis.estimates if e.method == "static-lift")
+
+
+def test_half_the_difference_lies_between_sliding_and_static_friction():
+    _, analysis = study("bench")
+    half = [e for e in analysis.estimates if e.symbol == "F_f"]
+    assert len(half) == 1 + len(LOADS)
+    assert all(6.0 < e.value < 10.6 for e in half)
+    assert half[0].n == 5 * len(LOADS)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_interval_covers_f_ce(seed: int):
+    analysis = reduce([static_run(rig(), LOADS[::2], repeats=3, seed=seed)])
+    for e in analysis.estimates:
+        if e.method == "static-mean" and e.at:
+            assert abs(e.value - F_ce(e.at["pressure"])) < e.parts.combined < 5.0
+
+
+def test_calibration_is_the_offset_of_the_pressure():
+    _, analysis = study("ideal")
+    line = next(c for c in analysis.curves if c.method == "static-mean")
+    assert line.terms[0].parts.calibration == pytest.approx(1.5e3 * 1.08e-3, rel=0.01)
+    assert line.terms[1].parts.calibration == 0.0
+
+
+def test_a_line_from_results_alone():
+    # F_ce = 1 N/kPa P, 10 N of friction
+    trials = [found_at(F, 1e3 * (F + 10), 1e3 * (F - 10), i) for i, F in enumerate((100.0, 200.0, 300.0))]
+    analysis = of(trials)
+    assert at(analysis, "static-mean") == pytest.approx({P: 1e-3 * P for P in (1e5, 1.5e5, 2e5, 2.5e5, 3e5)})
+    assert next(e for e in analysis.estimates if e.symbol == "F_f").value == pytest.approx(10.0)
+
+
+def test_searches_that_found_nothing_are_listed():
+    analysis = of([found_at(100.0, 1.1e5, 0.9e5), found_at(200.0, 2.1e5, 1.9e5, 1), found_at(900.0, None, None, 2)])
+    assert [(d.trial, d.point["load"]) for d in analysis.dropped] == [("s/2", 900.0)]
+    assert "did not cross" in analysis.dropped[0].reason
+    assert analysis.facts["trials_used"] == 2
+
+
+def test_one_direction_alone_is_doubted():
+    trials = [found_at(F, None, 1e3 * (F - 10), i) for i, F in enumerate((100.0, 200.0, 300.0))]
+    analysis = of(trials)
+    assert {c.method for c in analysis.curves} == {"static-set-down"}
+    assert any(f.level == "doubt" and "one direction only" in f.text for f in analysis.findings)
+
+
+def test_one_load_makes_no_line():
+    analysis = of([found_at(100.0, 1.1e5, 0.9e5)])
+    assert not analysis.curves
+    assert any(f.level == "fault" for f in analysis.findings)
+
+
+def test_a_bent_f_ce_is_doubted():
+    analysis = reduce([static_run(rig("serres2009"))])
+    # papers.md 5.2: 3.207 P below 150 kPa, 2.91 P + 44.6 above; the loads reach 173 kPa
+    assert any(f.level == "doubt" and "is no line" in f.text for f in analysis.findings)
+
+
+def test_traces_show_points_and_lifts():
+    _, analysis = study("bench")
+    points, *lifts = analysis.traces
+    assert points.figure == "static"
+    assert len(points.columns["load"]) == 5 * len(LOADS)
+    assert len(lifts) == 3
+    for trace in lifts:
+        assert len(trace.columns["t"]) <= 1500
+        assert trace.marks["set-down"] < trace.marks["lift"]
