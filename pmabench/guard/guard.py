@@ -134,7 +134,7 @@ class Guard:
         segment = Segment(
             "sine",
             self._clock.now(),
-            self._raw(output, mean),
+            float(output.scale.to_raw(mean)),  # not rounded: that would shift a crest beyond its limit
             amplitude=amplitude / output.scale.slope,
             frequency=frequency,
             cycles=cycles,

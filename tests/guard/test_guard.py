@@ -136,7 +136,7 @@ def test_the_value_that_the_device_gets_lies_inside_after_rounding(value, slope,
         return
     sent = told(guard)[-1][2] * slope + offset
     assert -resolution * abs(slope) - 1e-3 <= sent <= 600e3 * (1 + 2e-9)
-    assert sent <= value + 1e-6 * abs(value) + 1e-3, "rounded away from the safe side"
+    assert sent <= value + 1e-6 * (abs(value) + 2 * resolution * abs(slope)) + 1e-3, "rounded away from the safe side"
 
 
 @settings(max_examples=500, deadline=None)
