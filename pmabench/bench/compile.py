@@ -318,7 +318,7 @@ class _Compiler:
             )
         if air.dump_valve != "normally open":
             yield "no normally-open dump valve: pressure stays on when the power or the computer fails"
-        if all(device.watchdog == "none" for device in self.bench.devices.values()):
+        if self.bench.time == "real":
             yield "no device watchdog: a killed program leaves the regulator at its last value"
         if self.bench.weights is not None and self.bench.weights.catch_height is None:
             yield "no catch height: venting drops a raised stack"

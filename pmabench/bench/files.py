@@ -74,7 +74,6 @@ class DeviceFile(Strict):
 
     driver: str
     address: str = ""
-    watchdog: Time | Literal["none"] = "none"
     options: dict[str, Any] = {}
 
 
@@ -114,7 +113,7 @@ class LimitFile(Strict):
     trip: Reading | None = None
     trip_low: Reading | None = None
     delay: Time = 0.0
-    action: Literal["warn", "stop", "vent"] = "vent"
+    action: Literal["vent"] = "vent"
 
 
 class SafeActionFile(Strict):

@@ -102,7 +102,7 @@ class TripRecord:
     delay: float
     """How long the value must stay outside before the action [s]."""
     action: str
-    """`warn`, `stop` or `vent`."""
+    """What happens then: `vent`."""
     source: str = ""
     """file:line:column of the limit."""
 

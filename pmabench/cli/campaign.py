@@ -43,7 +43,7 @@ def run_campaign(
     for number, run in enumerate(planned):
         mounted = run.mounted if seed is None else seeded(run.mounted, seed + number)
         ui.note(f"{number + 1} of {len(planned)}: {run.plan.name} on {mounted.bench.name}")
-        prepared = Prepared(run.plan, mounted, run.protocol_text)
+        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations)
         outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes)
         outcomes.append(outcome)
         if outcome.status not in {"finished", "failed"}:

@@ -19,6 +19,8 @@ class Prepared:
     plan: Plan
     mounted: Mounted
     protocol_text: str
+    deviations: tuple[str, ...] = ()
+    """What was changed in the protocol for this run, in words."""
 
 
 def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
@@ -38,7 +40,7 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
     document, model = read
     plan = compile_protocol(document, model, mounted)
     text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in document.texts.items())
-    return Prepared(plan, mounted, text)
+    return Prepared(plan, mounted, text, tuple(f"{name} set to {value}" for name, value in settings))
 
 
 def seeded(mounted: Mounted, seed: int) -> Mounted:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import getpass
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -68,6 +68,7 @@ def run_plan(
     out: Path | None,
     protocol_text: str = "",
     operator_name: str = "",
+    deviations: Sequence[str] = (),
     progress: Callable[[Progress], None] = lambda _progress: None,
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
@@ -86,7 +87,7 @@ def run_plan(
         recorder: Recorder = NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            writer = _new_folder(plan, mounted, bench, guard, out, protocol_text, operator_name)
+            writer = _new_folder(plan, mounted, bench, guard, out, protocol_text, operator_name, deviations)
             recorder = writer
         with Signals() as signals:
             return _guarded(plan, bench, guard, clock, recorder, writer, _Waiting(operator, signals), signals, progress)
@@ -102,6 +103,7 @@ def _new_folder(
     out: Path,
     protocol_text: str,
     operator_name: str,
+    deviations: Sequence[str],
 ) -> RunWriter:
     from pmabench.store.writer import RunWriter
 
@@ -123,6 +125,7 @@ def _new_folder(
         "rate": plan.rate,
         "lacks": list(mounted.lacks),
         "hazards": list(plan.hazards),
+        "deviations": list(deviations),
         "pmabench": __version__,
     }
     snapshots = {name: text.encode() for name, text in mounted.documents.items()}

@@ -41,6 +41,8 @@ class PlannedRun:
     plan: Plan
     mounted: Mounted
     protocol_text: str
+    deviations: tuple[str, ...]
+    """What the campaign changes in the protocol, in words."""
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:
@@ -79,7 +81,7 @@ def _plan(
         mounted[bench] = mount(_find(folder, "bench", bench), _find(folder, "specimen", campaign.specimen))
     plan = compile_protocol(protocol_document, protocol, mounted[bench])
     text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in protocol_document.texts.items())
-    return PlannedRun(plan, mounted[bench], text)
+    return PlannedRun(plan, mounted[bench], text, tuple(f"{name} set to {value}" for name, value in settings))
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:
