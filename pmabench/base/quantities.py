@@ -42,6 +42,11 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("current", "A", "mA", 1e-3),
         Quantity("angle", "rad", "deg", 0.017453292519943295),
         Quantity("force per pressure", "N/Pa", "N/kPa", 1e-3),
+        Quantity("force per pressure squared", "N/Pa2", "N/kPa2", 1e-6),
+        Quantity("stiffness per pressure", "N/m/Pa", "N/mm/kPa", 1.0),
+        Quantity("stiffness per pressure squared", "N/m/Pa2", "N/mm/kPa2", 1e-3),
+        Quantity("damping per pressure", "N.s/m/Pa", "N.s/mm/kPa", 1.0),
+        Quantity("damping per pressure squared", "N.s/m/Pa2", "N.s/mm/kPa2", 1e-3),
         Quantity("force rate", "N/s", "N/s", 1.0),
         Quantity("count", "1", "", 1.0),
     )
