@@ -113,7 +113,9 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
     shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
     length = _clock(longest) if shortest == longest else f"{_clock(shortest)} to {_clock(longest)}"
     asks = sum(step.kind == "ask" for step in plan.steps)
-    console.print(f"  length    {length}, without the operator's time; {asks} times hands are needed")
+    console.print(
+        f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
+    )
     console.print(
         f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, {_size(summary['bytes'])}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from pmabench.engine.executor import Progress
     from pmabench.engine.operator import Operator
     from pmabench.engine.run import Outcome
+
+CLEAR = "\r\x1b[2K"
+"""Takes the line of progress away."""
 
 
 @click.command(name="run")
@@ -76,7 +80,7 @@ def _operator(*, yes: bool) -> Operator:
     if yes:
         return ConfirmedBeforehand()
     if sys.stdin.isatty():
-        return AtTerminal(input, lambda text: click.echo(text, err=True))
+        return AtTerminal(input, lambda text: click.echo(f"{CLEAR if sys.stderr.isatty() else ''}{text}", err=True))
     return Nobody()
 
 
@@ -97,11 +101,12 @@ def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
         trial = f"trial {progress.trial + 1} of {progress.trials}" if progress.trial is not None else progress.phase
         bar = "#" * round(24 * done)
         rest = f", {left:.0f} s left" if left is not None else ""
-        click.echo(f"\r\x1b[2K{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"[:110], err=True, nl=False)
+        line = f"{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"
+        click.echo(CLEAR + line[: shutil.get_terminal_size().columns - 1], err=True, nl=False)
 
     yield show
     if live:
-        click.echo("\r\x1b[2K", err=True, nl=False)
+        click.echo(CLEAR, err=True, nl=False)
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from pmabench.base.errors import PmaError
-from pmabench.base.quantities import show
 
 
 class NoOperator(PmaError):
@@ -41,7 +40,7 @@ class AtTerminal:
     def ask(self, text: str, measured: Mapping[str, float]) -> str:
         """Ask until the word is `clear`; nothing else counts."""
         pressure = measured.get("pressure")
-        shown = "not measured" if pressure is None else show(pressure, "pressure", 3)
+        shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
         self._write(f"{text}\nMeasured pressure: {shown}.")
         while True:
             answer = self._read('Type "clear" when it is done and hands are out: ').strip().lower()
