@@ -68,7 +68,7 @@ def execute(ui: Ui, prepared: Prepared, out: Path, *, operator_name: str = "", y
             _operator(yes=yes),
             out=out,
             protocol_text=prepared.protocol_text,
-            deviations=(*prepared.deviations, *(["prompts counted as answered (--yes)"] if yes else [])),
+            deviations=prepared.deviations,
             operator_name=operator_name,
             progress=progress,
         )
