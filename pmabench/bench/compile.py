@@ -6,7 +6,6 @@ Knows no protocol.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,8 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
-from pmabench.bench.files import BenchFile, CalibrationFile, LimitFile, SpecimenFile
+from pmabench.bench.calibration import Calibration, document_text, fit_line, read_calibration
+from pmabench.bench.files import BenchFile, LimitFile, SpecimenFile
 from pmabench.bench.interface import (
     CalibrationRecord,
     ChannelRecord,
@@ -53,7 +53,7 @@ class _Compiler:
     def __init__(self, bench: Document, specimen: Document, folder: Path) -> None:
         self.bench_document, self.specimen_document, self.folder = bench, specimen, folder
         self.problems: list[Problem] = []
-        self.documents = {"bench.yaml": _joined(bench), "specimen.yaml": _joined(specimen)}
+        self.documents = {"bench.yaml": document_text(bench), "specimen.yaml": document_text(specimen)}
         files: list[Any] = []
         for model, document in ((BenchFile, bench), (SpecimenFile, specimen)):
             try:
@@ -78,8 +78,7 @@ class _Compiler:
 
     # -- channels -----------------------------------------------------------------------------------------------
 
-    def calibration(self, name: str, quantity: str, location: Location) -> tuple[Scale, CalibrationRecord, str]:
-        none = Scale(), CalibrationRecord(id=name), ""
+    def calibration(self, name: str, quantity: str, location: Location) -> Calibration:
         places = [self.folder / "calibrations" / f"{name}.yaml", self.folder.parent / "calibrations" / f"{name}.yaml"]
         path = next((place for place in places if place.is_file()), None)
         if path is None:
@@ -87,54 +86,14 @@ class _Compiler:
                 file.stem for place in places if place.parent.is_dir() for file in place.parent.glob("*.yaml")
             )
             self.fault(location, f'no calibration "{name}" in calibrations/{did_you_mean(name, near)}')
-            return none
+            return Calibration()
         try:
-            document = read_document(path)
-            file = validate(CalibrationFile, document)
+            found = read_calibration(path, quantity)
         except InvalidFile as error:
             self.problems.extend(error.problems)
-            return none
-        text = _joined(document)
-        self.documents[f"calibrations/{name}.yaml"] = text
-        raw_unit = file.points[0][0][1]
-
-        def wrong(where: Location, message: str) -> None:
-            self.problems.append(document.problem(where, message))
-
-        if file.quantity != quantity:
-            wrong(("quantity",), f"is of {file.quantity}, the channel measures {quantity}")
-            return none
-        raw: list[float] = []
-        value: list[float] = []
-        for index, (reading, reference) in enumerate(file.points):
-            if reading[1] != raw_unit:
-                wrong(("points", index, 0), f"all readings in one unit, here {raw_unit}")
-            raw.append(reading[0])
-            try:
-                value.append(reference[0] * unit_factor(reference[1], quantity))
-            except ValueError as error:
-                wrong(("points", index, 1), str(error))
-                return none
-        try:
-            uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
-            scale = fit_line(raw, value)
-        except ValueError as error:
-            wrong(("points",), str(error))
-            return none
-        bend = max(abs(scale.to_si(r) - v) for r, v in zip(raw, value, strict=True))
-        if bend > max(uncertainty, 1e-9 * max(abs(v) for v in value)):
-            wrong(("points",), f"bend away from a straight line by {show(bend, quantity)}, more than the uncertainty")
-        record = CalibrationRecord(
-            id=file.id,
-            reference=file.reference,
-            date=file.date.isoformat(),
-            valid_until=file.valid_until.isoformat() if file.valid_until else "",
-            offset_uncertainty=uncertainty,
-            gain_uncertainty=file.gain_uncertainty,
-            sensor_lag=file.sensor_lag,
-            sha256=hashlib.sha256(text.encode()).hexdigest(),
-        )
-        return scale, record, raw_unit
+            return Calibration()
+        self.documents[f"calibrations/{name}.yaml"] = found.text
+        return found
 
     def channel(self, name: str) -> ChannelRecord | None:
         file = self.bench.channels[name]
@@ -146,7 +105,8 @@ class _Compiler:
         if file.device not in self.bench.devices:
             self.fault((*at, "device"), f'no device "{file.device}"{did_you_mean(file.device, self.bench.devices)}')
         if file.calibration is not None:
-            scale, record, raw_unit = self.calibration(file.calibration, quantity, (*at, "calibration"))
+            found = self.calibration(file.calibration, quantity, (*at, "calibration"))
+            scale, record, raw_unit = found.scale, found.record, found.raw_unit
         else:
             raw_unit, record = file.unit or "", CalibrationRecord()
             scale = Scale(self.si((1.0, raw_unit), quantity, (*at, "unit")) or 1.0, 0.0)
@@ -366,29 +326,6 @@ class _Compiler:
             length=self.specimen.mounted.length,
         )
         return Mounted(bench, self.bench, self.specimen, self.documents, lacks)
-
-
-def fit_line(raw: list[float], value: list[float]) -> Scale:
-    """Least-squares line through reference points, value against raw; ValueError where they make none."""
-    n = len(raw)
-    raw_mean, value_mean = sum(raw) / n, sum(value) / n
-    spread = sum((r - raw_mean) ** 2 for r in raw)
-    if spread == 0:
-        raise ValueError("all readings are the same: they make no line")
-    slope = sum((r - raw_mean) * (v - value_mean) for r, v in zip(raw, value, strict=True)) / spread
-    if slope == 0:
-        raise ValueError("the readings do not change with the reference: they make no line")
-    return Scale(slope, value_mean - slope * raw_mean)
-
-
-def _joined(document: Document) -> str:
-    """The text of a document, with the texts that it includes behind it."""
-    (first, *rest) = sorted(document.texts.items(), key=lambda item: item[0] != document.path)
-    return first[1] + "".join(f"\n# ---- {path} ----\n" + _commented(text) for path, text in rest)
-
-
-def _commented(text: str) -> str:
-    return "".join(f"# {line}\n" for line in text.splitlines())
 
 
 def mount(bench_path: Path, specimen_path: Path) -> Mounted:

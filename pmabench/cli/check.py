@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common, settings_option
+from pmabench.cli.common import Ui, common, plan_options
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="check")
-@click.argument("protocol")
-@click.option("--bench", required=True, help="Bench file, or the name of a shipped one.")
-@click.option("--specimen", required=True, help="Specimen file, or the name of a shipped one.")
-@settings_option
+@plan_options
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
 @click.option("--simulate", is_flag=True, help="Run the plan on a simulated bench and show the peaks.")
 @common

@@ -88,8 +88,8 @@ def _explain(ui: Ui, error: PmaError) -> None:
         click.echo(f"{len(error.problems)} problems", err=True)
 
 
-def settings_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`--set name=value`, repeatable."""
+def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What a plan is made of: PROTOCOL, `--bench`, `--specimen`, `--set`."""
 
     def split(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
         pairs = []
@@ -100,11 +100,11 @@ def settings_option(function: Callable[..., Any]) -> Callable[..., Any]:
             pairs.append((name, text))
         return pairs
 
-    return click.option(
-        "--set",
-        "settings",
-        multiple=True,
-        callback=split,
-        metavar="NAME=VALUE",
-        help="Change one value of the protocol.",
-    )(function)
+    for option in (
+        click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
+        click.option("--specimen", required=True, help="Specimen file, or the name of a shipped one."),
+        click.option("--bench", required=True, help="Bench file, or the name of a shipped one."),
+        click.argument("protocol"),
+    ):
+        function = option(function)
+    return function

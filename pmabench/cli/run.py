@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common, settings_option
+from pmabench.cli.common import Ui, common, plan_options
 
 if TYPE_CHECKING:
     from pmabench.cli.prepare import Prepared
@@ -25,11 +25,8 @@ CLEAR = "\r\x1b[2K"
 
 
 @click.command(name="run")
-@click.argument("protocol")
-@click.option("--bench", required=True, help="Bench file, or the name of a shipped one.")
-@click.option("--specimen", required=True, help="Specimen file, or the name of a shipped one.")
+@plan_options
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
-@settings_option
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @common

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.bench.compile import fit_line, mount
+from pmabench.bench.calibration import fit_line
+from pmabench.bench.compile import mount
 from pmabench.bench.interface import CompiledBench
 
 ROOT = Path(__file__).resolve().parents[2]
