@@ -1,1 +1,13 @@
-"""From trials to coefficients: segmentation, fits, uncertainty, tuning rules; pure functions over loaded runs."""
+"""From trials to coefficients: segmentation, fits, uncertainty, tuning rules; pure functions over loaded runs.
+
+`reduce.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`).
+
+- contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`; the papers' way
+  and the dead times are in `contraction_steps`, `steps`, `onset`; words and figures in `contraction_view`
+- static-load: `static_load`
+- sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_traces`
+- ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
+- isometric, recorded-pull: `isometric`; recorded-step: `recorded_steps`; recorded-sine: `recorded_sines`; what imports
+  say beside their samples: `imported`
+- shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals)
+"""
