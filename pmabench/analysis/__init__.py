@@ -2,8 +2,8 @@
 
 `reduce.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`).
 
-- contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`; the papers' way
-  and the dead times are in `contraction_steps`, `steps`, `onset`; words and figures in `contraction_view`
+- contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`; the papers'
+  way and the dead times are in `contraction_steps`, `steps`, `onset`; words and figures in `contraction_view`
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
