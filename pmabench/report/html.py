@@ -1,0 +1,361 @@
+"""A characterisation report as one HTML file that references nothing outside itself; computes no estimate.
+
+The same input gives the same bytes. Every text is untrusted: Jinja2 escapes all of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pmabench import __version__
+from pmabench.analysis.reduce import verdicts
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.base.errors import RecordError
+from pmabench.report import provenance, tables
+from pmabench.report.figures import front_pictures, kind_pictures
+from pmabench.report.pictures import Picture
+from pmabench.report.rounding import rounded
+from pmabench.report.svg import symbol_parts
+from pmabench.report.wording import (
+    HEADLINES,
+    KINDS,
+    METHODS,
+    SYMBOLS,
+    clean,
+    in_order,
+    kind_title,
+    number,
+    point_shown,
+    point_text,
+    shown,
+    symbol_text,
+)
+from pmabench.store.folder import plain
+from pmabench.store.records import RunData
+
+TILES = 8
+FRONT_FINDINGS = 6
+BRIEF = 28
+"""Letters of a text that is kept on one line."""
+SHORT = 16
+"""Rows of a table that is not broken across pages."""
+FEWEST_IN_GROUP = 3
+"""Rows a method, from which on methods become headings of groups of rows instead of a column."""
+LEVELS = {"fault": "Fault", "doubt": "Doubt", "note": "Note"}
+_PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
+_NUMBER = re.compile(r"[−-]?[\d.,]+(×10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell: its text, or value and half width apart so that columns align at the sign."""
+
+    text: str
+    half: str = ""
+    muted: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a column is set."""
+
+    head: str
+    align: str
+    """`pair`, `number`, `brief` (not to be broken into lines) or `text`."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table ready for the template; `groups` are (heading or empty, rows)."""
+
+    columns: list[Column]
+    groups: list[tuple[str, list[list[Cell]]]]
+    caption: str = ""
+
+    @property
+    def width(self) -> int:
+        """Number of HTML columns."""
+        return sum(2 if column.align == "pair" else 1 for column in self.columns)
+
+    @property
+    def short(self) -> bool:
+        """Whether it can be kept on one page."""
+        return sum(len(rows) for _, rows in self.groups) <= SHORT
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key number of the first page."""
+
+    symbol: str
+    name: str
+    value: str
+    unit: str
+    where: str
+    reach: str
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """A figure with its number and its numbers."""
+
+    n: int
+    picture: Picture
+    grid: Grid
+
+
+@dataclass
+class Section:
+    """What one kind of test adds to the report."""
+
+    title: str
+    simulated: bool
+    counts: str
+    tables: list[Grid] = field(default_factory=list)
+    figures: list[Numbered] = field(default_factory=list)
+    parts: Grid | None = None
+
+
+def write_report(
+    analyses: Sequence[Analysis], runs: Sequence[RunData], path: Path, *, title: str | None = None
+) -> Path:
+    """Write the report of `analyses`, with what `runs` tell of bench, specimen and protocol, to `path`.
+
+    Raises RecordError where it cannot be written.
+    """
+    text = render(analyses, runs, title=title)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise RecordError(f"{path}: the report cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def render(analyses: Sequence[Analysis], runs: Sequence[RunData], *, title: str | None = None) -> str:
+    """The report as text."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("pmabench.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["sym"] = symbols_marked
+    environment.filters["css"] = css_text
+    return environment.get_template("report.html.j2").render(_context(analyses, runs, title)) + "\n"
+
+
+def symbols_marked(text: object) -> Any:
+    """Escaped text with symbols in italics and their subscripts lowered."""
+    from markupsafe import Markup
+
+    tags = {"symbol": ("<i>", "</i>"), "sub": ("<sub>", "</sub>"), "text": ("", "")}
+    parts = symbol_parts(str(text))
+    return Markup("".join(f"{tags[kind][0]}{escape(part)}{tags[kind][1]}" for kind, part in parts))  # noqa: S704
+
+
+def css_text(text: object) -> Any:
+    """Text inside a CSS string: everything but letters, digits and blanks as an escape."""
+    from markupsafe import Markup
+
+    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x}" for c in clean(text, 90))
+    return Markup("".join(inert))  # noqa: S704
+
+
+def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str | None) -> dict[str, Any]:
+    order = in_order((a.kind for a in analyses), KINDS)
+    analyses = sorted(analyses, key=lambda a: order.index(a.kind))
+    runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
+    ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
+    names = {run: f"R{n}" for n, run in enumerate(ids, 1)}
+    simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
+    figures = _Figures()
+    front, used = front_pictures(analyses)
+    first_page = [figures.add(p) for p in front]
+    sections = [_section(a, figures, used) for a in analyses]
+    failed = [clean(text) for text in verdicts(runs, analyses)]
+    findings = tables.findings_table(analyses)
+    specimens = provenance.specimens(runs)
+    tested = ", ".join(kind_title(a.kind).lower() if n else kind_title(a.kind) for n, a in enumerate(analyses))
+    name = (
+        clean(title, 200) if title else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
+    )
+    methods = list(dict.fromkeys(e.method for a in analyses for e in a.estimates))
+    return {
+        "title": name,
+        "version": __version__,
+        "report_id": _identity(analyses, runs),
+        "simulated": any(simulated),
+        "mixed": any(simulated) and not all(simulated),
+        "specimens": specimens,
+        "benches": provenance.benches(runs),
+        "tested": tested,
+        "when": provenance.when(runs),
+        "operators": provenance.operators(runs),
+        "statuses": provenance.statuses(runs),
+        "missing": [clean(run, 200) for run in ids if run not in {r.id for r in runs}],
+        "failed": failed,
+        "accept": [f"{symbol} ± {100 * widest:g} %" for symbol, widest in provenance.acceptance(runs).items()],
+        "verdicts": _first_findings(findings),
+        "findings": findings.to_numpy().tolist(),
+        "levels": LEVELS,
+        "tiles": _tiles(analyses),
+        "front": first_page,
+        "protocol": grid(provenance.protocol_table(runs, names)),
+        "deviations": provenance.deviations(runs, names),
+        "coefficients": grid(tables.primary_table(analyses)),
+        "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
+        "curves": grid(tables.curves_table(analyses), group=False),
+        "sections": sections,
+        "tuning": _tuning(analyses),
+        "dropped": _dropped(analyses, names),
+        "methods": [(clean(m, 120), METHODS.get(m.partition(" above ")[0], "")) for m in methods],
+        "runs": grid(provenance.run_table(runs, names), group=False),
+        "run_details": [list(row.items()) for row in provenance.run_table(runs, names).to_dict("records")],
+        "calibrations": grid(provenance.calibration_table(runs, names), group=False),
+        "versions": provenance.versions(runs),
+    }
+
+
+class _Figures:
+    """Numbers figures in the order in which they come."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def add(self, picture: Picture) -> Numbered:
+        self.count += 1
+        return Numbered(self.count, picture, grid(picture.table))
+
+
+def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
+    data = plain({"analyses": [a.to_dict() for a in analyses], "runs": [run.id for run in runs]})
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _section(analysis: Analysis, figures: _Figures, used: Sequence[str]) -> Section:
+    trials = analysis.facts.get("trials_used", analysis.facts.get("trials"))
+    dropped = len(analysis.dropped)
+    counts = f"{len(analysis.runs)} run{'s' if len(analysis.runs) != 1 else ''}"
+    if isinstance(trials, int) and not isinstance(trials, bool):
+        counts += f", {trials} trials used"
+    counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
+    section = Section(kind_title(analysis.kind), analysis.simulated, counts)
+    section.tables = [grid(t.frame, clean(t.caption)) for t in tables.other_tables(analysis)]
+    section.figures = [figures.add(p) for p in kind_pictures(analysis, used)]
+    parts = tables.parts_table(analysis)
+    section.parts = grid(parts) if len(parts) else None
+    return section
+
+
+def grid(frame: pd.DataFrame, caption: str = "", *, group: bool = True) -> Grid:
+    """A frame of text as a table: columns of `a ± b` split, empty columns left out, methods as headings of rows."""
+    shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
+    methods = frame["method"].nunique() if "method" in shown_columns else 0
+    grouped = group and methods > 0 and (methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods)
+    columns = []
+    for name in shown_columns:
+        if grouped and name == "method":
+            continue
+        values = [str(v) for v in frame[name] if str(v) not in ("", "not identifiable")]
+        align = "text"
+        if values and all(_PAIR.fullmatch(v) for v in values):
+            align = "pair"
+        elif values and all(_NUMBER.fullmatch(v) for v in values) and name not in ("run", "trial"):
+            align = "number"
+        elif all(len(str(v)) <= BRIEF for v in frame[name]):
+            align = "brief"
+        columns.append(Column(str(name), align))
+    groups: list[tuple[str, list[list[Cell]]]] = []
+    for record in frame.to_dict("records"):
+        heading = str(record["method"]) if grouped else ""
+        if not groups or groups[-1][0] != heading:
+            groups.append((heading, []))
+        groups[-1][1].append([_cell(str(record[c.head]), c.align) for c in columns])
+    return Grid(columns, groups, caption)
+
+
+def _cell(text: str, align: str) -> Cell:
+    pair = _PAIR.fullmatch(text) if align == "pair" else None
+    if pair:
+        return Cell(pair[1], pair[2])
+    return Cell(text, muted=text == "not identifiable")
+
+
+def _first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]], int]:
+    """The findings for the first page, gravest first, and how many more there are."""
+    rows = [(level, test, text) for level, test, text in findings.to_numpy().tolist()]
+    return rows[:FRONT_FINDINGS], max(0, len(rows) - FRONT_FINDINGS)
+
+
+def _tiles(analyses: Sequence[Analysis]) -> list[Tile]:
+    """Key numbers: each headline symbol by the first primary method that gives it, at the middle of what was tested."""
+    found = []
+    for symbol in HEADLINES:
+        for analysis in analyses:
+            known = [
+                e for e in analysis.estimates if e.symbol == symbol and e.value is not None and "frequency" not in e.at
+            ]
+            members = [e for e in known if e.method == known[0].method and set(e.at) == set(known[0].at)]
+            if members:
+                found.append(_tile(members))
+                break
+    if any(tile.symbol in ("B_c", "B_r") for tile in found):
+        found = [tile for tile in found if tile.symbol != "B"]
+    return found[:TILES]
+
+
+def _tile(members: list[Estimate]) -> Tile:
+    varying = [name for name in in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1]
+    members = sorted(members, key=lambda e: [e.at[name] for name in varying])
+    middle = members[len(members) // 2]
+    unit = shown(middle.quantity, middle.unit)
+    half = middle.parts.combined
+    value = rounded((middle.value or 0.0) / unit.scale, None if half is None else half / unit.scale)
+    shown_at = {name: middle.at[name] for name in (varying or in_order(middle.at, ("pressure", "setpoint"))[:1])}
+    reach = ""
+    if len(members) > 1 and len(varying) == 1:
+        _, at_unit = point_shown(varying[0])
+        ends = [(e.value or 0.0) / unit.scale for e in (members[0], members[-1])]
+        places = [number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
+        reach = (
+            f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} from {places[0]} to {places[1]} {at_unit.unit}"
+        )
+    name = SYMBOLS.get(middle.symbol, "")
+    where = ", ".join(part for part in (point_text(shown_at), clean(middle.method, 60)) if part)
+    return Tile(symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
+
+
+def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
+    """One table of settings for each operating point."""
+    frame = tables.tuning_table(analyses)
+    if not len(frame):
+        return []
+    found = []
+    for point in dict.fromkeys(str(point) for point in frame["operating point"]):
+        rows = frame[frame["operating point"] == point].drop(columns="operating point")
+        found.append(grid(rows, f"Settings at {point}" if point else "Settings"))
+    return found
+
+
+def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
+    frame = tables.dropped_table(analyses)
+    frame["trial"] = [_short(trial, names) for trial in frame["trial"]]
+    return grid(frame.rename(columns={"test": "method"})) if len(frame) else grid(frame)
+
+
+def _short(trial: str, names: Mapping[str, str]) -> str:
+    run, slash, index = trial.rpartition("/")
+    return f"{names[run]} / {index}" if slash and run in names else trial

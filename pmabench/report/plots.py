@@ -1,0 +1,305 @@
+"""Drawings: one function per kind of figure, from plain columns to a matplotlib figure; knows no page and no wording.
+
+All are called inside `svg.drawing()`. Numbers come in display units, with their labels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+HALF, FULL = 3.5, 7.2
+"""Widths of figures [in]."""
+INK, QUIET, FAINT = "#1b1f24", "#5b6570", "#9aa5b1"
+BLUE, RED, GREEN, PURPLE, SKY, ORANGE = "#0b5fa5", "#c8500a", "#0a8a64", "#b0578d", "#4aa3df", "#d99000"
+PALETTE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+WARN = "#a14a00"
+
+
+@dataclass(frozen=True)
+class Points:
+    """Values with half widths of their intervals (NaN: none), and a curve through them."""
+
+    label: str
+    x: Array
+    y: Array
+    half: Array
+    primary: bool
+    group: int
+    """Colour."""
+    mark: int
+    """Marker."""
+    curve: tuple[Array, Array, Array] | None = None
+    """x, y and half width of the band."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One panel of a figure of several: a title, named columns."""
+
+    title: str
+    columns: dict[str, Array]
+    marks: dict[str, float]
+
+
+def blank(width: float, height: float) -> Figure:
+    """An empty figure [in]."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height))
+
+
+def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
+    """A grid inside margins given in inches: left, right, bottom, top, and gaps `across` and `down`."""
+    width, height = figure.get_size_inches()
+    left, right = options.pop("left", 0.52), options.pop("right", 0.1)
+    bottom, top = options.pop("bottom", 0.38), options.pop("top", 0.28)
+    across, down = options.pop("across", 0.5), options.pop("down", 0.5)
+    wide, high = (
+        (width - left - right - (columns - 1) * across) / columns,
+        (height - bottom - top - (rows - 1) * down) / rows,
+    )
+    return figure.add_gridspec(
+        rows,
+        columns,
+        left=left / width,
+        right=1 - right / width,
+        bottom=bottom / height,
+        top=1 - top / height,
+        wspace=across / wide,
+        hspace=down / high,
+        **options,
+    )
+
+
+def stamp(figure: Figure, text: str) -> None:
+    """A word in the upper right corner: SIMULATED."""
+    width, height = figure.get_size_inches()
+    figure.text(
+        1 - 0.06 / width, 1 - 0.04 / height, text, ha="right", va="top", fontsize=6.5, color=WARN, weight="bold"
+    )
+
+
+def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: float = 2.55) -> Figure:
+    """Coefficients over an operating point with 95 % bars, fitted curve and band; methods side by side."""
+    figure = blank(HALF, height)
+    rows = ceil(len(points) / 2) if len(points) > 1 else 0
+    cells = grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0]
+    apart = _apart(points)
+    inner = cells.subgridspec(2, 1, height_ratios=(2.3, 1), hspace=0.14) if apart else [cells]
+    axes = figure.add_subplot(inner[0])
+    strip = figure.add_subplot(inner[1]) if apart else None
+    reach = np.concatenate([p.x for p in points]) if points else np.zeros(1)
+    step = 0.012 * float(np.ptp(reach))
+    order = sorted(range(len(points)), key=lambda i: points[i].primary)
+    beside = [i for i in range(len(points)) if not points[i].primary]
+    for i in order:
+        p = points[i]
+        color = PALETTE[p.group % len(PALETTE)]
+        if p.curve is not None:
+            x, y, half = p.curve
+            if p.primary:
+                axes.fill_between(x, y - half, y + half, color=color, alpha=0.16, linewidth=0)
+            axes.plot(x, y, color=color, linewidth=1.1 if p.primary else 0.8, linestyle="-" if p.primary else "--")
+        shift = 0.0 if p.primary else step * (1 + beside.index(i) // 2) * (-1) ** beside.index(i)
+        drawn: list[tuple[Any, Array]] = [(axes, p.y)] + ([] if strip is None else [(strip, apart[i])])
+        for place, y in drawn:
+            place.errorbar(
+                p.x + shift,
+                y,
+                yerr=np.nan_to_num(p.half),
+                fmt=MARKERS[p.mark % len(MARKERS)],
+                color=color,
+                markerfacecolor=color if p.primary else "white",
+                markersize=4 if p.primary else 3.6,
+                markeredgewidth=0.9,
+                elinewidth=0.9,
+                linewidth=0,
+                label=p.label,
+            )
+    _frame(axes, points)
+    axes.set_ylabel(y_label)
+    few_ticks(axes)
+    axes.tick_params(labelbottom=strip is None)
+    if strip is not None:
+        strip.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
+        strip.set_ylabel(f"apart {y_label[y_label.find('[') :]}" if "[" in y_label else "apart")
+        strip.set_xlim(axes.get_xlim())
+        few_ticks(strip, y=4)
+        figure.align_ylabels([axes, strip])
+    (strip or axes).set_xlabel(x_label)
+    if len(points) > 1:
+        handles, labels = axes.get_legend_handles_labels()
+        place = [labels.index(p.label) for p in points]
+        figure.legend(
+            [handles[i] for i in place],
+            [labels[i] for i in place],
+            loc="upper left",
+            bbox_to_anchor=(0.03, 1 - 0.13 / height),
+            ncols=2,
+            handletextpad=0.3,
+        )
+    return figure
+
+
+def _apart(points: Sequence[Points]) -> list[Array]:
+    """What each series is above the first one's curve, where series lie too close to be told apart; else nothing."""
+    if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
+        return []
+    x, y, _ = points[0].curve
+    if any(p.x.min() < x[0] - 0.2 * np.ptp(x) or p.x.max() > x[-1] + 0.2 * np.ptp(x) for p in points):
+        return []
+    order = min(2, len(x) - 1)
+    through = np.polynomial.Polynomial.fit(x, y, order)
+    apart = [np.asarray(p.y - through(p.x)) for p in points]
+    close = 0.08 * float(np.ptp(y))
+    return apart if max(float(np.max(np.abs(values))) for values in apart) < close else []
+
+
+def _frame(axes: Axes, points: Sequence[Points]) -> None:
+    """Limits of y from all values and the bars of the primary method: wide bars of others do not squeeze the plot."""
+    ends: list[float] = []
+    reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
+    for p in points:
+        half = np.nan_to_num(p.half) if p.primary else 0 * p.y
+        half = half if reach == 0 else np.minimum(half, 2 * reach)
+        ends += [*(p.y - half), *(p.y + half)]
+        if p.curve is not None and p.primary:
+            ends += [float(np.min(p.curve[1])), float(np.max(p.curve[1]))]
+    known = [end for end in ends if np.isfinite(end)]
+    if known and max(known) > min(known):
+        room = 0.09 * (max(known) - min(known))
+        axes.set_ylim(min(known) - room, max(known) + room)
+
+
+def few_ticks(axes: Axes, x: int = 6, y: int = 6) -> None:
+    """At most so many intervals between ticks, at round numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(x, steps=[1, 2, 2.5, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(y, steps=[1, 2, 2.5, 5, 10]))
+
+
+def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
+    """Closed curves of y over x, measured and model, one panel each on common axes; columns x, measured, model."""
+    alone = len(panels) == 1
+    columns = min(4, len(panels))
+    rows = ceil(len(panels) / columns)
+    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.55 + 1.85 * rows)
+    cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.5)
+    first: Axes | None = None
+    for i, panel in enumerate(panels):
+        axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
+        first = first or axes
+        x, y = panel.columns["x"], panel.columns["measured"]
+        axes.plot(_closed(x), _closed(y), color=FAINT, linewidth=2.4, label="measured")
+        if "model" in panel.columns:
+            axes.plot(_closed(x), _closed(panel.columns["model"]), color=RED, linewidth=1.0, label="model")
+        axes.set_title(panel.title)
+        axes.tick_params(labelleft=i % columns == 0)
+        if i % columns == 0:
+            axes.set_ylabel(labels["y"])
+        axes.set_xlabel(labels["x"])
+        few_ticks(axes, x=4)
+    width, height = figure.get_size_inches()
+    handles = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2)
+    return figure
+
+
+def _closed(values: Array) -> Array:
+    return np.append(values, values[0]) if len(values) else values
+
+
+def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Sequence[str]) -> Figure:
+    """Named columns over frequency on a logarithmic axis, a panel for each; lines of the fit where `<name> fit` is."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    figure = blank(FULL, 2.6)
+    cells = grid(figure, 1, len(names), top=0.42, left=0.56, across=0.62)
+    frequencies = sorted({float(f) for panel in panels for f in panel.columns["frequency"] if f > 0})
+    for place, name in enumerate(names):
+        axes = figure.add_subplot(cells[place])
+        for i, panel in enumerate(panels):
+            color = PALETTE[i % len(PALETTE)]
+            f = panel.columns["frequency"]
+            axes.plot(
+                f, panel.columns[name], MARKERS[i % len(MARKERS)], color=color, label=panel.title, linestyle="none"
+            )
+            if f"{name} fit" in panel.columns:
+                axes.plot(panel.columns["frequency fit"], panel.columns[f"{name} fit"], color=color, linewidth=0.9)
+        axes.set_xscale("log")
+        axes.set_xticks(frequencies)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlabel(labels["frequency"])
+        axes.set_ylabel(labels[name])
+        low, high = axes.get_ylim()
+        middle = abs(low + high) / 2
+        if high - low < 0.06 * middle:
+            axes.set_ylim(0.97 * middle * np.sign(low + high), 1.03 * middle * np.sign(low + high))
+    width, height = figure.get_size_inches()
+    handles = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=4)
+    return figure
+
+
+def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
+    """Samples of y over x, coloured by test, with the line through them; columns x, measured, fit, group."""
+    alone = len(panels) == 1
+    columns = 1 if alone else min(3, len(panels))
+    rows = ceil(len(panels) / columns)
+    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.4 + 2.05 * rows)
+    cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.55)
+    first: Axes | None = None
+    for i, panel in enumerate(panels):
+        axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
+        first = first or axes
+        x, y = panel.columns["x"], panel.columns["measured"]
+        group = panel.columns.get("group", np.zeros(len(x)))
+        for number, member in enumerate(np.unique(group)):
+            mine = group == member
+            axes.plot(x[mine], y[mine], ".", color=PALETTE[number % len(PALETTE)], markersize=1.6, alpha=0.6)
+        if "fit" in panel.columns:
+            known = np.flatnonzero(np.isfinite(panel.columns["fit"]) & np.isfinite(x))
+            if len(known):
+                ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
+                axes.plot(x[ends], panel.columns["fit"][ends], color=INK, linewidth=1.3)
+        axes.set_title(panel.title)
+        axes.tick_params(labelleft=i % columns == 0)
+        if i % columns == 0:
+            axes.set_ylabel(labels["y"])
+        axes.set_xlabel(labels["x"])
+        few_ticks(axes, x=5)
+    return figure
+
+
+def load_points(points: Panel, curves: Sequence[tuple[str, Array, Array]], labels: dict[str, str]) -> Figure:
+    """Load over the pressures at which it lifts off and sets down, with fitted lines (name, x, y)."""
+    figure = blank(HALF, 2.7)
+    axes = figure.add_subplot(grid(figure, 1, 1, left=0.56)[0])
+    for i, (name, x, y) in enumerate(curves):
+        axes.plot(x, y, color=(INK, RED, GREEN)[i % 3], linewidth=1.0 if i == 0 else 0.8, label=name, zorder=1)
+    load = points.columns["load"]
+    for name, key, color, marker in (("lift-off", "lift", RED, "^"), ("set-down", "set_down", GREEN, "v")):
+        if key in points.columns:
+            axes.plot(
+                points.columns[key], load, marker, color=color, markerfacecolor="white", markeredgewidth=0.9, label=name
+            )
+    axes.set_xlabel(labels["x"])
+    axes.set_ylabel(labels["y"])
+    axes.legend(loc="upper left")
+    few_ticks(axes)
+    return figure

@@ -1,0 +1,95 @@
+"""A matplotlib figure as an SVG element for HTML: same bytes for the same figure, nothing referenced, text as text.
+
+Knows the markup of symbols (`F_ce`), not what a figure shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STYLE = Path(__file__).with_name("report.mplstyle")
+SYMBOL = re.compile(r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|omega)(?:_(?P<sub>[A-Za-z]{1,3}))?(?![\w'’-])")
+"""A symbol of the field; without a subscript it counts only in front of a unit or an equals sign, or alone."""
+UNITS = {"N", "s", "J", "V", "A", "m"}
+"""Letters that by themselves are a unit and no symbol."""
+GREEK = {"tau": "τ", "phi": "φ", "omega": "ω"}
+
+
+def symbol_parts(text: str) -> list[tuple[str, str]]:
+    """`text` cut into (`text`, ...), (`symbol`, ...) and (`sub`, ...) pieces: `F_ce [N]` -> symbol F, sub ce, text."""
+    pieces: list[tuple[str, str]] = []
+    end = 0
+    for found in SYMBOL.finditer(text):
+        base, sub = found["base"], found["sub"]
+        rest = text[found.end() :]
+        whole = found.start() == 0 and (rest.startswith(", ") or (not rest and base not in UNITS))
+        lone = whole or rest.startswith((" [", " = ", " over "))
+        if sub is None and base not in GREEK and not lone:
+            continue
+        pieces += [("text", text[end : found.start()]), ("symbol", GREEK.get(base, base))]
+        if sub:
+            pieces.append(("sub", sub))
+        end = found.end()
+    pieces.append(("text", text[end:]))
+    return [(kind, part) for kind, part in pieces if part]
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """The look of figures, whatever matplotlib's settings on this machine are."""
+    from matplotlib import style
+
+    with style.context(["default", str(STYLE)]):
+        yield
+
+
+def to_svg(figure: Figure, alt: str) -> str:
+    """The figure as one `<svg>` element with `alt` as its description; to be called inside `drawing()`."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    canvas: Any = FigureCanvasSVG(figure)
+    buffer = io.StringIO()
+    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
+    text = text.replace("xlink:href=", "href=")
+    text = re.sub(r' d="([^"]*)"', lambda m: f' d="{_short(m[1])}"', text)
+    text = re.sub(r'<g id="[^"]*"', "<g", text)
+    text = re.sub(r"font-family: [^;\"]*; ?", "", text).replace("<g/>\n", "")
+    text = re.sub(r"(<text[^>]*>)([^<]*)(</text>)", lambda m: m[1] + _subscripts(m[2]) + m[3], text)
+    mark = hashlib.sha256((alt + text).encode()).hexdigest()[:8]
+    text = re.sub(r'(id="|href="#|url\(#)', lambda m: f"{m[1]}f{mark}-", text)
+    box = re.search(r'viewBox="[^"]*"', text)
+    name = f"f{mark}-alt"
+    head = f'<svg {box[0] if box else ""} role="img" aria-labelledby="{name}"><desc id="{name}">{escape(alt)}</desc>'
+    return head + re.sub(r"\n\s*", "\n", text[text.index(">") + 1 :]).strip()
+
+
+def _short(path: str) -> str:
+    """Path data with two decimals."""
+    return " ".join(re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.2f}".rstrip("0").rstrip("."), path).split())
+
+
+def _subscripts(text: str) -> str:
+    """Escaped text with symbols in italics and their subscripts lowered, as tspans."""
+    told = []
+    for kind, part in symbol_parts(text):
+        if kind == "symbol":
+            told.append(f'<tspan font-style="italic">{part}</tspan>')
+        elif kind == "sub":
+            told.append(f'<tspan dy="0.22em" font-size="75%">{part}</tspan><tspan dy="-0.165em">\u200b</tspan>')
+        else:
+            told.append(part)
+    return "".join(told)

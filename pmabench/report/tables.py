@@ -1,0 +1,334 @@
+"""Tables of what analyses found, as pandas frames and for the terminal; computes no estimate, draws nothing.
+
+Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.report.rounding import half_width, rounded
+from pmabench.report.wording import (
+    HEADLINES,
+    POINTS,
+    SYMBOLS,
+    clean,
+    in_order,
+    kind_title,
+    number,
+    point_shown,
+    point_text,
+    shown,
+    spoken,
+    symbol_text,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
+"""A method that gives one of these over pressure belongs in the coefficient table."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A frame of text cells with a caption."""
+
+    caption: str
+    frame: pd.DataFrame
+
+
+def cell(estimate: Estimate) -> str:
+    """An estimate as text in its display unit, without the unit: `7.552 ± 0.021`."""
+    scale = shown(estimate.quantity, estimate.unit).scale
+    half = estimate.parts.combined
+    if estimate.value is None:
+        return "not identifiable"
+    return rounded(estimate.value / scale, None if half is None else half / scale)
+
+
+def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
+    chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
+    return _pivot([e for e in chosen if e.method in methods])
+
+
+def primary_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """The coefficients of each test's primary method, which comes first in it: one row per pressure; text."""
+    chosen = [
+        e
+        for a in analyses
+        for e in a.estimates
+        if set(e.at) == {"pressure"} and not e.coordinate and e.method == a.estimates[0].method
+    ]
+    by = {
+        symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
+        for symbol in {e.symbol for e in chosen}
+    }
+    return _beside(chosen, lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+
+
+def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
+    """For each coefficient that several methods give, one row per pressure and one column per method; text."""
+    chosen = [e for a in analyses for e in a.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    tables = []
+    for symbol in in_order((e.symbol for e in chosen), SYMBOLS):
+        members = [e for e in chosen if e.symbol == symbol]
+        if symbol in COEFFICIENTS and len({e.method for e in members}) > 1:
+            name = f"{_column(members[0])}, {SYMBOLS[symbol]}"
+            tables.append(Table(name, _beside(members, lambda e: clean(e.method))))
+    return tables
+
+
+def _beside(estimates: Sequence[Estimate], column: Callable[[Estimate], str]) -> pd.DataFrame:
+    """One row per pressure, the columns in the order of symbols."""
+    label, unit = point_shown("pressure")
+    head = unit.label(label)
+    order = in_order((e.symbol for e in estimates), SYMBOLS)
+    estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
+    rows: dict[float, dict[str, str]] = {}
+    for e in estimates:
+        P = round(e.at["pressure"] / unit.scale, 6)
+        rows.setdefault(P, {head: number(P)})[column(e)] = cell(e)
+    columns = list(dict.fromkeys([head, *(column(e) for e in estimates)]))
+    return pd.DataFrame([rows[P] for P in sorted(rows)], columns=columns, dtype=object).fillna("")
+
+
+def other_tables(analysis: Analysis) -> list[Table]:
+    """All estimates that are not in the coefficient table, one table for each kind of operating point."""
+    chosen = [e for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
+    groups: dict[tuple[str, ...], list[Estimate]] = {}
+    for e in analysis.estimates:
+        if set(e.at) == {"pressure"} and not e.coordinate and e.method in methods:
+            continue
+        groups.setdefault(tuple(sorted(e.at)), []).append(e)
+    tables = []
+    for names, members in groups.items():
+        if not names:
+            tables.append(Table("Values for the whole campaign", _whole(members)))
+            continue
+        constant = {name: members[0].at[name] for name in names if len({e.at[name] for e in members}) == 1}
+        if len(constant) == len(names):
+            del constant[in_order(names, POINTS)[0]]
+        told = point_text(constant)
+        moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
+        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (f", at {told}" if told else "")
+        slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
+        tables.append(Table(caption, _pivot(_merged(slim))))
+    return tables
+
+
+def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+    """The same under one joint name of method, where no two methods give the same symbol: fewer, fuller rows."""
+    methods: dict[str, set[str]] = {}
+    for e in estimates:
+        methods.setdefault(_column(e), set()).add(e.method)
+    if any(len(names) > 1 for names in methods.values()):
+        return estimates
+    joint = ", ".join(dict.fromkeys(e.method for e in estimates))
+    return [replace(e, method=joint) for e in estimates]
+
+
+def _column(e: Estimate) -> str:
+    return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
+
+
+def _pivot(estimates: Sequence[Estimate]) -> pd.DataFrame:
+    """One row per method and operating point, one column per symbol; text cells."""
+    names = in_order((name for e in estimates for name in e.at), POINTS)
+    symbols = in_order((e.symbol for e in estimates), SYMBOLS)
+    columns = list(dict.fromkeys(_column(e) for s in symbols for e in estimates if e.symbol == s))
+    methods = list(dict.fromkeys(e.method for e in estimates))
+    rows: dict[tuple[int, tuple[float, ...]], dict[str, str]] = {}
+    for e in estimates:
+        place = tuple(e.at.get(name, float("-inf")) for name in names)
+        row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
+        for name in names:
+            label, unit = point_shown(name)
+            row[unit.label(label)] = number(e.at[name] / unit.scale) if name in e.at else ""
+        row[_column(e)] = cell(e)
+    heads = [point_shown(name)[1].label(point_shown(name)[0]) for name in names]
+    frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
+    return frame.fillna("")
+
+
+def _whole(estimates: Sequence[Estimate]) -> pd.DataFrame:
+    """Estimates without an operating point, a row each."""
+    rows = [
+        {
+            "symbol": symbol_text(e.symbol, e.coordinate),
+            "quantity": SYMBOLS.get(e.symbol, ""),
+            "value": cell(e),
+            "unit": shown(e.quantity, e.unit).unit,
+            "method": clean(e.method),
+            "trials": str(e.n),
+        }
+        for e in estimates
+    ]
+    return pd.DataFrame(rows, dtype=object)
+
+
+def parts_table(analysis: Analysis) -> pd.DataFrame:
+    """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row."""
+    rows = []
+    for e in analysis.estimates:
+        unit = shown(e.quantity, e.unit)
+
+        def half(value: float | None, scale: float = unit.scale) -> str:
+            return "" if value is None else half_width(value / scale)
+
+        bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
+        rows.append(
+            {
+                "method": clean(e.method),
+                "symbol": symbol_text(e.symbol, e.coordinate),
+                "at": point_text(e.at),
+                "value": cell(e),
+                "unit": unit.unit,
+                "repeats": half(e.parts.repeats),
+                "by method": half(e.parts.method),
+                "calibration": half(e.parts.calibration),
+                "bias taken off": bias if e.corrected else "",
+                "bias left": "" if e.corrected else bias,
+                "trials": str(e.n),
+                "note": clean(e.note),
+            }
+        )
+    return pd.DataFrame(rows, dtype=object)
+
+
+def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Regression coefficients of every curve with interval, domain, R2 and residual; text."""
+    rows = []
+    for curve in (c for analysis in analyses for c in analysis.curves):
+        label, unit = point_shown(curve.against)
+        low, high = (f"{end / unit.scale:.4g}" for end in curve.domain)
+        first = shown(curve.terms[0].quantity, curve.terms[0].unit) if curve.terms else shown("", "")
+        row = {"coefficient": clean(curve.symbol), "method": clean(curve.method), "form": clean(curve.form)}
+        for power, term in enumerate(curve.terms):
+            head = ("constant", f"× {label}", f"× {label}²")[power] if power < 3 else f"× {label}^{power}"
+            row[head] = f"{cell(term)} {shown(term.quantity, term.unit).unit}".strip()
+        row[unit.label(f"valid for {label}")] = f"{low} to {high}"
+        row["R²"] = f"{curve.r2:.5f}" if not 0.999995 <= curve.r2 < 1 else ">\u202f0.99999"
+        row["residual rms"] = f"{half_width(curve.residual_rms / first.scale)} {first.unit}".strip()
+        rows.append(row)
+    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "form"))
+    tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
+    columns = [head for head in heads if head not in tail] + tail
+    return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
+
+
+def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Trials that did not enter a fit, with their operating point and the reason; text."""
+    rows = [
+        {"test": kind_title(a.kind), "trial": clean(d.trial), "at": point_text(d.point), "reason": clean(d.reason)}
+        for a in analyses
+        for d in a.dropped
+    ]
+    return pd.DataFrame(rows, columns=["test", "trial", "at", "reason"], dtype=object)
+
+
+def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Findings of all analyses, faults first; text."""
+    rows = [
+        {"level": clean(f.level), "test": kind_title(a.kind), "finding": clean(f.text)}
+        for a in analyses
+        for f in a.findings
+    ]
+    frame = pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
+    rank = {"fault": 0, "doubt": 1}
+    return frame.sort_values("level", key=lambda levels: levels.map(lambda level: rank.get(level, 2)), kind="stable")
+
+
+def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
+    rows = []
+    for entry in (e for a in analyses for e in _mappings(a.facts.get("tuning"))):
+        row = {
+            "operating point": point_text(_numbers(entry.get("at"))),
+            "rule": clean(entry.get("rule", "")),
+        }
+        gains = entry.get("gains")
+        for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
+            if not isinstance(found, Mapping):
+                continue
+            unit = shown(str(found.get("quantity", "")), str(found.get("unit", "")))
+            value, ends = found.get("value"), found.get("ci95")
+            if not isinstance(value, int | float):
+                continue
+            half = (ends[1] - ends[0]) / 2 if isinstance(ends, Sequence) and len(ends) == 2 else None
+            row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
+        margins = _numbers(entry.get("margins"))
+        for name, head, scale in _MARGINS:
+            if name in margins:
+                row[head] = rounded(margins[name] / scale, None, 3)
+        if isinstance(entry.get("overshoot"), int | float):
+            row["overshoot [%]"] = rounded(entry["overshoot"] * 100, None, 2)
+        rows.append(row)
+    wanted = ("operating point", "rule", "K_p", "T_i", "T_d", "K_i", "K_d", *(head for _, head, _ in _MARGINS))
+    heads = list(dict.fromkeys(head for row in rows for head in row))
+    rank = {name: place for place, name in enumerate(wanted)}
+    heads.sort(key=lambda head: rank.get(head, rank.get(head.partition(" [")[0], len(rank))))
+    return pd.DataFrame(rows, columns=heads, dtype=object).fillna("")
+
+
+_MARGINS = (
+    ("M_s", "M_s", 1.0),
+    ("gain_margin", "gain margin [×]", 1.0),
+    ("phase_margin", "phase margin [deg]", 0.0174532925199433),
+)
+
+
+def _mappings(value: Any) -> list[Mapping[str, Any]]:
+    """The mappings in a list; facts may hold anything."""
+    return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
+
+
+def _numbers(value: Any) -> dict[str, float]:
+    """The numbers of a mapping; facts may hold anything."""
+    if not isinstance(value, Mapping):
+        return {}
+    return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+
+
+def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
+    """The main coefficients of each method, and K_u, T_u and the like, as tables that fit 80 columns."""
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    for analysis in analyses:
+        mark = "SIMULATED  " if analysis.simulated else ""
+        console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
+        for names, members in _for_terminal(analysis.estimates).items():
+            frame = _pivot(members) if names else _whole(members).drop(columns="quantity")
+            for method, rows in frame.groupby("method", sort=False):
+                console.print(Text(f"  {method}", style="italic"))
+                grid = Grid(box=None, pad_edge=False, header_style="bold")
+                body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
+                for head in body.columns:
+                    grid.add_column(Text(str(head)), justify="left" if head in ("symbol", "unit") else "right")
+                for row in body.itertuples(index=False):
+                    grid.add_row(*(Text(str(value)) for value in row))
+                console.print(grid)
+        console.print()
+
+
+def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], list[Estimate]]:
+    """The estimates that fit the terminal: headline symbols by kind of operating point, its constants left out."""
+    groups: dict[tuple[str, ...], list[Estimate]] = {}
+    for e in estimates:
+        if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
+            groups.setdefault(tuple(sorted(e.at)), []).append(e)
+    told: dict[tuple[str, ...], list[Estimate]] = {}
+    for names, members in groups.items():
+        moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
+        kept = moving or in_order(names, POINTS)[:1]
+        told[names] = [replace(e, at={name: e.at[name] for name in kept}) for e in members]
+    return told

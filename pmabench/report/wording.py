@@ -1,0 +1,237 @@
+"""Words and units of reports: what symbols, methods, kinds and operating points are called; holds no results.
+
+Unknown names are shown as they are: a new kind of test needs no entry here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from pmabench.base.quantities import QUANTITIES
+
+SYMBOLS: dict[str, str] = {
+    "F_ce": "contractile force",
+    "K": "stiffness",
+    "B_c": "damping, contracting",
+    "B_r": "damping, relaxing",
+    "B": "damping, mean of both directions",
+    "F_c": "Coulomb friction",
+    "F_f": "friction, half of lift minus set-down",
+    "H": "loop width",
+    "W": "loop area, energy lost per cycle",
+    "phi": "phase of force before displacement",
+    "tau_c": "time constant, contracting",
+    "tau_r": "time constant, relaxing",
+    "t_d": "dead time",
+    "K_u": "ultimate gain",
+    "T_u": "ultimate period",
+    "m": "slope of force over pressure",
+    "c": "intercept of force over pressure",
+    "tau_P": "rise time of the pressure",
+    "X": "stroke",
+    "dP/dx": "pressure per contraction",
+    "P/x": "pressure per contraction",
+    "phi_x": "phase of contraction after pressure",
+    "phi_P": "phase of pressure after its command",
+}
+"""Symbol -> its name; the order is that of columns and figures."""
+
+HEADLINES = ("F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u", "m")
+"""Symbols of the key numbers on the first page, in this order."""
+
+GROUPS: dict[tuple[str, ...], str] = {
+    ("F_ce",): "Contractile force F_ce",
+    ("K",): "Stiffness K",
+    ("B_c", "B_r", "B"): "Damping",
+    ("F_c",): "Coulomb friction F_c",
+    ("tau_c", "tau_r"): "Time constants",
+    ("t_d",): "Dead times t_d",
+}
+"""Symbols that share one plot, and its title; the first three are drawn over all tests together."""
+
+METHODS: dict[str, str] = {
+    "measured-pressure": "One least-squares fit over short moving segments of all trials together, both strokes: "
+    "M x″ + B(P) x′ + K(P) x + F_c sign x′ = F_ce(P) − F_L, driven by the pressure that was measured. "
+    "K, B_c, B_r and F_ce are values at the tested pressures with straight lines between.",
+    "step-exponential": "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from "
+    "an exponential through the displacement. It takes the pressure for a step, so B comes out too large where the "
+    "regulator is slow; kept for comparison with published values.",
+    "step-exponential, F_ce known": "K from final contractions alone, with F_ce taken from the static-load study or "
+    "from the primary fit.",
+    "static-mean": "F_ce(P) from the mean of the pressures at which each load lifts off its support and sets down "
+    "again: friction acts in opposite directions and drops out. Least squares of pressure on load.",
+    "static-lift": "As static-mean, from the lift-off alone: F_ce comes out low by the friction.",
+    "static-set-down": "As static-mean, from the set-down alone: F_ce comes out high by the friction.",
+    "static-half-difference": "Half the difference of lift-off and set-down, as a force: friction between sliding and "
+    "static.",
+    "onset": "Dead times from the first sample that leaves the noise: of pressure after the command, and of "
+    "displacement after pressure and after the command.",
+    "sine-harmonic": "Three-parameter sine fits (IEEE 1057) of measured displacement and force at the known frequency: "
+    "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
+    "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
+    "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
+    "gain-steps": "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings "
+    "is fitted by a line over the gain; K_u is its zero (Ziegler and Nichols 1942). Oscillations that are no sine are "
+    "refused.",
+    "recorded-step": "Dead time, rise time and stroke of each recorded step; pressure per contraction from its ends.",
+    "ringing-of-known-mass": "M x″ + B x′ + K x = (dF_ce/dP) P + const, driven by the measured pressure, with the "
+    "moving mass taken as exact: K = M ω², B = 2 D ω M.",
+    "isometric-line": "One least-squares line F = m P + c through all usable samples above the force threshold, the "
+    "tests of one contraction together; the interval is Student's t on the scatter between tests.",
+}
+"""Method -> what it does, in a sentence or two."""
+
+KINDS: dict[str, str] = {
+    "static-load": "Static load",
+    "contraction-relaxation": "Contraction and relaxation",
+    "sinusoidal-displacement": "Sinusoidal displacement",
+    "ultimate-gain": "Ultimate gain",
+    "isometric": "Isometric force over pressure",
+    "recorded-pull": "Recorded pulls at set pressure",
+    "recorded-step": "Recorded steps of pressure",
+    "recorded-sine": "Recorded sines of pressure",
+}
+
+POINTS: dict[str, tuple[str, str]] = {
+    "pressure": ("P", "pressure"),
+    "from": ("P before", "pressure"),
+    "contraction": ("x", "length"),
+    "setpoint": ("set-point", "length"),
+    "mean": ("mean x", "length"),
+    "amplitude": ("amplitude", "length"),
+    "frequency": ("f", "frequency"),
+    "load": ("F_L", "force"),
+    "bias": ("bias P", "pressure"),
+    "mass": ("moving mass", "mass"),
+    "displacement": ("x", "length"),
+    "cycles": ("cycles", "count"),
+}
+"""Name of a coordinate of an operating point -> label and quantity; the order is that of columns."""
+
+SPOKEN: dict[str, str] = {"setpoint": "set-point", "mean": "mean contraction", "from": "pressure before"}
+"""Coordinates whose word is not their name."""
+
+COLUMNS: dict[str, str] = {
+    "t": "time",
+    "displacement": "contraction",
+    "model": "model",
+    "pressure": "pressure",
+    "pressure_command": "commanded pressure",
+    "force": "force",
+    "fit": "fitted line",
+    "log_ratio": "ln(growth) per half period",
+    "gain": "gain",
+    "stiffness": "stiffness",
+    "loss": "loss, −Im(F/x) A",
+    "speed": "speed amplitude ω A",
+    "width": "loop width",
+    "load": "load",
+    "lift": "pressure at lift-off",
+    "set_down": "pressure at set-down",
+}
+"""Column of a trace -> words for axes and headers."""
+
+_FACTORS = {"Pa": ("kPa", 1e3), "m": ("mm", 1e-3)}
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The unit that people read, and how much SI one of it is."""
+
+    unit: str
+    scale: float
+
+    def label(self, text: str) -> str:
+        """`text [unit]`; `text` alone where there is no unit."""
+        return f"{text} [{self.unit}]" if self.unit else text
+
+
+def shown(quantity: str, unit: str = "") -> Shown:
+    """The unit to show for a quantity of `QUANTITIES`; for others their SI unit with kPa and mm in it."""
+    if quantity in QUANTITIES:
+        known = QUANTITIES[quantity]
+        return Shown(_typeset(known.shown_in), known.scale)
+    if unit in ("", "1"):
+        return Shown("", 1.0)
+    scale = 1.0
+    above: list[str] = []
+    below: list[str] = []
+    inside = divided = False
+    for part in re.findall(r"[A-Za-z%]+\d*|[/()]", unit):
+        if part == "/":
+            divided = True
+        elif part == "(":
+            inside = True
+        elif part == ")":
+            inside = divided = False
+        else:
+            name, power = re.fullmatch(r"([A-Za-z%]+)(\d*)", part).groups()  # type: ignore[union-attr]
+            other, factor = _FACTORS.get(name, (name, 1.0))
+            exponent = int(power or 1)
+            scale *= factor ** (-exponent if divided else exponent)
+            (below if divided else above).append(f"{other}{power}")
+            divided = divided and inside
+    denominator = f"/({'.'.join(below)})" if len(below) > 1 else "".join(f"/{part}" for part in below)
+    return Shown(_typeset((".".join(above) or "1") + denominator), float(f"{scale:.12g}"))
+
+
+def _typeset(unit: str) -> str:
+    """A middle dot for a product, raised exponents."""
+    return re.sub(r"(?<=[A-Za-z])[23]", lambda m: "²³"[int(m[0]) - 2], unit.replace(".", "·"))
+
+
+def plain_unit(unit: str) -> str:
+    """The unit in ASCII, for files: `N.s/mm`, `m/s2`."""
+    return unit.replace("·", ".").replace("²", "2").replace("³", "3")
+
+
+def point_shown(name: str) -> tuple[str, Shown]:
+    """Label and unit of a coordinate of an operating point."""
+    label, quantity = POINTS.get(name, (name, ""))
+    return clean(label), shown(quantity)
+
+
+def spoken(name: str) -> str:
+    """A coordinate as a word: `pressure`, `set-point`."""
+    return SPOKEN.get(name) or clean(name, 40)
+
+
+def point_text(at: Mapping[str, float]) -> str:
+    """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out where the load is told."""
+    told = []
+    for name in in_order(at, POINTS):
+        if name == "mass" and "load" in at:
+            continue
+        label, unit = point_shown(name)
+        told.append(f"{label} = {number(at[name] / unit.scale)} {unit.unit}".rstrip())
+    return ", ".join(told)
+
+
+def number(value: float) -> str:
+    """A setting as people write it, six digits at most."""
+    return f"{value:.6g}".replace("-", "−")
+
+
+def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
+    """`names` once each: those of `known` in its order, then the others as they come."""
+    given = list(dict.fromkeys(names))
+    return [name for name in known if name in given] + [name for name in given if name not in set(known)]
+
+
+def symbol_text(symbol: str, coordinate: str = "") -> str:
+    """A symbol with the name of its variant: `t_d command-to-motion`."""
+    return clean(f"{symbol} {coordinate}".strip())
+
+
+def kind_title(kind: str) -> str:
+    """The kind of test as a heading."""
+    return KINDS.get(kind) or clean(kind).replace("-", " ").capitalize() or "Unnamed test"
+
+
+def clean(text: object, longest: int = 2000) -> str:
+    """Untrusted text without control and direction characters, cut where it is too long."""
+    told = _CONTROL.sub("", str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8"))
+    return told if len(told) <= longest else told[: longest - 1] + "…"
