@@ -118,11 +118,9 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
         f"by {_and([clean(m, 60) for m in methods])}. The numbers are in the table below the figure."
     )
-    caption = "Bars: 95 % intervals."
-    if any(p.curve is not None for p in points):
-        caption = "Bars and bands: 95 % intervals; lines: fitted curves."
+    caption = "95 % intervals."
     if any(not p.primary for p in points):
-        caption += " Filled: primary method of each test; open: others, for comparison."
+        caption = "95 % intervals; filled: primary method of each test, open: others."
     missing = [e for _, e in members if e.value is None]
     if missing:
         places = _and([f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]])

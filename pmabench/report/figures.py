@@ -92,8 +92,8 @@ def _overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     worst = int(np.argmax(misfits))
     title = "Measured and modelled motion" + (f", {panels[0].title}" if len(chosen) == 1 else "")
     caption = (
-        "Grey: measured contraction; red: the fitted model run freely from the same start with the measured pressure. "
-        f"Below: measured minus model, rms {_range(misfits)} {unit}.{_shown_of(chosen, able)}"
+        "Grey: measured; red: the fitted muscle, run freely with the measured pressure. Below: their difference, "
+        f"rms {_range(misfits)} {unit}.{_shown_of(chosen, able)}"
     )
     alt = (
         f"Contraction over time, measured and modelled, in {len(panels)} panel{'s' if len(panels) > 1 else ''}: "

@@ -43,7 +43,7 @@ from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
 TILES = 8
-FRONT_FINDINGS = 6
+FRONT_FINDINGS = 5
 BRIEF = 28
 """Letters of a text that is kept on one line."""
 SHORT = 16
@@ -217,7 +217,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "deviations": provenance.deviations(runs, names),
         "coefficients": grid(tables.primary_table(analyses)),
         "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
-        "curves": grid(tables.curves_table(analyses), group=False),
+        "curves": grid(tables.curves_table(analyses), group=True),
         "sections": sections,
         "tuning": _tuning(analyses),
         "dropped": _dropped(analyses, names),
@@ -260,11 +260,15 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str]) -> Sect
     return section
 
 
-def grid(frame: pd.DataFrame, caption: str = "", *, group: bool = True) -> Grid:
-    """A frame of text as a table: columns of `a ± b` split, empty columns left out, methods as headings of rows."""
+def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -> Grid:
+    """A frame of text as a table: columns of `a ± b` split, empty columns left out.
+
+    Methods become headings of groups of rows with `group`, or where it is None and that makes few headings.
+    """
     shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
     methods = frame["method"].nunique() if "method" in shown_columns else 0
-    grouped = group and methods > 0 and (methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods)
+    few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods
+    grouped = methods > 0 and (few if group is None else group)
     columns = []
     for name in shown_columns:
         if grouped and name == "method":
@@ -339,14 +343,19 @@ def _tile(members: list[Estimate]) -> Tile:
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
-    """One table of settings for each operating point."""
+    """For each operating point a table of settings, and one of margins where a model is known."""
     frame = tables.tuning_table(analyses)
-    if not len(frame):
-        return []
     found = []
-    for point in dict.fromkeys(str(point) for point in frame["operating point"]):
+    for point in dict.fromkeys(str(point) for point in frame["operating point"]) if len(frame) else ():
         rows = frame[frame["operating point"] == point].drop(columns="operating point")
-        found.append(grid(rows, f"Settings at {point}" if point else "Settings"))
+        settings = [
+            c for c in rows.columns if c == "rule" or c.partition(" [")[0] in ("K_p", "T_i", "T_d", "K_i", "K_d")
+        ]
+        margins = ["rule", *(c for c in rows.columns if c not in settings)]
+        where = f" at {point}" if point else ""
+        found.append(grid(rows[settings], f"Settings{where}"))
+        if len(margins) > 1 and (rows[margins[1:]] != "").any(axis=None):
+            found.append(grid(rows[margins], f"Margins with these settings{where}"))
     return found
 
 

@@ -195,10 +195,9 @@ def parts_table(analysis: Analysis) -> pd.DataFrame:
                 "repeats": half(e.parts.repeats),
                 "by method": half(e.parts.method),
                 "calibration": half(e.parts.calibration),
-                "bias taken off": bias if e.corrected else "",
-                "bias left": "" if e.corrected else bias,
+                "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
-                "note": clean(e.note),
+                "note": clean(e.note if e.note != e.coordinate else ""),
             }
         )
     return pd.DataFrame(rows, dtype=object)
