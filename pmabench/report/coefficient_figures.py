@@ -28,6 +28,8 @@ from pmabench.report.wording import (
 BESIDE = {"pressure", "mean", "amplitude"}
 """Coordinates that a value in a plot over pressure may have: means and amplitudes of sines stand side by side."""
 MOST_SERIES = 8
+FEWEST = 3
+"""Places that a plot of further coefficients needs; fewer stand in the tables well enough."""
 CURVE_POINTS = 60
 
 
@@ -58,6 +60,8 @@ def others(analysis: Analysis) -> list[Picture]:
         over = _varying(members)
         shown_already = over == "pressure" and group in list(GROUPS)[:3]
         if over is None or shown_already or (over == "frequency" and any(t.figure == "bode" for t in analysis.traces)):
+            continue
+        if len({e.at[over] for e in members}) < FEWEST:
             continue
         drawn = _figure(group, over, [(analysis, e) for e in members])
         if drawn is not None:
@@ -118,14 +122,16 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
         f"by {_and([clean(m, 60) for m in methods])}. The numbers are in the table below the figure."
     )
-    caption = "95 % intervals."
-    if any(not p.primary for p in points):
-        caption = "95 % intervals; filled: primary method of each test, open: others."
+    bars = "95 % intervals" if any(np.isfinite(p.half).any() for p in points) else "Values without intervals"
+    caption = f"{bars}; filled: primary method of each test, open: others."
+    if all(p.primary for p in points):
+        caption = f"{bars}."
     missing = [e for _, e in members if e.value is None]
     if missing:
         places = _and([f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]])
         caption += f" Not identifiable: {places}{' and others' if len(missing) > 6 else ''}."
-    title = f"{GROUPS.get(tuple(symbols)) or names[:1].upper() + names[1:]} over {spoken(over)}"
+    named = names[:1].upper() + names[1:] if symbols[0] in SYMBOLS else names
+    title = f"{GROUPS.get(tuple(symbols), named)} over {spoken(over)}"
     return picture(
         lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
         title,

@@ -308,7 +308,7 @@ def _isometric(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(p.title for p in panels)}."
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)], ("pressure", "force", "fit", "test"))
     draw = _bound(plots.scatter_and_line, panels, labels)
-    title = "Isometric force over pressure"
+    title = "Isometric force over pressure" + (f", {panels[0].title}" if len(chosen) == 1 else "")
     return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=simulated)]
 
 

@@ -48,6 +48,8 @@ BRIEF = 28
 """Letters of a text that is kept on one line."""
 SHORT = 16
 """Rows of a table that is not broken across pages."""
+MOST_FRONT_FINDINGS = 9
+"""Where so many are faults or doubts."""
 FEWEST_IN_GROUP = 3
 """Rows a method, from which on methods become headings of groups of rows instead of a column."""
 LEVELS = {"fault": "Fault", "doubt": "Doubt", "note": "Note"}
@@ -301,7 +303,9 @@ def _cell(text: str, align: str) -> Cell:
 def _first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]], int]:
     """The findings for the first page, gravest first, and how many more there are."""
     rows = [(level, test, text) for level, test, text in findings.to_numpy().tolist()]
-    return rows[:FRONT_FINDINGS], max(0, len(rows) - FRONT_FINDINGS)
+    grave = sum(level in ("fault", "doubt") for level, _, _ in rows)
+    shown_there = min(len(rows), max(FRONT_FINDINGS, min(grave, MOST_FRONT_FINDINGS)))
+    return rows[:shown_there], len(rows) - shown_there
 
 
 def _tiles(analyses: Sequence[Analysis]) -> list[Tile]:

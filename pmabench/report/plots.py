@@ -174,7 +174,7 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
     reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
     for p in points:
         half = np.nan_to_num(p.half) if p.primary else 0 * p.y
-        half = half if reach == 0 else np.minimum(half, 2 * reach)
+        half = np.minimum(half, max(2 * reach, 1.5 * float(np.median(half))))
         ends += [*(p.y - half), *(p.y + half)]
         if p.curve is not None and p.primary:
             ends += [float(np.min(p.curve[1])), float(np.max(p.curve[1]))]

@@ -132,7 +132,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
                 "protocol": _protocol(run),
                 "operating points": _points(run),
                 "trials": f"{done} of {planned}" if isinstance(planned, int) else str(done),
-                "rate": f"{number(run.rate)} Hz" if run.rate else "",
+                "rate": f"{run.rate:.4g} Hz" if run.rate else "",
                 "duration": _duration(run.manifest.get("duration")),
                 "status": clean(run.status, 40),
             }
@@ -190,10 +190,10 @@ def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
             for trial in ended:
                 count[trial.status] = count.get(trial.status, 0) + 1
             say(run, "trials: " + ", ".join(f"{n} {status}" for status, n in count.items()))
-        counts = get(run.manifest, "end", "counts")
-        for name, n in counts.items() if isinstance(counts, Mapping) else ():
-            if name not in ("rows", "slack") and isinstance(n, int) and n > 0:
-                say(run, f"{n} samples flagged {text_of(name)}")
+        for counts in (get(run.manifest, "end", "counts"), get(run.manifest, "imported", "flagged")):
+            for name, n in counts.items() if isinstance(counts, Mapping) else ():
+                if name not in ("rows", "slack") and isinstance(n, int) and n > 0:
+                    say(run, f"samples flagged {text_of(name)}: {n}")
         answered = sum(e.kind == "answer" and "--yes" in str(e.data.get("answer", "")) for e in run.events)
         if answered:
             say(run, f"prompts to the operator confirmed beforehand (--yes): {answered}")

@@ -32,7 +32,7 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
     for found in SYMBOL.finditer(text):
         base, sub = found["base"], found["sub"]
         rest = text[found.end() :]
-        whole = found.start() == 0 and (rest.startswith(", ") or (not rest and base not in UNITS))
+        whole = found.start() == 0 and (rest.startswith(", ") or (rest[:1] in ("", "/") and base not in UNITS))
         lone = whole or rest.startswith((" [", " = ", " over "))
         if sub is None and base not in GREEK and not lone:
             continue

@@ -211,6 +211,7 @@ def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         low, high = (f"{end / unit.scale:.4g}" for end in curve.domain)
         first = shown(curve.terms[0].quantity, curve.terms[0].unit) if curve.terms else shown("", "")
         row = {"coefficient": clean(curve.symbol), "method": clean(curve.method), "form": clean(curve.form)}
+        row["at"] = point_text(curve.terms[0].at) if curve.terms else ""
         for power, term in enumerate(curve.terms):
             head = ("constant", f"× {label}", f"× {label}²")[power] if power < 3 else f"× {label}^{power}"
             row[head] = f"{cell(term)} {shown(term.quantity, term.unit).unit}".strip()
@@ -218,7 +219,7 @@ def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         row["R²"] = f"{curve.r2:.5f}" if not 0.999995 <= curve.r2 < 1 else ">\u202f0.99999"
         row["residual rms"] = f"{half_width(curve.residual_rms / first.scale)} {first.unit}".strip()
         rows.append(row)
-    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "form"))
+    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
     tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
     columns = [head for head in heads if head not in tail] + tail
     return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
