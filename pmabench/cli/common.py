@@ -44,12 +44,12 @@ class Ui:
         else:
             human()
 
-    def console(self, *, err: bool = False) -> Console:
-        """A rich console; 100 columns where there is no terminal."""
+    def console(self, *, err: bool = False, columns: int = 100) -> Console:
+        """A rich console; `columns` wide where there is no terminal."""
         from rich.console import Console
 
         stream = sys.stderr if err else sys.stdout
-        width = None if stream.isatty() or "COLUMNS" in os.environ else 100
+        width = None if stream.isatty() or "COLUMNS" in os.environ else columns
         return Console(stderr=err, no_color=not self.color, width=width, highlight=False, markup=False, emoji=False)
 
 

@@ -38,7 +38,7 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
             trials = f"{row['trials_finished']}/{row['trials_planned']}"
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
             table.add_row(row["id"], row["status"], trials, length, row["specimen"])
-        ui.console().print(table)
+        ui.console(columns=200).print(table)
 
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
     return None
