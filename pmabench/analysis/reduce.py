@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 
+from pmabench.analysis.agreement import agreement
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.store.records import RunData
@@ -22,14 +23,31 @@ REDUCTIONS = {
 """Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
 
 
+def specimen_of(run: RunData) -> str:
+    """Which specimen a run is of: type and serial as its manifest has them."""
+    told = run.manifest.get("specimen")
+    return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, Mapping) else str(told or "")
+
+
 def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
-    """One analysis for each kind of run; real and simulated runs are never mixed. `InvalidFile` for an unknown kind."""
-    groups: dict[tuple[str, bool], list[RunData]] = {}
+    """One analysis for each kind of run of each specimen, and what these say about each other.
+
+    Real and simulated runs are never mixed, nor are specimens. Raises InvalidFile for an unknown kind.
+    """
+    specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
     for run in runs:
         if run.kind not in REDUCTIONS:
             raise invalid(run.path, f'no reduction for runs of kind "{run.kind}"{did_you_mean(run.kind, REDUCTIONS)}')
-        groups.setdefault((run.kind, run.simulated), []).append(run)
-    return [import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group) for (kind, _), group in groups.items()]
+        kinds = specimens.setdefault((specimen_of(run), run.simulated), {})
+        kinds.setdefault(run.kind, []).append(run)
+    found: list[Analysis] = []
+    for kinds in specimens.values():
+        analyses = [
+            import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group) for kind, group in kinds.items()
+        ]
+        compared = agreement(analyses)
+        found += analyses if compared is None else [*analyses, compared]
+    return found
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -71,10 +71,17 @@ def analyse(runs: Sequence[RunData]) -> list[Analysis]:
 
 
 def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
-    """An analysis folder for each kind below `folder`."""
+    """An analysis folder for each analysis below `folder`; kinds that come twice are numbered."""
     from pmabench.report.analysis_folder import write_analysis
 
-    return [write_analysis(analysis, folder / analysis.kind) for analysis in analyses]
+    seen: dict[str, int] = {}
+    written = []
+    for analysis in analyses:
+        seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
+        written.append(
+            write_analysis(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
+        )
+    return written
 
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
@@ -90,8 +97,3 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
             )
         for finding in analysis.findings:
             console.print(f"{finding.level}: {finding.text}")
-
-
-def summary(analyses: Sequence[Analysis]) -> dict[str, Any]:
-    """Numbers of estimates, for the end of longer commands."""
-    return {analysis.kind: len(analysis.estimates) for analysis in analyses}

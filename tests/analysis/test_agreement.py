@@ -1,0 +1,64 @@
+"""Independent tests are held against each other where they have a pressure in common, and only there."""
+
+from dataclasses import replace
+
+import pytest
+
+from pmabench.analysis.agreement import agreement
+from pmabench.analysis.results import Analysis, Estimate, Parts
+
+
+def estimate(symbol, value, half, pressure, method, quantity="stiffness", **at):
+    return Estimate(symbol, value, "N/m", quantity, method, {"pressure": pressure, **at}, Parts(repeats=half))
+
+
+STEPS = Analysis(
+    "contraction-relaxation", ("r1",), False,
+    (
+        estimate("K", 6770.0, 30.0, 3e5, "measured-pressure"),
+        estimate("K", 7500.0, 30.0, 4e5, "measured-pressure"),
+        estimate("K", 9999.0, 1.0, 3e5, "step-exponential"),
+        estimate("B_c", 1680.0, 6.0, 3e5, "measured-pressure", "damping"),
+        estimate("B_r", 2120.0, 8.0, 3e5, "measured-pressure", "damping"),
+    ),
+)  # fmt: skip
+
+
+def sines(k, half, b=1900.0):
+    return Analysis(
+        "sinusoidal-displacement", ("r2",), False,
+        (
+            estimate("K", k, half, 3e5, "sine-harmonic", mean=0.01),
+            estimate("K", 1.0, half, 3e5, "sine-harmonic", frequency=1.0),
+            estimate("B", b, 12.0, 3e5, "sine-harmonic", "damping", mean=0.01),
+        ),
+    )  # fmt: skip
+
+
+def test_differences_carry_the_root_of_the_sum_of_squares():
+    found = agreement([STEPS, sines(6800.0, 40.0)])
+    k, b = found.estimates
+    assert (k.value, k.parts.combined) == (pytest.approx(30.0), pytest.approx(50.0))
+    assert k.at == {"pressure": 3e5}
+    assert b.value == pytest.approx(0.0)
+    assert b.parts.combined == pytest.approx((12.0**2 + 5.0**2) ** 0.5)
+    assert found.runs == ("r1", "r2")
+    assert [f.level for f in found.findings] == ["note", "note"]
+
+
+def test_what_does_not_agree_is_a_doubt():
+    found = agreement([STEPS, sines(6900.0, 40.0)])
+    assert found.findings[0].level == "doubt"
+    assert "do not agree" in found.findings[0].text
+
+
+def test_nothing_in_common_is_nothing():
+    assert agreement([STEPS]) is None
+    elsewhere = sines(6800.0, 40.0)
+    moved = replace(elsewhere, estimates=tuple(replace(e, at={"pressure": 2e5}) for e in elsewhere.estimates))
+    assert agreement([STEPS, moved]) is None
+
+
+def test_a_value_that_is_none_is_not_compared():
+    broken = replace(STEPS, estimates=tuple(replace(e, value=None) for e in STEPS.estimates))
+    assert agreement([broken, sines(6800.0, 40.0)]) is None
