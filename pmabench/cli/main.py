@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 
 import click
 
 from pmabench import __version__
+
+for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(
+        _threads, "1"
+    )  # small matrices: threads cost time, and sums in another order change last digits
 
 COMMANDS = {
     "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
