@@ -2,7 +2,7 @@
 
 from hypothesis import settings
 
-import pmabench.cli.main  # noqa: F401  (first: it sets the number of BLAS threads, as for a user)
+import pmabench.cli.main  # noqa: F401  (sets the number of BLAS threads before numpy is loaded, as for a user)
 
 settings.register_profile("same", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("same")
