@@ -78,7 +78,7 @@ def _varying(estimates: Sequence[Estimate]) -> str | None:
 
 def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis, Estimate]]) -> Picture | None:
     """One plot; None where fewer than two values can be drawn."""
-    known = [e for _, e in members if e.value is not None and np.isfinite(e.value)]
+    known = [e for _, e in members if e.value is not None]
     units = {shown(e.quantity, e.unit) for e in known}
     if len(known) < 2 or len({e.at[over] for e in known}) < 2 or len(units) != 1:
         return None

@@ -44,6 +44,7 @@ from pmabench.store.records import RunData
 
 TILES = 8
 FRONT_FINDINGS = 5
+MOST_ROWS = 600
 BRIEF = 28
 """Letters of a text that is kept on one line."""
 SHORT = 16
@@ -187,7 +188,9 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     front, used = front_pictures(analyses)
     first_page = [figures.add(p) for p in front]
     sections = [_section(a, figures, used) for a in analyses]
-    failed = [clean(text) for text in verdicts(runs, analyses)]
+    judged = [run for run in runs if provenance.accepts(run)]
+    failed = [clean(text) for text in verdicts(judged, analyses)]
+    accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}
     findings = tables.findings_table(analyses)
     specimens = provenance.specimens(runs)
     tested = ", ".join(kind_title(a.kind).lower() if n else kind_title(a.kind) for n, a in enumerate(analyses))
@@ -209,7 +212,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "statuses": provenance.statuses(runs),
         "missing": [clean(run, 200) for run in ids if run not in {r.id for r in runs}],
         "failed": failed,
-        "accept": [f"{symbol} ± {100 * widest:g} %" for symbol, widest in provenance.acceptance(runs).items()],
+        "accept": [f"{symbol} ± {100 * widest:g} %" for symbol, widest in accepted.items()],
         "verdicts": _first_findings(findings),
         "findings": findings.to_numpy().tolist(),
         "levels": LEVELS,
@@ -267,6 +270,9 @@ def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -
 
     Methods become headings of groups of rows with `group`, or where it is None and that makes few headings.
     """
+    if len(frame) > MOST_ROWS:
+        caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
+        frame = frame.head(MOST_ROWS)
     shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
     methods = frame["method"].nunique() if "method" in shown_columns else 0
     few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods

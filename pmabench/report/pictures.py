@@ -6,13 +6,13 @@ Helpers that figures share: display units of traces, thinning, data tables. Know
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import Trace
+from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.report import plots
 from pmabench.report.plots import Array, Panel
 from pmabench.report.svg import drawing, to_svg
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 TABLE_ROWS = 24
 """Rows of a panel in the table of numbers below its figure."""
+LARGEST = 1e30
+"""Size of a number from which on it is no measurement and breaks a drawing."""
 DRAWN = 700
 """Points of a line that are drawn."""
 
@@ -59,15 +61,43 @@ def picture(
     return Picture(title, caption, alt, svg, table, wide, simulated)
 
 
+def drawable(analysis: Analysis) -> Analysis:
+    """The same without what no drawing can bear: numbers that are not finite or beyond `LARGEST`, empty domains."""
+    return replace(
+        analysis,
+        estimates=tuple(e for e in analysis.estimates if _sound(e)),
+        curves=tuple(
+            c
+            for c in analysis.curves
+            if all(_sound(term) for term in c.terms) and _small(*c.domain, c.residual_rms) and c.domain[0] < c.domain[1]
+        ),
+        traces=tuple(
+            replace(t, marks={name: value for name, value in t.marks.items() if _small(value)})
+            for t in analysis.traces
+            if usable(t)
+        ),
+    )
+
+
+def _sound(e: Estimate) -> bool:
+    return _small(
+        e.value or 0.0, e.parts.repeats or 0.0, e.parts.method or 0.0, e.parts.calibration or 0.0, *e.at.values()
+    )
+
+
+def _small(*values: float) -> bool:
+    return all(abs(value) < LARGEST for value in values)
+
+
 def usable(trace: Trace) -> bool:
     """Columns of one length, with something finite in each."""
-    columns = [np.asarray(values) for values in trace.columns.values()]
-    return (
-        len(columns) >= 2
-        and all(column.ndim == 1 and len(column) == len(columns[0]) >= 2 for column in columns)
-        and bool(np.isfinite(columns[0]).any())
-        and any(np.isfinite(column).any() for column in columns[1:])
-    )
+    columns = [np.asarray(trace.columns[name]) for name in trace.columns]
+    if not all(values.ndim == 1 and np.issubdtype(values.dtype, np.number) for values in columns):
+        return False
+    if len(columns) < 2 or not all(len(values) == len(columns[0]) >= 2 for values in columns):
+        return False
+    first, *others = (np.isfinite(column(trace, name)).any() for name in trace.columns)
+    return bool(first and any(others))
 
 
 def unit_of(trace: Trace, column: str) -> Shown:
@@ -76,8 +106,9 @@ def unit_of(trace: Trace, column: str) -> Shown:
 
 
 def column(trace: Trace, name: str) -> Array:
-    """A column in its display unit."""
-    return np.asarray(trace.columns[name], dtype=np.float64) / unit_of(trace, name).scale
+    """A column in its display unit; NaN where it is too large to be drawn."""
+    values = np.asarray(trace.columns[name], dtype=np.float64) / unit_of(trace, name).scale
+    return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def label(trace: Trace, name: str) -> str:
@@ -113,3 +144,29 @@ def spread(items: Sequence[Trace], most: int) -> list[Trace]:
     if len(items) <= most:
         return list(items)
     return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).astype(int))]
+
+
+def has(trace: Trace, *names: str) -> bool:
+    """Whether these columns are there, with something finite in each."""
+    return all(name in trace.columns and np.isfinite(column(trace, name)).any() for name in names)
+
+
+def head(trace: Trace) -> str:
+    """What a panel is headed: the title up to its colon."""
+    return clean(trace.title.partition(":")[0], 60)
+
+
+def how_many(shown_traces: Sequence[Trace], all_traces: Sequence[Trace]) -> str:
+    """A sentence where not all are shown."""
+    return f" {len(shown_traces)} of {len(all_traces)} are shown." if len(shown_traces) < len(all_traces) else ""
+
+
+def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
+    """`draw` with its arguments, to be called within the style of reports."""
+    return lambda: draw(*arguments)
+
+
+def reach(values: Sequence[float]) -> str:
+    """Least to most of some numbers, two digits."""
+    low, high = (f"{value:.2g}" if value < 99 else f"{value:.0f}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"

@@ -203,15 +203,11 @@ def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
     return [f"{', '.join(where)}: {text}" for text, where in lines.items()]
 
 
-def acceptance(runs: Sequence[RunData]) -> dict[str, float]:
-    """Largest relative interval that the protocols accept, by symbol."""
-    found: dict[str, float] = {}
-    for run in runs:
-        told = run.plan.get("accept")
-        for symbol, widest in told.items() if isinstance(told, Mapping) else ():
-            if isinstance(widest, int | float):
-                found[clean(symbol, 20)] = min(float(widest), found.get(clean(symbol, 20), float("inf")))
-    return found
+def accepts(run: RunData) -> dict[str, float]:
+    """Largest relative interval that the protocol of a run accepts, by symbol."""
+    told = run.plan.get("accept")
+    known = told.items() if isinstance(told, Mapping) else ()
+    return {clean(k, 20): float(v) for k, v in known if isinstance(v, int | float) and not isinstance(v, bool)}
 
 
 def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:

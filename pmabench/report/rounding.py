@@ -19,7 +19,7 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
     """
     if value is None or not isfinite(value):
         return "not identifiable"
-    if half is not None and not isfinite(half):
+    if half is not None and not (isfinite(half) and half >= 0):
         half = None
     size = max(abs(value), half or 0.0)
     power = 0
@@ -35,7 +35,7 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
 
 def half_width(half: float | None) -> str:
     """An interval's half width alone, with two significant digits; empty where it was not assessed."""
-    if half is None or not isfinite(half):
+    if half is None or not (isfinite(half) and half >= 0):
         return ""
     if half == 0:
         return "0"

@@ -263,7 +263,9 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
             value, ends = found.get("value"), found.get("ci95")
             if not isinstance(value, int | float):
                 continue
-            half = (ends[1] - ends[0]) / 2 if isinstance(ends, Sequence) and len(ends) == 2 else None
+            half = None
+            if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
+                half = (ends[1] - ends[0]) / 2
             row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
         margins = _numbers(entry.get("margins"))
         for name, head, scale in _MARGINS:

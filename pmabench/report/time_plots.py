@@ -40,7 +40,8 @@ def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     rows = ceil(max(cells, len(panels)) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 2.15 * rows)
     outer = grid(figure, rows, columns, top=0.3 if alone else 0.44, left=0.56, across=0.46, down=0.55)
-    largest = max((float(np.nanmax(np.abs(p.columns["measured"] - p.columns["model"]))) for p in panels), default=1.0)
+    apart = np.concatenate([np.abs(p.columns["measured"] - p.columns["model"]) for p in panels])
+    largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0)) or 1.0
     for i, panel in enumerate(panels):
         t, y, model = (panel.columns[name] for name in ("t", "measured", "model"))
         inner = outer[i].subgridspec(2, 1, height_ratios=(3.2, 1), hspace=0.12)
