@@ -26,6 +26,7 @@ from pmabench.report.pictures import Picture
 from pmabench.report.rounding import rounded
 from pmabench.report.svg import symbol_parts
 from pmabench.report.wording import (
+    AGREEMENT,
     HEADLINES,
     KINDS,
     METHODS,
@@ -193,7 +194,8 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}
     findings = tables.findings_table(analyses)
     specimens = provenance.specimens(runs)
-    tested = ", ".join(kind_title(a.kind).lower() if n else kind_title(a.kind) for n, a in enumerate(analyses))
+    kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
+    tested = ", ".join(title.lower() if n else title for n, title in enumerate(kinds))
     name = (
         clean(title, 200) if title else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
     )
@@ -226,7 +228,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "sections": sections,
         "tuning": _tuning(analyses),
         "dropped": _dropped(analyses, names),
-        "methods": [(clean(m, 120), METHODS.get(m.partition(" above ")[0], "")) for m in methods],
+        "methods": _methods(methods),
         "runs": grid(provenance.run_table(runs, names), group=False),
         "run_details": [list(row.items()) for row in provenance.run_table(runs, names).to_dict("records")],
         "calibrations": grid(provenance.calibration_table(runs, names), group=False),
@@ -367,6 +369,15 @@ def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
         if len(margins) > 1 and (rows[margins[1:]] != "").any(axis=None):
             found.append(grid(rows[margins], f"Margins with these settings{where}"))
     return found
+
+
+def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and descriptions; methods with one description stand together."""
+    found: dict[str, list[str]] = {}
+    for method in methods:
+        told = METHODS.get(method) or METHODS.get(method.partition(" above ")[0]) or "Not described here."
+        found.setdefault(told, []).append(clean(method, 120))
+    return [("; ".join(names), told) for told, names in found.items()]
 
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:

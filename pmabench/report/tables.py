@@ -14,6 +14,7 @@ import pandas as pd
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.rounding import half_width, rounded
 from pmabench.report.wording import (
+    AGREEMENT,
     HEADLINES,
     POINTS,
     SYMBOLS,
@@ -236,15 +237,14 @@ def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 
 
 def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
-    """Findings of all analyses, faults first; text."""
+    """Findings of all analyses, faults first, then doubts, then what is said of the agreement of tests; text."""
+    rank = {"fault": 0, "doubt": 1}
+    found = [(rank.get(f.level, 2 if a.kind == AGREEMENT else 3), a, f) for a in analyses for f in a.findings]
     rows = [
         {"level": clean(f.level), "test": kind_title(a.kind), "finding": clean(f.text)}
-        for a in analyses
-        for f in a.findings
+        for _, a, f in sorted(found, key=lambda entry: entry[0])
     ]
-    frame = pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
-    rank = {"fault": 0, "doubt": 1}
-    return frame.sort_values("level", key=lambda levels: levels.map(lambda level: rank.get(level, 2)), kind="stable")
+    return pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
 
 
 def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
@@ -301,14 +301,15 @@ def _numbers(value: Any) -> dict[str, float]:
 
 
 def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
-    """The main coefficients of each method, and K_u, T_u and the like, as tables that fit 80 columns."""
+    """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
     from rich.table import Table as Grid
     from rich.text import Text
 
     for analysis in analyses:
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
-        for names, members in _for_terminal(analysis.estimates).items():
+        shown_estimates, beside = _without_comparison(analysis)
+        for names, members in _for_terminal(shown_estimates).items():
             frame = _pivot(members) if names else _whole(members).drop(columns="quantity")
             for method, rows in frame.groupby("method", sort=False):
                 console.print(Text(f"  {method}", style="italic"))
@@ -319,7 +320,21 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
                 for row in body.itertuples(index=False):
                     grid.add_row(*(Text(str(value)) for value in row))
                 console.print(grid)
+        if beside:
+            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()
+
+
+def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
+    """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
+    first: dict[tuple[str, str, tuple[str, ...]], str] = {}
+    kept, beside = [], []
+    for e in analysis.estimates:
+        if first.setdefault((e.symbol, e.coordinate, tuple(sorted(e.at))), e.method) == e.method:
+            kept.append(e)
+        else:
+            beside.append(clean(e.method))
+    return kept, list(dict.fromkeys(beside))
 
 
 def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], list[Estimate]]:

@@ -51,6 +51,9 @@ GROUPS: dict[tuple[str, ...], str] = {
 }
 """Symbols that share one plot, and its title; the first three are drawn over all tests together."""
 
+AGREEMENT = "agreement"
+"""Kind of the analysis that compares tests and is none itself."""
+_DIFFERENCE = "Difference of two independent tests of the same specimen; their intervals are added as squares."
 METHODS: dict[str, str] = {
     "measured-pressure": "One least-squares fit over short moving segments of all trials together, both strokes: "
     "M x″ + B(P) x′ + K(P) x + F_c sign x′ = F_ce(P) − F_L, driven by the pressure that was measured. "
@@ -80,6 +83,9 @@ METHODS: dict[str, str] = {
     "moving mass taken as exact: K = M ω², B = 2 D ω M.",
     "isometric-line": "One least-squares line F = m P + c through all usable samples above the force threshold, the "
     "tests of one contraction together; the interval is Student's t on the scatter between tests.",
+    "static load against contraction": _DIFFERENCE,
+    "sine against steps": _DIFFERENCE,
+    "sine against (B_c + B_r)/2 of steps": _DIFFERENCE,
 }
 """Method -> what it does, in a sentence or two."""
 
@@ -92,6 +98,7 @@ KINDS: dict[str, str] = {
     "recorded-pull": "Recorded pulls at set pressure",
     "recorded-step": "Recorded steps of pressure",
     "recorded-sine": "Recorded sines of pressure",
+    "agreement": "Agreement of the tests",
 }
 
 POINTS: dict[str, tuple[str, str]] = {
