@@ -174,7 +174,7 @@ def css_text(text: object) -> Any:
     """Text inside a CSS string: everything but letters, digits and blanks as an escape."""
     from markupsafe import Markup
 
-    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x}" for c in clean(text, 90))
+    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x} " for c in clean(text, 90))
     return Markup("".join(inert))  # noqa: S704
 
 

@@ -32,6 +32,7 @@ from pmabench.report.wording import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
 """A method that gives one of these over pressure belongs in the coefficient table."""
 
@@ -134,6 +135,7 @@ def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
     if any(len(names) > 1 for names in methods.values()):
         return estimates
     joint = ", ".join(dict.fromkeys(e.method for e in estimates))
+    joint = joint if len(joint) <= LONGEST_JOINT else "several methods"
     return [replace(e, method=joint) for e in estimates]
 
 
