@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command(name="process")
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Analysis folder; `analyses/` beside the runs if not given."
+    "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ beside the folder runs/ if not given."
 )
 @common
 def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
@@ -27,7 +27,7 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
 
     loaded = load_runs(runs)
     analyses = analyse(loaded)
-    folder = out or runs[0].resolve().parent / "analyses" / loaded[0].id
+    folder = out or _beside(runs[0].resolve().parent) / "analyses" / loaded[0].id
     folders = write(analyses, loaded, folder)
     failed = verdicts(loaded, analyses)
     data = {
@@ -45,6 +45,11 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
 
     ui.result(data, human)
     return 6 if failed else None
+
+
+def _beside(folder: Path) -> Path:
+    """Where analyses go: beside a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
+    return folder.parent if folder.name == "runs" else folder
 
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:

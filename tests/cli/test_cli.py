@@ -142,6 +142,15 @@ def test_process_twice_gives_the_same_bytes(run_folder, tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
+def test_analyses_go_beside_the_runs_so_that_all_runs_can_be_named_at_once(tmp_path):
+    out = tmp_path / "runs"
+    call("run", "sinusoidal-displacement", "--bench", "mock-actuator", "--specimen", "mas-20-250-paper0", "--out", out,
+         "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.frequency=[1 Hz, 3 Hz]", "-q")  # fmt: skip
+    for _ in range(2):
+        call("process", *out.glob("*"), "-q")
+    assert list((tmp_path / "analyses").glob("*/sinusoidal-displacement/analysis.json"))
+
+
 def test_process_of_what_is_no_run_exits_3(tmp_path):
     (tmp_path / "x").mkdir()
     out = call("process", tmp_path / "x", tmp_path / "absent", code=3).output
