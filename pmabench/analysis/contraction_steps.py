@@ -72,7 +72,7 @@ def compare(
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
-    return Beside((*ordered, *_dead_times(campaign)), tuple(curves), _findings(estimates), table)
+    return Beside((*ordered, *_dead_times(campaign, moved)), tuple(curves), _findings(estimates), table)
 
 
 def _at(
@@ -161,8 +161,8 @@ def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
     return (Finding("note", text + " and holds friction for a smaller F_ce"),)
 
 
-def _dead_times(campaign: Campaign) -> list[Estimate]:
-    """Dead times of the contractions, per pressure and over all."""
+def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
+    """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move."""
     found: dict[tuple[str, float], list[tuple[str, float]]] = {}
     for number, trial in enumerate(campaign.trials):
         command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)
@@ -171,7 +171,8 @@ def _dead_times(campaign: Campaign) -> list[Estimate]:
         samples = campaign.samples[number]
         channels = {"pressure": samples.P, "displacement": samples.x}
         for kind, value in dead_times(samples.t, channels, samples.ok, command.t).items():
-            found.setdefault((kind, trial.point["pressure"]), []).append((campaign.name(number), value))
+            if number in moved or not kind.endswith("motion"):
+                found.setdefault((kind, trial.point["pressure"]), []).append((campaign.name(number), value))
     estimates = []
     for kind in KINDS:
         rows = [(P, members) for (k, P), members in sorted(found.items()) if k == kind]
