@@ -67,6 +67,10 @@ class Moves:
         self.commanded = target
         return self.clock.now() + abs(target - origin) / rate
 
+    def wait(self, until: float) -> None:
+        """Let time pass until `until` [s], but not beyond the step's limit."""
+        self.acquisition.until(min(until, self.deadline))
+
 
 def run_seek(
     step: Seek, guard: Guard, acquisition: Acquisition, clock: Clock, log: Callable[..., None]

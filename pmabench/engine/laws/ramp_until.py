@@ -42,8 +42,8 @@ def ramp_until(
             return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
         here = _commanded_now(moves)
         start = moves.inside(here - back_off if up else here + back_off)
-        moves.acquisition.until(moves.ramp(here, start, approach_rate))
-        moves.acquisition.pass_time(settle)
+        moves.wait(moves.ramp(here, start, approach_rate))
+        moves.wait(moves.clock.now() + settle)
     crossing = _cross(moves, start, far, rate, channel, threshold, window, above=up)
     if crossing is None:
         return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
