@@ -29,6 +29,9 @@ from pmabench.bench.registry import driver_class
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 
+LONGEST_DELAY = 1.0
+"""Longest delay of a trip [s]."""
+
 LIMIT_CHANNEL = {
     "pressure": "pressure",
     "force": "force",
@@ -137,6 +140,8 @@ class _Compiler:
             self.fault((*at, "device"), f'no device "{file.device}"{did_you_mean(file.device, self.bench.devices)}')
         raw_unit = file.scale[0][0][1]
         points = [(r[0], self.si(v, quantity, (*at, "scale", i, 1))) for i, (r, v) in enumerate(file.scale)]
+        if file.scale[1][0][1] != raw_unit:
+            self.fault((*at, "scale", 1, 0), f"both device values in one unit, here {raw_unit}")
         if points[0][0] == points[1][0] or points[0][1] == points[1][1]:
             self.fault((*at, "scale"), "the two points do not make a line")
             return None
@@ -196,11 +201,21 @@ class _Compiler:
                     high, source = most, self.specimen_document.where(("limits", "contraction"))
             if high is None and low is None:
                 continue
+            if low is not None and low <= channel.low:
+                shown = show(channel.low, channel.quantity)
+                self.fault(("limits", name, "trip_low"), f"is not inside the channel's range, from {shown}")
+            if limit.delay > LONGEST_DELAY:
+                self.fault(("limits", name, "delay"), f"is longer than {LONGEST_DELAY:g} s: that is no protection")
             if high is not None and low is not None and low >= high:
                 self.fault(("limits", name, "trip_low"), "lies at or above the upper trip limit")
             if high is not None:
                 self._trip_makes_sense(name, limit, high, channel, outputs.get(name))
             yield TripRecord(channel.name, low, high, limit.delay, limit.action, source)
+        if "contraction" not in self.bench.limits and "displacement" in channels:
+            where = self.specimen_document.where(("limits", "contraction"))
+            yield TripRecord("displacement", None, self.specimen.limits.contraction * length, 0.0, "vent", where)
+        if "displacement" not in channels and self.bench.free_end in {"weights", "actuator"}:
+            self.fault(("channels",), "nothing measures the displacement, which the specimen's contraction limit needs")
         if "pressure" in outputs and not any(
             name == "pressure" and limit.trip is not None for name, limit in self.bench.limits.items()
         ):
@@ -244,7 +259,7 @@ class _Compiler:
     # -- the rest -----------------------------------------------------------------------------------------------
 
     def safe_state(self, channels: dict[str, ChannelRecord], outputs: dict[str, OutputRecord]) -> Iterator[SafeAction]:
-        vented = False
+        vented = confirmed = False
         for index, action in enumerate(self.bench.safe_state):
             at: Location = ("safe_state", index)
             if action.set is not None and action.to is not None:
@@ -253,7 +268,10 @@ class _Compiler:
                     continue
                 output = outputs[action.set]
                 value = self.si(action.to, output.quantity, (*at, "to"))
-                vented = vented or (action.set == "pressure" and value <= output.low)
+                if not output.low <= value <= output.high:
+                    self.fault((*at, "to"), f"{show(value, output.quantity)} is outside the limits of the output")
+                if action.set == "pressure":
+                    vented = value <= output.low
                 yield SafeAction("set", action.set, value, action.within)
             elif action.confirm is not None and action.below is not None:
                 if action.confirm not in channels:
@@ -262,9 +280,12 @@ class _Compiler:
                     )
                     continue
                 below = self.si(action.below, channels[action.confirm].quantity, (*at, "below"))
+                confirmed = confirmed or action.confirm == "pressure"
                 yield SafeAction("confirm", action.confirm, below, action.within)
         if "pressure" in outputs and not vented:
-            self.fault(("safe_state",), 'does not vent: "- {set: pressure, to: 0 kPa, within: ...}" is missing')
+            self.fault(("safe_state",), 'does not vent: its last "set: pressure" must go to the lowest pressure')
+        if "pressure" in outputs and not confirmed:
+            self.fault(("safe_state",), 'does not look: "- {confirm: pressure, below: ..., within: ...}" is missing')
 
     def lacks(self) -> Iterator[str]:
         air = self.bench.air

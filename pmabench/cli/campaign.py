@@ -27,7 +27,16 @@ def command(ui: Ui, file: str, out: Path, operator: str, *, yes: bool) -> int | 
     outcomes = run_campaign(ui, find_file("campaign", file), out, operator_name=operator, yes=yes)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     ui.result(data, lambda: click.echo("\n".join(str(outcome.folder) for outcome in outcomes)))
-    return outcomes[-1].exit_code
+    return max((outcome.exit_code for outcome in outcomes), key=severity)
+
+
+SEVERITY = (0, 6, 2, 129, 143, 130, 1, 4, 7, 5)
+"""Exit codes from the harmless to the worst."""
+
+
+def severity(code: int) -> int:
+    """Rank of an exit code; unknown ones are the worst."""
+    return SEVERITY.index(code) if code in SEVERITY else len(SEVERITY)
 
 
 def run_campaign(
@@ -46,7 +55,7 @@ def run_campaign(
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations)
         outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes)
         outcomes.append(outcome)
-        if outcome.status not in {"finished", "failed"}:
+        if outcome.exit_code not in {0, 6}:
             ui.note(f"the campaign ends here: {outcome.status}: {outcome.why}")
             break
     return outcomes

@@ -199,8 +199,9 @@ class Acquisition:
         return self.clock.now(), self.latest
 
     def measure(self) -> Mapping[str, float]:
-        """A tenth of a second of samples; the latest values [SI]. For confirming the safe state."""
-        self.clock.wait_until(self.clock.now() + 0.1)
+        """A tenth of a second of samples; the latest of them [SI], nothing older. For confirming the safe state."""
+        self.latest.clear()
+        self.clock.wait_until(self.clock.now() + max(0.1, 1.5 / self.rate))
         self._collect(None)
         return self.latest
 
@@ -228,8 +229,9 @@ class Acquisition:
         index = trip.index if trip is not None else None
         at = stop(Samples(t, values)) if stop is not None else None
         if at is not None and (index is None or at < index):
-            index, trip, stopped = at, None, float(t[at])
+            index, stopped = at, float(t[at])
         if index is not None and index < count - 1 and self.clock.back_to(float(t[index])):
+            trip = trip if trip is not None and trip.index <= index else None  # later ones did not happen
             source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
             count = index + 1
             time_ns = time_ns[:count]
@@ -248,8 +250,8 @@ class Acquisition:
         for name, slope, offset in source.scales:
             value = columns[name][0] * slope + offset
             self.latest[name] = value
-            low, high = self.extremes[name]
-            if not low <= value <= high:
+            low, high = self.extremes.get(name, (value, value))
+            if value < low or value > high:
                 self.extremes[name] = (min(low, value), max(high, value))
             channel = source.channels[name]
             if not channel.low < value < channel.high and (
@@ -298,12 +300,14 @@ class Acquisition:
         for name, value in values.items():
             channel = source.channels[name]
             low, high = float(value.min()), float(value.max())
-            seen = self.extremes.get(name, (low, high))
-            self.extremes[name] = (min(seen[0], low), max(seen[1], high))
-            if low <= channel.low or high >= channel.high:
-                over = (value <= channel.low) | (value >= channel.high)
+            if low == low and high == high:
+                seen = self.extremes.get(name, (low, high))
+                self.extremes[name] = (min(seen[0], low), max(seen[1], high))
+            if not (low > channel.low and high < channel.high):  # also where one is no number
+                inside = (value > channel.low) & (value < channel.high)
                 if channel.raw_type != "int32":
-                    over = (value < channel.low) | (value > channel.high)
+                    inside = (value >= channel.low) & (value <= channel.high)
+                over = ~inside
                 flags[over] |= OVERRANGE
                 self.counts["overrange"] += int(over.sum())
             self.latest[name] = float(value[-1])

@@ -193,7 +193,7 @@ class Executor:
     def _ask(self, step: Ask) -> None:
         if step.demands == "vented":
             below = self.bench.hands_below
-            wait = WaitUntil(step.phase, "pressure", "below", below, 0.1, VENTED_WITHIN)
+            wait = WaitUntil(step.phase, "pressure", "below", below, 0.1, VENTED_WITHIN, "flag")
             before = self.clock.now()
             self._wait_until(wait)
             if self.acquisition.latest.get("pressure", float("inf")) >= below:

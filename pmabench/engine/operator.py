@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from pmabench.base.errors import PmaError
+from pmabench.base.errors import Interrupted, PmaError
 
 
 class NoOperator(PmaError):
@@ -43,7 +43,10 @@ class AtTerminal:
         shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
         self._write(f"{text}\nMeasured pressure: {shown}.")
         while True:
-            answer = self._read('Type "clear" when it is done and hands are out: ').strip().lower()
+            try:
+                answer = self._read('Type "clear" when it is done and hands are out: ').strip().lower()
+            except EOFError:
+                raise Interrupted("end of input at the prompt", 130) from None
             if answer == "clear":
                 return "clear"
 

@@ -187,13 +187,13 @@ def _guarded(
         ending.event("ended-early", clock.now(), reason=_sentence(cause))
     ending.event("vent", clock.now(), result=vent.result, actions=list(vent.actions))
     lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
+    try:
+        acquisition.stop()
+    except Exception as error:  # the run is over and vented; what is left is to say so
+        cause = cause or error
     status, why = _status(cause)
     if not vent.confirmed and bench.safe_state:
         why = f"{why}; safe state {vent.result}".lstrip("; ")
-    try:
-        acquisition.stop()
-    except DeviceError as error:
-        cause = cause or error
     folder = writer.folder if writer is not None else None
     if writer is not None:
         try:

@@ -78,6 +78,8 @@ class Guard:
         self._clock = clock
         self._outputs = {output.name: output for output in bench.outputs}
         self._vent: Vent | None = None
+        self._stands: dict[str, float] = {}
+        """Where each output was sent last [SI]."""
 
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
@@ -96,6 +98,10 @@ class Guard:
             self._refuse_bad_limits(output)
             if not isinstance(self.devices.get(output.device), SetPoint):
                 raise DeviceError(output.device, "takes no set-points", output.output)
+        for action in self.bench.safe_state:
+            target = self._outputs.get(action.target)
+            if action.do == "set" and target is not None and not target.low <= action.value <= target.high:
+                raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
         if "pressure" in self._outputs and not any(trip.channel == "pressure" for trip in self.bench.trips):
             raise LimitRefused("the bench has no trip limit on pressure: it is not armed")
         for output in self._outputs.values():
@@ -117,6 +123,8 @@ class Guard:
         output = self._allowed(name, origin, target)
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
+        self._refuse_jump(output, origin)
+        self._stands[name] = target
         scale = abs(output.scale.slope)
         self._follow(
             output,
@@ -131,6 +139,8 @@ class Guard:
         fastest = 6.283185307179586 * frequency * abs(amplitude)
         if output.rate and fastest > output.rate:
             raise LimitRefused(f'"{name}": the sine moves at {fastest:.4g} per second; at most {output.rate:.4g}')
+        self._refuse_jump(output, mean)
+        self._stands[name] = mean
         segment = Segment(
             "sine",
             self._clock.now(),
@@ -187,12 +197,21 @@ class Guard:
         upwards = lower_si == (output.scale.slope < 0)
         return (ceil(steps) if upwards else floor(steps)) * output.resolution
 
+    def _refuse_jump(self, output: OutputRecord, origin: float) -> None:
+        """An output with a highest rate starts a motion where it stands."""
+        stands = self._stands.get(output.name, output.safe)
+        room = 1e-3 * (output.high - output.low) + abs(output.resolution * output.scale.slope)
+        if output.rate and abs(origin - stands) > room:
+            where, shown = show(stands, output.quantity), show(origin, output.quantity)
+            raise LimitRefused(f'"{output.name}" stands at {where} and cannot jump to {shown}')
+
     def _write(self, output: OutputRecord, value: float) -> float:
         raw = self._raw(output, value)
         device = self.devices[output.device]
         assert isinstance(device, SetPoint)  # noqa: S101  (checked at arming)
         device.write(output.output, raw)
-        return float(output.scale.to_si(raw))
+        self._stands[output.name] = float(output.scale.to_si(raw))
+        return self._stands[output.name]
 
     def _follow(self, output: OutputRecord, segment: Segment) -> None:
         device = self.devices[output.device]

@@ -50,7 +50,7 @@ class ProtocolHead(Strict):
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)]
     needs: Needs
-    sample_rate: Annotated[Frequency, Field(gt=0, le=1e6)]
+    sample_rate: Annotated[Frequency, Field(ge=10, le=1e6)]
     record: Annotated[list[ChannelName], Field(min_length=1)]
     prepare: Prepare = Prepare()
     accept: dict[Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"], Accept] = {}

@@ -52,6 +52,9 @@ class SinusoidalDisplacement(ProtocolHead):
         trial = self.trial
         for name in ("amplitude", "settle", "approach"):
             c.positive(getattr(trial, name), ("trial", name))
+        actuator = c.mounted.bench_file.actuator
+        if actuator is not None and trial.approach > actuator.speed:
+            c.fault(("trial", "approach"), f"the actuator moves at most at {show(actuator.speed, 'speed')}")
         if trial.discard >= trial.cycles:
             c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
         c.within("displacement", trial.mean - abs(trial.amplitude), ("trial", "amplitude"))
@@ -67,7 +70,7 @@ class SinusoidalDisplacement(ProtocolHead):
             if index == 0:
                 c.precondition()
             if at is None or not isclose(at, pressure):
-                c.steps += self._arrive(pressure)
+                c.steps += self._arrive(pressure, first=at is None)
                 at = pressure
             cycles = max(trial.cycles, ceil(trial.at_least * frequency - 1e-9) + trial.discard)
             values = {
@@ -89,10 +92,11 @@ class SinusoidalDisplacement(ProtocolHead):
         c.steps += [Set("vent", "pressure", 0.0), Hold("vent", 3.0)]
         return c.plan("sinusoidal-displacement", {"discard": trial.discard, "time_skew": trial.time_skew})
 
-    def _arrive(self, pressure: float) -> list[Set | Hold | Ramp]:
+    def _arrive(self, pressure: float, *, first: bool) -> list[Set | Hold | Ramp]:
         trial = self.trial
+        back = [] if first else [Ramp("return", "displacement", trial.mean, 0.0, trial.approach)]
         return [
-            Ramp("return", "displacement", trial.mean, 0.0, trial.approach),
+            *back,
             Set("pressurise", "pressure", pressure),
             Hold("pressurise", trial.settle),
             Ramp("approach", "displacement", 0.0, trial.mean, trial.approach),
