@@ -16,12 +16,20 @@ from pmabench.engine.acquire import Acquisition, Recorder, Samples
 from pmabench.engine.operator import Operator
 from pmabench.engine.seek import run_seek
 from pmabench.guard.guard import Guard
-from pmabench.protocol.plan import Ask, Follow, Hold, Plan, Ramp, Record, Seek, Set, Step, WaitUntil
-
-HANDS_OUT = 3.0
-"""Nothing moves for so long after hands were in [s] (promise S8)."""
-VENTED_WITHIN = 30.0
-"""How long the executor waits for the pressure to be gone before hands [s]."""
+from pmabench.protocol.plan import (
+    HANDS_OUT,
+    VENTED_WITHIN,
+    Ask,
+    Follow,
+    Hold,
+    Plan,
+    Ramp,
+    Record,
+    Seek,
+    Set,
+    Step,
+    WaitUntil,
+)
 
 
 @dataclass(frozen=True)

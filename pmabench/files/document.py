@@ -76,7 +76,9 @@ class Document:
     def override(self, name: str, text: str) -> None:
         """Set the value `text` (YAML) at the dotted `name`, as `--set name=value` does."""
         source = f"--set {name}"
-        location: Location = tuple(int(part) if part.isdigit() else part for part in name.split("."))
+        location: Location = tuple(
+            int(part) if part.isascii() and part.isdecimal() else part for part in name.split(".")
+        )
         value = Document(source, f"value: {text}")
         target: Any = self.data
         for part in location[:-1]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from math import isfinite
+from math import isfinite, pi
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import BeforeValidator, WithJsonSchema
@@ -79,12 +79,17 @@ def unit_factor(unit: str, quantity: str) -> float:
         if unit in {"count", "counts", "1"}:
             return 1.0
         raise ValueError(f'"{unit}" is no count')
+    if "**" in unit or re.search(r"\d\d", unit):
+        raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}')
     registry = _units()
     text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
     text = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
     try:
         parsed = registry.parse_units(text)
-        factor = registry.Quantity(1.0, parsed).to(_REFERENCE[quantity]).magnitude
+        one = registry.Quantity(1.0, parsed)
+        factor = one.to(_REFERENCE[quantity]).magnitude
+        if quantity == "frequency" and "radian" in str(one.to_base_units().units):
+            factor /= 2 * pi  # rpm, rad/s, turn/s
     except Exception as error:
         name = type(error).__name__
         if name == "DimensionalityError":
@@ -102,11 +107,12 @@ def parse_quantity(value: object, quantity: str) -> float:
     if isinstance(value, bool) or value is None:
         raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
     if isinstance(value, (int, float)):
+        value = float(value) if abs(value) < 1e300 else float("inf")
         if value == 0 and quantity == "ratio":
             return 0.0
         example = EXAMPLES.get(quantity, "1 s").split(" ", 1)[1]
         shown = f"{value:g} {example}" if isfinite(value) else EXAMPLES.get(quantity, "1 s")
-        raise ValueError(f'{value} needs a unit, for instance "{shown}"')
+        raise ValueError(f'{value:g} needs a unit, for instance "{shown}"')
     if not isinstance(value, str):
         raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
     match = _PATTERN.fullmatch(value.strip())
@@ -145,7 +151,10 @@ def parse_plates(value: object) -> tuple[int, float]:
 
 def _type(quantity: str) -> Any:
     def parse(value: object) -> float:
-        return parse_quantity(value, quantity)
+        number = parse_quantity(value, quantity)
+        if quantity == "time" and number < 0:
+            raise ValueError(f'"{value}": a time is not below zero')
+        return number
 
     schema = {
         "type": "string",

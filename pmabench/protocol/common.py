@@ -124,6 +124,17 @@ class Compilation:
             return "Take every weight off the free end."
         return f"Put {mass:.3f} kg on the free end, hanger included{stack}: {load[0]:.2f} N."
 
+    def too_long(self) -> bool:
+        """Whether the plan has more steps than can be; notes that as a problem."""
+        if len(self.steps) > MOST_STEPS:
+            self.fault(("sweep",), f"makes more than {MOST_STEPS} steps")
+        return len(self.steps) > MOST_STEPS
+
+    def needs_channel(self, name: str) -> None:
+        """Check that the bench has a channel that a search works with."""
+        if all(channel.name != name for channel in self.mounted.bench.channels):
+            self.fault(("kind",), f'needs the channel "{name}", which the bench does not have')
+
     def precondition(self) -> None:
         """Add the unrecorded cycles."""
         cycles = self.head.prepare.precondition
@@ -169,6 +180,9 @@ class Compilation:
             hazards=tuple(self.hazards),
         )
 
+
+MOST_STEPS = 200_000
+"""Most steps of a plan."""
 
 FORCE_MASS = 0.5
 """Moving mass of a load that acts as a pure force [kg] (papers digest 5.1)."""

@@ -35,7 +35,7 @@ def read_protocol(path: Path, settings: Sequence[tuple[str, str]] = ()) -> tuple
     for name, text in settings:
         document.override(name, text)
     kind = document.data.get("kind")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         message = f'"{kind}" is no kind of protocol{did_you_mean(str(kind), KINDS)}' if kind else '"kind" is missing'
         raise InvalidFile([document.problem(("kind",), message)])
     return document, validate(kind_class(str(kind)), document)

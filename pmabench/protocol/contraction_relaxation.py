@@ -77,6 +77,8 @@ class ContractionRelaxation(ProtocolHead):
             c.put_on(values)
             if index == 0:
                 c.precondition()
+            if c.too_long():
+                break
             c.trials.append(TrialRecord(index, values, point.repeat, is_reference))
             c.steps += [
                 Record("rest", True, index),

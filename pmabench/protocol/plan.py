@@ -12,6 +12,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
+HANDS_OUT = 3.0
+"""Nothing moves for so long after hands were in [s] (promise S8)."""
+VENTED_WITHIN = 30.0
+"""How long a run waits for the pressure to be gone before hands [s]."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -143,6 +148,14 @@ class Ask(Step):
     text: str
     demands: str = "vented"
     load: tuple[float, float] | None = None
+
+    def longest(self) -> float:
+        """Time for the pressure to go before, and 3 s after hands were in; not the operator's own time."""
+        return HANDS_OUT + (VENTED_WITHIN if self.demands == "vented" else 0.0)
+
+    def shortest(self) -> float:
+        """The time after hands were in."""
+        return HANDS_OUT
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,8 @@ class StaticLoad(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per trial a search for lift and one for set-down, or for the return to zero alone."""
         search = self.trial.search
+        c.needs_channel("displacement")
+        c.needs_channel("pressure_command")
         for name in ("rate", "approach_rate", "back_off", "settle", "moved", "window"):
             c.positive(getattr(search, name), ("trial", "search", name))
         c.within("pressure", search.up_to, ("trial", "search", "up_to"))

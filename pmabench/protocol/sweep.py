@@ -103,8 +103,13 @@ def expand(sweep: Sweep[Any], document: Document, at: Location = ("sweep",)) -> 
 
 def _once(sweep: Sweep[Any], document: Document, at: Location) -> Iterator[Point]:
     if sweep.concat is not None:
+        total = 0
         for index, part in enumerate(sweep.concat):
-            yield from expand(part, document, (*at, "concat", index))
+            points = expand(part, document, (*at, "concat", index))
+            total += len(points)
+            if total > MOST_POINTS:
+                raise InvalidFile([document.problem(at, f"makes more than {MOST_POINTS} trials")])
+            yield from points
         return
     form = "matrix" if sweep.matrix is not None else "zip"
     axes = _axes(getattr(sweep, form), document, (*at, form))

@@ -55,6 +55,7 @@ class UltimateGain(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per set-point a ramp to the bias and one search."""
         trial, law = self.trial, self.trial.gain_steps
+        c.needs_channel("displacement")
         for name in ("start", "step", "kick", "window", "level_time"):
             c.positive(getattr(law, name), ("trial", "gain_steps", name))
         if law.step > 0.08 + 1e-12:

@@ -56,6 +56,17 @@ def test_contraction_trip_is_the_smaller_and_uses_the_mounted_length():
     assert trip.high == pytest.approx(0.28 * 0.250)
 
 
+def test_the_specimens_contraction_limit_is_watched_on_every_bench(tmp_path):
+    path = bench_with(tmp_path, "")
+    base = tmp_path / "base.yaml"
+    base.write_text("\n".join(line for line in base.read_text().splitlines() if "contraction" not in line))
+    specimen = tmp_path / "specimen.yaml"
+    specimen.write_text(SPECIMEN.read_text().replace("contraction: 28 %", "contraction: 2 %"))
+    trip = next(trip for trip in mount(path, specimen).bench.trips if trip.channel == "displacement")
+    assert trip.high == pytest.approx(0.005)
+    assert "specimen.yaml" in trip.source
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -69,6 +80,18 @@ def test_contraction_trip_is_the_smaller_and_uses_the_mounted_length():
         ("limits: {pressure: {trip: 20 mm}}\n", "no unit of pressure"),
         ("limits: {pressure: {command_low: 700 kPa}}\n", "nothing may be commanded"),
         ("safe_state: [{confirm: pressure, below: 20 kPa, within: 5 s}]\n", "does not vent"),
+        (
+            "safe_state: [{set: pressure, to: 0 kPa, within: 1 s}, {set: pressure, to: 900 kPa, within: 1 s}, {confirm: pressure, below: 20 kPa, within: 5 s}]\n",
+            "outside the limits of the output",
+        ),
+        (
+            "safe_state: [{set: pressure, to: 0 kPa, within: 1 s}, {set: pressure, to: 90 kPa, within: 1 s}, {confirm: pressure, below: 20 kPa, within: 5 s}]\n",
+            "does not vent",
+        ),
+        ("safe_state: [{set: pressure, to: 0 kPa, within: 1 s}]\n", "does not look"),
+        ("outputs: {pressure: {scale: [[0 count, 0 kPa], [65.535 V, 1000 kPa]]}}\n", "in one unit"),
+        ("limits: {pressure: {delay: 1 h}}\n", "no protection"),
+        ("limits: {pressure: {trip_low: -900 kPa}}\n", "not inside the channel's range"),
         ("safe_state: [{set: presure, to: 0 kPa, within: 5 s}]\n", 'did you mean "pressure"'),
         ("air: {relief_valve: 700 kPa}\n", "not below the specimen's never_above"),
         ("devices: {plant: {driver: mok}}\n", 'did you mean "mock"'),

@@ -256,3 +256,42 @@ def test_real_time_runs_the_same_plan(monkeypatch):
     assert outcome.status == "finished"
     assert abs(outcome.rows - 250) <= 2
     assert outcome.vent.confirmed
+
+
+def test_a_stream_that_fell_silent_confirms_nothing(monkeypatch):
+    from pmabench_drivers.mock import MockBench
+
+    from pmabench.bench.interface import Block
+
+    real = MockBench.collect
+
+    def silent(self):
+        block = real(self)
+        return block if self._clock.now() < 5.0 else Block([], {name: [] for name in block.columns})
+
+    monkeypatch.setattr(MockBench, "collect", silent)
+    outcome = execute(one_trial(Hold("a", 1.85), Set("a", "pressure", 3e5), Hold("a", 5.0)))
+    assert "has sent no sample" in outcome.why
+    assert outcome.vent.result == "commanded"
+    assert outcome.exit_code == 5
+
+
+def test_no_number_is_flagged_with_the_rest_of_its_block(monkeypatch):
+    kept = []
+
+    class Keep(NoRecord):
+        def append(self, stream, time_ns, columns, flags):
+            kept.extend(flags.tolist())
+
+    monkeypatch.setattr(run_module, "NoRecord", Keep)
+    execute(one_trial(Hold("a", 5.0)), mounted("mock-ideal", faults={"nan_at": 4.0}))
+    assert kept[-1] & 4
+
+
+def test_the_end_of_input_at_the_prompt_is_an_interruption():
+    def closed(_prompt):
+        raise EOFError
+
+    outcome = execute(one_trial(*STEPS["hold"]), operator=AtTerminal(closed, lambda _text: None))
+    assert (outcome.status, outcome.exit_code) == ("aborted", 130)
+    assert outcome.vent.confirmed

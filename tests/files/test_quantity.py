@@ -25,6 +25,8 @@ from pmabench.files.quantity import parse_mass_or_force, parse_plates, parse_qua
         ("500 Hz", "frequency", 500.0),
         ("1e2 kPa", "pressure", 1e5),
         ("-3 mm", "length", -0.003),
+        ("60 rpm", "frequency", 1.0),
+        ("6.283185307179586 rad/s", "frequency", 1.0),
     ],
 )
 def test_units_that_people_write(text, quantity, si):
@@ -41,6 +43,8 @@ def test_units_that_people_write(text, quantity, si):
         (float("nan"), "pressure", "needs a unit"),
         ("inf kPa", "pressure", "no pressure with a unit"),
         ("9**9**9 mm", "length", "no length with a unit"),
+        ("1 s**9**9**9**9", "time", "unknown unit"),
+        (10**400, "time", "needs a unit"),
         ("3 mm", "pressure", '"mm" is no unit of pressure'),
         ("3 kpa", "pressure", 'unknown unit "kpa"'),
         ("25 %", "pressure", "only where a ratio"),

@@ -247,3 +247,20 @@ def test_a_driver_that_is_not_there_is_a_device_error():
     record = DeviceRecord("dac", "no_such_module:Nothing")
     with pytest.raises(DeviceError, match="cannot be loaded"):
         Guard(bench(devices=(record,)), VirtualClock()).open()
+
+
+def test_a_driven_end_starts_where_it_stands():
+    guard = armed(bench(output("displacement", rate=1e5), output()))
+    with pytest.raises(LimitRefused, match="cannot jump"):
+        guard.ramp("displacement", 300e3, 0.0, 1e4)
+    guard.ramp("displacement", 0.0, 300e3, 1e4)
+    guard.sine("displacement", 300e3, 1e3, 0.5, 2)
+    with pytest.raises(LimitRefused, match="cannot jump"):
+        guard.sine("displacement", 100e3, 1e3, 0.5, 2)
+
+
+def test_a_safe_state_beyond_the_limits_does_not_arm():
+    guard = Guard(bench(safe_state=(SafeAction("set", "pressure", 900e3, 0.2),)), VirtualClock())
+    guard.open()
+    with pytest.raises(LimitRefused, match="beyond its limits"):
+        guard.arm()

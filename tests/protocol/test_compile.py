@@ -9,7 +9,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.protocol.campaign import plan_campaign
 from pmabench.protocol.compile import make_plan
-from pmabench.protocol.plan import Ask, Follow, Record, Seek, Set
+from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
 from pmabench.protocol.sinusoidal_displacement import predicted_force
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -176,3 +176,24 @@ def test_plan_counts_rows_of_the_recorded_time():
 def test_the_demo_campaign_uses_two_benches():
     _, planned = plan_campaign(ROOT / "fixtures" / "campaigns" / "demo.yaml")
     assert {run.mounted.bench.free_end for run in planned} == {"weights", "actuator"}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("trial.relax.hold_at_end", "-100 s"), "not below zero"),
+        (("sweep.repeat.count", "200"), "more than 200000 steps"),
+        (("sample_rate", "0.01 Hz"), "greater than or equal to 10"),
+        (("kind", "[a]"), "no kind of protocol"),
+    ],
+)
+def test_what_a_plan_cannot_be(change, says):
+    with pytest.raises(InvalidFile, match=says):
+        plan("contraction-relaxation", change, ("trial.relax.by", "2.5 kPa"))
+
+
+def test_the_driven_end_never_starts_with_a_jump():
+    steps = [step for step in plan("sinusoidal-displacement").steps if isinstance(step, Ramp)]
+    assert (steps[0].origin, steps[0].to) == (0.0, 0.01)
+    with pytest.raises(InvalidFile, match="moves at most at 500 mm/s"):
+        plan("sinusoidal-displacement", ("trial.approach", "600 mm/s"))

@@ -72,6 +72,12 @@ def test_zip_and_concat():
             "sweep: {matrix: {load: [6 kg], pressure: {start: 0 kPa, stop: 10 kPa, step: 1 Pa}}, repeat: {count: 1000}}",
             "10001000 trials",
         ),
+        (
+            "sweep: {concat: ["
+            + ("{matrix: {load: [6 kg], pressure: {start: 0 kPa, stop: 15 kPa, step: 1 Pa}}}," * 2)
+            + "]}",
+            "more than 20000",
+        ),
         ("sweep: {}", "exactly one of"),
         ("sweep: {matrix: {load: [], pressure: [1 bar]}}", "at least 1 item"),
     ],
