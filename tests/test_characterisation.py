@@ -219,3 +219,15 @@ def test_a_limit_cycle_by_stiction_is_not_called_ultimate(tmp_path):
     found = analysed(tmp_path, "ultimate-gain", "mock", settings=[("sweep.repeat.count", "1")])
     assert all(e.value is None for e in found.estimates if e.symbol in {"K_u", "T_u"})
     assert any("limit cycle" in f.text for f in found.findings)
+
+
+def test_a_single_trial_tells_nothing_that_it_cannot_know(tmp_path):
+    one = [("sweep.matrix.load", "[6 kg]"), ("sweep.matrix.pressure", "[300 kPa]"), ("sweep.repeat.count", "1")]
+    found = analysed(tmp_path, "contraction-relaxation", "mock", settings=one)
+    K, F_ce = value_at(found, "K", 300), value_at(found, "F_ce", 300)
+    if K.value is None:
+        assert F_ce.value is None
+        assert F_ce.note.startswith("not identifiable")
+    else:
+        assert K.ci95[0] <= 6773 <= K.ci95[1]
+        assert F_ce.ci95[0] <= 275 <= F_ce.ci95[1]

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
 from pmabench.analysis.intervals import Pooled, assess, replay_fits
 from pmabench.analysis.pooled import SYMBOLS, first_knots, fit
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.segments import Gate, Samples, Segments, cut
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -27,6 +28,8 @@ REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
 WIDE = 0.25
 """A coefficient whose repeats part is wider than this share of its size is not identifiable."""
+OPEN_FORCE = "not identifiable: K is not at this pressure, and F_ce and K x stand for one another"
+OPEN_FRICTION = "not identifiable: K is at no pressure"
 FEWEST = 3
 """Fewest segments near a pressure for a coefficient there."""
 NUMERICS = 2e-4
@@ -126,8 +129,11 @@ def _estimates(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list
     """The primary method's coefficients at the tested pressures, and curves through them."""
     estimates: list[Estimate] = []
     curves: list[Curve] = []
+    stiff = {P: _estimate(campaign, pooled, "K", P) for P in campaign.tested}
     for symbol in SYMBOLS:
         found = [_estimate(campaign, pooled, symbol, P) for P in campaign.tested]
+        if symbol == "F_ce":
+            found = [_open(e, OPEN_FORCE) if stiff[e.at["pressure"]].value is None else e for e in found]
         estimates += found
         known = [e for e in found if e.value is not None]
         places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
@@ -135,8 +141,16 @@ def _estimates(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list
             through = curve(known, order, pooled.trust, places)
             if through is not None:
                 curves.append(through)
-    estimates.append(_friction(campaign, pooled))
+    friction = _friction(campaign, pooled)
+    estimates.append(friction if any(e.value is not None for e in stiff.values()) else _open(friction, OPEN_FRICTION))
     return estimates, curves
+
+
+def _open(estimate: Estimate, note: str) -> Estimate:
+    """The estimate without its value, and why."""
+    if estimate.value is None:
+        return estimate
+    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, note=note)
 
 
 def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Estimate:

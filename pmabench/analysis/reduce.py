@@ -59,14 +59,19 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
             if run.id in analysis.runs:
                 accept |= dict(run.plan.get("accept") or {})
         primary = analysis.estimates[0].method if analysis.estimates else ""
+        known = {e.symbol for e in analysis.estimates if e.method == primary and e.value is not None}
         for estimate in analysis.estimates:
             widest = accept.get(estimate.symbol)
             ci = estimate.ci95
-            if widest is None or estimate.method != primary or ci is None or not estimate.value or estimate.coordinate:
+            if widest is None or estimate.method != primary or estimate.coordinate:
+                continue
+            where = ", ".join(f"{name} {value:g}" for name, value in estimate.at.items())
+            if ci is None or not estimate.value:
+                if estimate.symbol not in known:
+                    failed.append(f"{estimate.symbol} at {where}: not identifiable, accepted +-{100 * widest:g} %")
                 continue
             relative = (ci[1] - ci[0]) / 2 / abs(estimate.value)
             if relative > widest:
-                where = ", ".join(f"{name} {value:g}" for name, value in estimate.at.items())
                 failed.append(
                     f"{estimate.symbol} at {where}: interval +-{100 * relative:.2g} %, accepted +-{100 * widest:g} %"
                 )
