@@ -1,198 +1,62 @@
-"""What every driver implements, and the compiled bench as plain records; standard library only.
+"""What every driver implements; standard library only. The compiled bench is in `pmabench.bench.records`.
 
 A driver is a class that is built as `Driver(device, clock)` from a `DeviceRecord` and a clock, imports nothing heavy
 before `open`, and implements `Device` and those of the small capabilities below that its device has.
 Values that cross this interface are in the device's own units (counts, volts, pascal ...); the scaling to SI stands
 beside them in the records and is done above the driver. Raises only `pmabench.base.errors.DeviceError`.
+
+In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
+write is retried; after a time-out the line is drained, so that no answer belongs to an older question. `collect` never
+waits for a sample: a polled device has a thread of its own that polls.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
+from pmabench.bench.records import (
+    CalibrationRecord,
+    ChannelRecord,
+    CompiledBench,
+    DeviceRecord,
+    InterlockRecord,
+    OutputRecord,
+    ProofTest,
+    SafeAction,
+    Scale,
+    TripRecord,
+    ValveRecord,
+)
 
-@dataclass(frozen=True)
-class Scale:
-    """A straight line between device units and SI: `si = slope * raw + offset`."""
-
-    slope: float = 1.0
-    offset: float = 0.0
-
-    def to_si(self, raw: Any) -> Any:
-        """Device units to SI; works on numbers and arrays."""
-        return raw * self.slope + self.offset
-
-    def to_raw(self, si: Any) -> Any:
-        """SI to device units; works on numbers and arrays."""
-        return (si - self.offset) / self.slope
-
-
-@dataclass(frozen=True)
-class CalibrationRecord:
-    """Where a channel's scale comes from, and how well it is known (95 %, k = 2)."""
-
-    id: str = ""
-    reference: str = ""
-    date: str = ""
-    valid_until: str = ""
-    offset_uncertainty: float = 0.0
-    """Expanded uncertainty that is the same at every reading [SI unit of the channel]."""
-    gain_uncertainty: float = 0.0
-    """Expanded uncertainty in proportion to the reading [1]."""
-    sensor_lag: float = 0.0
-    """First-order lag of the sensor [s]."""
-    sha256: str = ""
-
-
-@dataclass(frozen=True)
-class ChannelRecord:
-    """One measured quantity."""
-
-    name: str
-    quantity: str
-    """Key of `pmabench.base.quantities.QUANTITIES`."""
-    device: str
-    input: str
-    raw_type: str
-    """`int32` where the device gives counts, else `float64`."""
-    raw_unit: str
-    scale: Scale
-    low: float
-    """Lowest value that the channel can tell [SI]."""
-    high: float
-    """Highest value that the channel can tell [SI]."""
-    reference: str = "gauge"
-    calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
-
-
-@dataclass(frozen=True)
-class OutputRecord:
-    """One commanded quantity; `low` and `high` are the active command limits [SI].
-
-    `low_from` and `high_from` say who set them, as file:line:column.
-    """
-
-    name: str
-    quantity: str
-    device: str
-    output: str
-    scale: Scale
-    resolution: float
-    """Smallest step of the device [device units]; 0 for none."""
-    safe: float
-    """Value in the safe state [SI]."""
-    low: float
-    high: float
-    low_from: str = ""
-    high_from: str = ""
-    rate: float = 0.0
-    """Highest rate of change [SI/s]; 0 for none."""
-
-
-@dataclass(frozen=True)
-class TripRecord:
-    """A limit on what is measured."""
-
-    channel: str
-    low: float | None
-    high: float | None
-    delay: float
-    """How long the value must stay outside before the action [s]."""
-    action: str
-    """What happens then: `vent`."""
-    source: str = ""
-    """file:line:column of the limit."""
-
-
-@dataclass(frozen=True)
-class SafeAction:
-    """One action of the safe state: `set` an output, or `confirm` that a channel falls below a value."""
-
-    do: str
-    target: str
-    value: float
-    within: float
-    """Deadline [s]."""
-
-
-@dataclass(frozen=True)
-class DeviceRecord:
-    """One device: its driver as `module:Class`, its address and options as the bench file gives them."""
-
-    name: str
-    driver: str
-    address: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    channels: tuple[ChannelRecord, ...] = ()
-    outputs: tuple[OutputRecord, ...] = ()
-
-
-@dataclass(frozen=True)
-class CompiledBench:
-    """A bench with a specimen mounted, checked and flattened; all the guard needs to keep it safe."""
-
-    name: str
-    simulated: bool
-    realtime: bool
-    free_end: str
-    """`weights`, `actuator`, `fixed` or `free`."""
-    devices: tuple[DeviceRecord, ...]
-    trips: tuple[TripRecord, ...]
-    safe_state: tuple[SafeAction, ...]
-    hands_below: float
-    """Measured gauge pressure under which hands may go in [Pa]."""
-    hands_at_pressure: float = 0.0
-    """Highest pressure at which a protocol may ask for hands at pressure [Pa]; 0: never."""
-    gravity: float = 9.81
-    carriage: float = 0.0
-    """Mass that moves with every load: table, cable, rod [kg]."""
-    hanging: bool = True
-    """Whether a load in kg moves with the muscle (weights) or acts as a pure force (constant-force device)."""
-    slack_below: float = 0.0
-    """Force under which the specimen counts as slack [N]."""
-    length: float = 0.0
-    """Mounted length of the specimen [m]."""
-
-    @property
-    def channels(self) -> tuple[ChannelRecord, ...]:
-        """Every channel of every device."""
-        return tuple(channel for device in self.devices for channel in device.channels)
-
-    @property
-    def outputs(self) -> tuple[OutputRecord, ...]:
-        """Every output of every device."""
-        return tuple(output for device in self.devices for output in device.outputs)
-
-    def to_json(self) -> str:
-        """The bench as JSON, for the guard and for the run's snapshot."""
-        return json.dumps(asdict(self), indent=1, sort_keys=True)
-
-    @classmethod
-    def from_json(cls, text: str) -> CompiledBench:
-        """The inverse of `to_json`."""
-        data = json.loads(text)
-        data["devices"] = tuple(_device(item) for item in data["devices"])
-        data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
-        data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
-        return cls(**data)
-
-
-def _device(data: dict[str, Any]) -> DeviceRecord:
-    channels = tuple(
-        ChannelRecord(
-            **{
-                **item,
-                "scale": Scale(**item["scale"]),
-                "calibration": CalibrationRecord(**item["calibration"]),
-            }
-        )
-        for item in data["channels"]
-    )
-    outputs = tuple(OutputRecord(**{**item, "scale": Scale(**item["scale"])}) for item in data["outputs"])
-    return DeviceRecord(**{**data, "channels": channels, "outputs": outputs})
+__all__ = [
+    "Block",
+    "CalibrationRecord",
+    "ChannelRecord",
+    "CompiledBench",
+    "Device",
+    "DeviceRecord",
+    "Follower",
+    "Hands",
+    "Identity",
+    "Inputs",
+    "InterlockRecord",
+    "Load",
+    "Motion",
+    "OutputRecord",
+    "ProofTest",
+    "Rescue",
+    "SafeAction",
+    "Scale",
+    "Segment",
+    "SetPoint",
+    "Stream",
+    "Switch",
+    "TripRecord",
+    "ValveRecord",
+    "Watchdog",
+]
 
 
 @dataclass(frozen=True)
@@ -240,11 +104,13 @@ class Block:
     """Consecutive samples of one stream, all channels of one device, on the device's clock.
 
     `time` [ns, device clock] and each of `columns` (raw device units, keyed by channel name) have the same length and
-    are arrays or lists.
+    are arrays or lists (`array.array("q")` and `array.array("d")` cost least on their way to the engine).
     """
 
     time: Sequence[int]
     columns: Mapping[str, Sequence[float]]
+    host: int = -1
+    """When the newest sample arrived at the computer [ns, bench time]; -1 where nobody noted it."""
 
 
 @runtime_checkable
@@ -305,4 +171,64 @@ class Hands(Protocol):
 
     def place(self, load: Load) -> None:
         """The free end now carries `load`."""
+        ...
+
+
+@runtime_checkable
+class Switch(Protocol):
+    """Switches valves."""
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise the output or not; never retried."""
+        ...
+
+    def is_on(self, output: str) -> bool:
+        """What the device holds now."""
+        ...
+
+
+@runtime_checkable
+class Motion(Protocol):
+    """Can stop a motion by itself, faster than a new set-point would."""
+
+    def halt(self, output: str) -> None:
+        """Stop where it is (drive quick stop), and hold."""
+        ...
+
+
+@runtime_checkable
+class Inputs(Protocol):
+    """Has digital inputs."""
+
+    def level(self, name: str) -> bool:
+        """Whether the input is high now."""
+        ...
+
+
+@runtime_checkable
+class Watchdog(Protocol):
+    """Vents by itself when the program is silent."""
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Arm it; returns the time that the device itself says it will wait [s]."""
+        ...
+
+    def feed_watchdog(self) -> None:
+        """Tell the device that the program lives."""
+        ...
+
+    def disarm_watchdog(self) -> None:
+        """End it; outputs stay as they are."""
+        ...
+
+
+@runtime_checkable
+class Rescue(Protocol):
+    """Has a second way to its outputs, for when the usual call hangs."""
+
+    def rescue(self, output: str, value: float) -> None:
+        """Command `value` [device units; 0 and 1 for a valve] over a connection of its own, within 0.2 s, no retry.
+
+        Called from another thread than the one that may be hanging.
+        """
         ...

@@ -1,0 +1,264 @@
+"""The compiled bench as plain records, and its JSON: all that guard, engine and drivers know of a bench file.
+
+Standard library only. Values are SI; what a device itself speaks stands beside as a `Scale`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A straight line between device units and SI: `si = slope * raw + offset`."""
+
+    slope: float = 1.0
+    offset: float = 0.0
+
+    def to_si(self, raw: Any) -> Any:
+        """Device units to SI; works on numbers and arrays."""
+        return raw * self.slope + self.offset
+
+    def to_raw(self, si: Any) -> Any:
+        """SI to device units; works on numbers and arrays."""
+        return (si - self.offset) / self.slope
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """Where a channel's scale comes from, and how well it is known (95 %, k = 2)."""
+
+    id: str = ""
+    reference: str = ""
+    date: str = ""
+    valid_until: str = ""
+    offset_uncertainty: float = 0.0
+    """Expanded uncertainty that is the same at every reading [SI unit of the channel]."""
+    gain_uncertainty: float = 0.0
+    """Expanded uncertainty in proportion to the reading [1]."""
+    sensor_lag: float = 0.0
+    """First-order lag of the sensor [s]."""
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class ChannelRecord:
+    """One measured quantity."""
+
+    name: str
+    quantity: str
+    """Key of `pmabench.base.quantities.QUANTITIES`."""
+    device: str
+    input: str
+    raw_type: str
+    """`int32` where the device gives counts, else `float64`."""
+    raw_unit: str
+    scale: Scale
+    low: float
+    """Lowest value that the channel can tell [SI]."""
+    high: float
+    """Highest value that the channel can tell [SI]."""
+    reference: str = "gauge"
+    calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
+
+
+@dataclass(frozen=True)
+class OutputRecord:
+    """One commanded quantity; `low` and `high` are the active command limits [SI].
+
+    `low_from` and `high_from` say who set them, as file:line:column.
+    """
+
+    name: str
+    quantity: str
+    device: str
+    output: str
+    scale: Scale
+    resolution: float
+    """Smallest step of the device [device units]; 0 for none."""
+    safe: float
+    """Value in the safe state [SI]."""
+    low: float
+    high: float
+    low_from: str = ""
+    high_from: str = ""
+    rate: float = 0.0
+    """Highest rate of change [SI/s]; 0 for none."""
+
+
+@dataclass(frozen=True)
+class ValveRecord:
+    """A valve that is switched: `energised` says whether it is `closed` or `open` while its output is on."""
+
+    name: str
+    device: str
+    output: str
+    energised: str = "closed"
+
+
+@dataclass(frozen=True)
+class InterlockRecord:
+    """A digital input that must stay at its `safe` level, `high` or `low`; elsewhere the guard vents and latches."""
+
+    name: str
+    device: str
+    input: str
+    safe: str = "high"
+
+
+@dataclass(frozen=True)
+class TripRecord:
+    """A limit on what is measured.
+
+    `kind` says what is looked at: `range` (outside `low` .. `high`), `rate` (changes faster than `high` [SI/s]),
+    `stale` (no sample for `delay`), `frozen` (not one change of the raw value for `delay`), `off-range` (at or
+    beyond the end of the channel's range), `following` (further than `high` from what is commanded), `burst` (falls
+    by more than `high` within `window` while it is commanded to stay or rise), `slack` (under `low`).
+    """
+
+    channel: str
+    low: float | None
+    high: float | None
+    delay: float
+    """How long it must be so before the action [s]."""
+    action: str
+    """What happens then: `warn`, `hold` (nothing new is commanded until it is over), `stop` (controlled), `vent`."""
+    source: str = ""
+    """file:line:column of the limit."""
+    kind: str = "range"
+    window: float = 0.0
+    """Over what time a burst falls [s]."""
+
+
+@dataclass(frozen=True)
+class SafeAction:
+    """One action of the safe state, in the declared order.
+
+    `set` an output to `value` [SI] at once; `ramp` an output to `value` at `rate` [SI/s] and wait until it is there;
+    `stop` a motion where it is; `open` or `close` a valve; `hold` for `within`; `confirm` that a channel falls below
+    `value`.
+    """
+
+    do: str
+    target: str
+    value: float
+    within: float
+    """Deadline [s]; the next action follows then at the latest."""
+    rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class ProofTest:
+    """The vent path tried at arming: fill to `pressure` [Pa], vent; it must be below `below` within `within` [s]."""
+
+    pressure: float
+    below: float
+    within: float
+    fill: float = 5.0
+    """Longest time to fill [s]."""
+
+
+@dataclass(frozen=True)
+class DeviceRecord:
+    """One device: its driver as `module:Class`, its address and options as the bench file gives them."""
+
+    name: str
+    driver: str
+    address: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    channels: tuple[ChannelRecord, ...] = ()
+    outputs: tuple[OutputRecord, ...] = ()
+    valves: tuple[ValveRecord, ...] = ()
+    interlocks: tuple[InterlockRecord, ...] = ()
+    watchdog: float = 0.0
+    """The device vents by itself when it hears nothing for so long [s]; 0: it has no such thing."""
+
+    @property
+    def guarded(self) -> bool:
+        """Whether its link belongs to the guard: it carries something that moves, vents or forbids."""
+        return bool(self.outputs or self.valves or self.interlocks or self.watchdog)
+
+
+@dataclass(frozen=True)
+class CompiledBench:
+    """A bench with a specimen mounted, checked and flattened; all the guard needs to keep it safe."""
+
+    name: str
+    simulated: bool
+    realtime: bool
+    free_end: str
+    """`weights`, `actuator`, `fixed` or `free`."""
+    devices: tuple[DeviceRecord, ...]
+    trips: tuple[TripRecord, ...]
+    safe_state: tuple[SafeAction, ...]
+    hands_below: float
+    """Measured gauge pressure under which hands may go in [Pa]."""
+    hands_at_pressure: float = 0.0
+    """Highest pressure at which a protocol may ask for hands at pressure [Pa]; 0: never."""
+    gravity: float = 9.81
+    carriage: float = 0.0
+    """Mass that moves with every load: table, cable, rod [kg]."""
+    hanging: bool = True
+    """Whether a load in kg moves with the muscle (weights) or acts as a pure force (constant-force device)."""
+    slack_below: float = 0.0
+    """Force under which the specimen counts as slack [N]."""
+    length: float = 0.0
+    """Mounted length of the specimen [m]."""
+    setup_pressure: float = 100e3
+    """Highest pressure that may be commanded before the bench is proven [Pa]."""
+    stop_rate: float = 0.0
+    """Rate at which a controlled stop takes the pressure down before the safe state [Pa/s]; 0: at once."""
+    proof: ProofTest | None = None
+    path: str = ""
+    """The bench file."""
+
+    @property
+    def valves(self) -> tuple[ValveRecord, ...]:
+        """Every valve of every device."""
+        return tuple(valve for device in self.devices for valve in device.valves)
+
+    @property
+    def channels(self) -> tuple[ChannelRecord, ...]:
+        """Every channel of every device."""
+        return tuple(channel for device in self.devices for channel in device.channels)
+
+    @property
+    def outputs(self) -> tuple[OutputRecord, ...]:
+        """Every output of every device."""
+        return tuple(output for device in self.devices for output in device.outputs)
+
+    def to_json(self) -> str:
+        """The bench as JSON, for the guard and for the run's snapshot."""
+        return json.dumps(asdict(self), indent=1, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> CompiledBench:
+        """The inverse of `to_json`."""
+        data = json.loads(text)
+        data["devices"] = tuple(_device(item) for item in data["devices"])
+        data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
+        data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
+        if data.get("proof") is not None:
+            data["proof"] = ProofTest(**data["proof"])
+        return cls(**data)
+
+
+def _device(data: dict[str, Any]) -> DeviceRecord:
+    channels = tuple(
+        ChannelRecord(
+            **{
+                **item,
+                "scale": Scale(**item["scale"]),
+                "calibration": CalibrationRecord(**item["calibration"]),
+            }
+        )
+        for item in data["channels"]
+    )
+    outputs = tuple(OutputRecord(**{**item, "scale": Scale(**item["scale"])}) for item in data["outputs"])
+    valves = tuple(ValveRecord(**item) for item in data.get("valves", ()))
+    interlocks = tuple(InterlockRecord(**item) for item in data.get("interlocks", ()))
+    known = {"channels": channels, "outputs": outputs, "valves": valves, "interlocks": interlocks}
+    return DeviceRecord(**{**data, **known})
