@@ -31,10 +31,12 @@ class Journal:
     fault: str = ""
 
 
-def decode(raw: bytes) -> Journal:
-    """Every whole line from the start on; nothing after a bad one is believed."""
+def decode(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
+    """Every whole line from the start on; nothing after a bad one is believed.
+
+    Where `raw` goes on after lines that were read before, `seq` is their number and `crc` that of the last of them.
+    """
     lines: list[dict[str, Any]] = []
-    crc = 0
     for number, line in enumerate(raw.split(b"\n"), start=1):
         if not line and number > raw.count(b"\n"):
             break
@@ -47,8 +49,8 @@ def decode(raw: bytes) -> Journal:
             entry = json.loads(body + b"}")
         except (ValueError, RecursionError):
             return Journal(tuple(lines), f"line {number} is not JSON")
-        if entry.get("seq") != len(lines) or not {"t", "kind", "data"} <= entry.keys():
-            return Journal(tuple(lines), f"line {number} should have seq {len(lines)}")
+        if entry.get("seq") != seq + len(lines) or not {"t", "kind", "data"} <= entry.keys():
+            return Journal(tuple(lines), f"line {number} should have seq {seq + len(lines)}")
         lines.append(entry)
     return Journal(tuple(lines))
 

@@ -214,9 +214,14 @@ def raw_bytes(array: Any) -> Any:
 class LiveReader:
     """Iterates over the whole batches of a live stream and stops before the first that is not whole."""
 
-    def __init__(self, data: Any) -> None:
-        """`data`: a `pyarrow.Buffer` with the file's bytes. Raises ValueError where not even the schema is whole."""
-        self.rows = 0
+    def __init__(self, data: Any, batches: int = 0, rows: int = 0) -> None:
+        """`data`: a `pyarrow.Buffer` with the file's bytes. Raises ValueError where not even the schema is whole.
+
+        Where so many whole `batches` with so many `rows` were read before, `data` is the schema message and the bytes
+        after these batches.
+        """
+        self.batches = batches
+        self.rows = rows
         self.ended = False
         self.fault = ""
         self.torn = False
@@ -224,6 +229,7 @@ class LiveReader:
         try:
             self._source = pa.BufferReader(data)
             self._reader = pa.ipc.open_stream(self._source)
+            self.position = self.head = self._source.tell()
             self.schema = self._reader.schema
             self.about = about_stream(self.schema)
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -232,10 +238,11 @@ class LiveReader:
     def __iter__(self) -> Iterator[Any]:
         """Batches in order; afterwards `rows`, `ended`, `fault` tell how far it came and why it stopped.
 
-        `torn`: bytes are left that belong to no whole batch.
+        `torn`: bytes are left that belong to no whole batch; `position`: where the whole ones end in the data, `head`:
+        where the first begins.
         """
         head = _crc_of_head(self._data)
-        seq = 0
+        seq = self.batches
         self.torn = True
         while not self.ended:
             try:
@@ -266,6 +273,7 @@ class LiveReader:
                 self.fault = f"batch {seq} is altered: its crc32 does not fit"
                 return
             seq, self.rows, self.ended = seq + 1, rows, end == b"1"
+            self.batches, self.position = seq, self._source.tell()
             yield batch
         rest = self._data[self._source.tell() :].to_pybytes()
         self.torn = rest not in (b"", _END_OF_STREAM)
