@@ -66,3 +66,24 @@ CHANNEL_QUANTITY = {
 def show(value: float, quantity: str, digits: int = 6) -> str:
     """`value` [SI] of the named quantity in the unit that people read."""
     return QUANTITIES[quantity].show(value, digits)
+
+
+def in_words(seconds: float) -> str:
+    """A duration as people say it: `3.2 s`, `12 min 05 s`, `3 h 20 min`, `2 days 3 h`, `31 years 251 days`."""
+    if not seconds < 1e15:
+        return "more than a million years"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    days, hours = divmod(hours, 24)
+    years, days = divmod(days, 365)
+    if years:
+        return f"{_counted(years, 'year')} {_counted(days, 'day')}"
+    if days:
+        return f"{_counted(days, 'day')} {hours} h" if hours else _counted(days, "day")
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
+
+
+def _counted(number: int, name: str) -> str:
+    return f"{number} {name}{'' if number == 1 else 's'}"

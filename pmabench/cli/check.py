@@ -103,12 +103,12 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None) -> None:
     from rich.table import Table
 
-    from pmabench.base.quantities import CHANNEL_QUANTITY, show
+    from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
 
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
     shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
-    length = _clock(longest) if shortest == longest else f"{_clock(shortest)} to {_clock(longest)}"
+    length = in_words(longest) if shortest == longest else f"{in_words(shortest)} to {in_words(longest)}"
     asks = sum(step.kind == "ask" for step in plan.steps)
     console.print(
         f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
@@ -132,7 +132,7 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
         console.print(f"this bench has {lack}")
     if peaks is not None:
         ending = "" if peaks["status"] == "finished" else f": {peaks['why']}"
-        console.print(f"simulated: {peaks['status']}{ending}, {_clock(peaks['duration'])}")
+        console.print(f"simulated: {peaks['status']}{ending}, {in_words(peaks['duration'])}")
         for name, span in peaks["measured"].items():
             quantity = CHANNEL_QUANTITY[name]
             console.print(
@@ -153,12 +153,6 @@ def _print_steps(plan: Plan) -> None:
 
 def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
 
 
 def _size(count: int) -> str:

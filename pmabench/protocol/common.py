@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from functools import cached_property
+from math import inf
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
+from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
 
 ChannelName = Literal["pressure", "displacement", "force", "pressure_command", "displacement_command"]
@@ -37,15 +40,23 @@ class Prepare(Strict):
     precondition: Precondition | None = None
 
 
+def _wider_than_nothing(value: float) -> float:
+    if not value > 0:
+        raise ValueError(f'{show(value, "ratio")}: an interval is wider than nothing, for instance "5 %"')
+    return value
+
+
 class Accept(Strict):
     """Widest interval, relative to the value, with which a coefficient is accepted."""
 
-    relative_interval: Ratio
+    relative_interval: Annotated[Ratio, AfterValidator(_wider_than_nothing)]
 
 
 class ProtocolHead(Strict):
     """The part of a protocol that does not depend on its kind."""
 
+    cannot_do_without: ClassVar[tuple[str, ...]] = ()
+    """Channels that the reduction of this kind needs."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)]
@@ -98,12 +109,41 @@ class Compilation:
         """F_L [N] and moving mass [kg] of a load written as mass or force."""
         kind, value = written
         bench = self.mounted.bench
-        if value < 0:
-            self.fault(location, "a load is not below zero")
+        self._can_be_made(value / bench.gravity if kind == "force" else value, kind, location)
         if kind == "mass":
             hanging = bench.hanging
             return {"load": value * bench.gravity, "mass": value + bench.carriage if hanging else FORCE_MASS}
         return {"load": value, "mass": FORCE_MASS}
+
+    def _can_be_made(self, mass: float, kind: str, location: Location) -> None:
+        """Check that the weights of the bench make the load, and that its dead weight alone trips nothing."""
+        bench, weight = self.mounted.bench, mass * self.mounted.bench.gravity
+        if mass < 0:
+            self.fault(location, "a load is not below zero")
+            return
+
+        def shown(load: float) -> str:
+            return f"{load:g} kg" if kind == "mass" else f"{load * bench.gravity:.6g} N ({load:g} kg)"
+
+        trips = [t for t in bench.trips if t.channel == "force" and t.kind == "range" and t.action != "warn"]
+        trip, source = min(((t.high, t.source) for t in trips if t.high is not None), default=(inf, ""))
+        if weight >= trip:
+            self.fault(
+                location,
+                f"{shown(mass)} weighs {weight:.6g} N, not below the trip limit for measured force, "
+                f"{show(trip, 'force')} ({source}); take a smaller load",
+            )
+        elif self._stack is not None and not self._stack.can_make(mass):
+            near = " or ".join(shown(load) for load in self._stack.around(mass))
+            self.fault(
+                location,
+                f'{shown(mass)} cannot be made with the weights of "{bench.name}" ({self._stack}); nearest: {near}',
+            )
+
+    @cached_property
+    def _stack(self) -> Stack | None:
+        weights = self.mounted.bench_file.weights
+        return None if weights is None else Stack(weights.hanger, weights.plates)
 
     def put_on(self, point: dict[str, float], demands: str = "vented") -> None:
         """Ask for the load of a point where it is not on already."""
@@ -118,11 +158,11 @@ class Compilation:
         weights = self.mounted.bench_file.weights
         if weights is None:
             return f"Put {load[0]:.2f} N on the free end."
-        mass = load[0] / weights.g
-        stack = f" ({plates_text(mass - weights.hanger, weights.plates)})" if weights.plates and load[0] > 0 else ""
         if load[0] == 0:
             return "Take every weight off the free end."
-        return f"Put {mass:.3f} kg on the free end, hanger included{stack}: {load[0]:.2f} N."
+        mass = load[0] / weights.g
+        made_of = f" ({self._stack.text(mass)})" if self._stack is not None and weights.plates else ""
+        return f"Put {mass:.3f} kg on the free end, hanger included{made_of}: {load[0]:.2f} N."
 
     def too_long(self) -> bool:
         """Whether the plan has more steps than can be; notes that as a problem."""
@@ -162,6 +202,11 @@ class Compilation:
         for index, name in enumerate(self.head.record):
             if name not in names:
                 self.fault(("record", index), f'the bench has no channel "{name}"; it has {", ".join(names)}')
+            if name in self.head.record[:index]:
+                self.fault(("record", index), f'"{name}" stands twice')
+        for needed in self.head.cannot_do_without:
+            if needed not in self.head.record:
+                self.fault(("record",), f'lacks "{needed}", without which nothing can be fitted; add it')
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""
@@ -186,17 +231,3 @@ MOST_STEPS = 200_000
 
 FORCE_MASS = 0.5
 """Moving mass of a load that acts as a pure force [kg] (papers digest 5.1)."""
-
-
-def plates_text(mass: float, plates: list[tuple[int, float]]) -> str:
-    """Which plates make `mass` [kg], for instance `1 x 5 kg + 1 x 2.5 kg`; says so where they do not."""
-    chosen: list[str] = []
-    left = mass
-    for count, each in sorted(plates, key=lambda plate: -plate[1]):
-        used = min(count, int((left + 1e-6) / each))
-        if used:
-            chosen.append(f"{used} x {each:g} kg")
-            left -= used * each
-    if left > 1e-3:
-        return f"the plates of this bench leave {left:.3f} kg"
-    return "hanger + " + " + ".join(chosen) if chosen else "hanger alone"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.quantities import in_words
 from pmabench.bench.compile import Mounted
-from pmabench.files.document import Document, read_document, validate
+from pmabench.files.document import Document, Location, read_document, validate
+from pmabench.files.quantity import parse_quantity
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Plan
 
@@ -56,12 +59,34 @@ def compile_protocol(document: Document, protocol: Any, mounted: Mounted) -> Pla
     return plan
 
 
+LONGEST = 30 * 86400.0
+"""Longest plan [s]."""
+
+
 def _beyond(plan: Plan, c: Compilation) -> list[Problem]:
-    """What no located check found: any step that could leave the active limits, whatever it was made from."""
+    """What no located check found: a plan without end, and any step that could leave the active limits."""
+    longest = plan.duration()[1]
+    if longest > LONGEST:
+        where = max(_times(c.document.data), key=lambda found: found[0], default=(0.0, ("sweep",)))[1]
+        c.fault(
+            where,
+            f"the whole plan can take {in_words(longest)}; at most {in_words(LONGEST)} are allowed "
+            "(this is the longest time in it; shorten it, or take fewer trials)",
+        )
     for output, (low, high) in plan.commands().items():
         c.within(output, low, ("trial",))
         c.within(output, high, ("trial",))
     return []
+
+
+def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:
+    """Every time that is written in the protocol [s], with its place."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _times(value, (*at, key))
+    elif isinstance(data, str):
+        with suppress(ValueError):
+            yield parse_quantity(data, "time"), at
 
 
 def make_plan(path: Path, mounted: Mounted, settings: Sequence[tuple[str, str]] = ()) -> tuple[Plan, Document]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import ceil
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -57,6 +57,7 @@ class ReferenceTrial(Strict):
 class ContractionRelaxation(ProtocolHead):
     """Protocol of kind contraction-relaxation."""
 
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     kind: Literal["contraction-relaxation"]
     sweep: Sweep[ContractionAxes]
     reference_trial: ReferenceTrial | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import ceil, cos, isclose, pi, sin
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,9 @@ from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Follow, Hold, Plan, Ramp, Record, Set, TrialRecord
 from pmabench.protocol.sweep import FrequencyAxis, Point, PressureAxis, Sweep, expand
+
+MOST_CYCLES = 1e9
+"""More are not counted: such a plan is refused for its length."""
 
 
 class SineAxes(Strict):
@@ -43,6 +46,7 @@ class SineTrial(Strict):
 class SinusoidalDisplacement(ProtocolHead):
     """Protocol of kind sinusoidal-displacement."""
 
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     kind: Literal["sinusoidal-displacement"]
     sweep: Sweep[SineAxes]
     trial: SineTrial
@@ -72,7 +76,7 @@ class SinusoidalDisplacement(ProtocolHead):
             if at is None or not isclose(at, pressure):
                 c.steps += self._arrive(pressure, first=at is None)
                 at = pressure
-            cycles = max(trial.cycles, ceil(trial.at_least * frequency - 1e-9) + trial.discard)
+            cycles = max(trial.cycles, ceil(min(trial.at_least * frequency, MOST_CYCLES) - 1e-9) + trial.discard)
             values = {
                 "pressure": pressure,
                 "frequency": frequency,

@@ -5,7 +5,7 @@ Variant `hands-at-pressure`: paper 0's literal order, load on and support away w
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -53,6 +53,7 @@ class StaticTrial(Strict):
 class StaticLoad(ProtocolHead):
     """Protocol of kind static-load."""
 
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     kind: Literal["static-load"]
     sweep: Sweep[StaticAxes]
     trial: StaticTrial

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -48,6 +48,7 @@ class UltimateTrial(Strict):
 class UltimateGain(ProtocolHead):
     """Protocol of kind ultimate-gain."""
 
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     kind: Literal["ultimate-gain"]
     sweep: Sweep[UltimateAxes]
     trial: UltimateTrial

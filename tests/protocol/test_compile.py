@@ -1,6 +1,7 @@
 """Protocols compile to plans of plain data, inside the limits of bench and specimen, or say what is wrong where."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -197,3 +198,64 @@ def test_the_driven_end_never_starts_with_a_jump():
     assert (steps[0].origin, steps[0].to) == (0.0, 0.01)
     with pytest.raises(InvalidFile, match="moves at most at 500 mm/s"):
         plan("sinusoidal-displacement", ("trial.approach", "600 mm/s"))
+
+
+@pytest.mark.parametrize(
+    ("load", "says"),
+    [
+        ("6.37 kg", r"6.37 kg cannot be made .* nearest: 6.1 kg or 10.6 kg"),
+        ("0.5 kg", "nearest: 0 kg or 1.1 kg"),
+        ("61 kg", "nearest: 60.6 kg$"),
+        ("58.9 N", r"nearest: 58.86 N \(6 kg\)"),
+        ("200 kg", r"weighs 1962 N, not below the trip limit for measured force, 1900 N \(.*mock.yaml:\d+:\d+\)"),
+        ("-1 kg", "not below zero"),
+    ],
+)
+def test_loads_that_the_bench_cannot_make_or_bear(load, says):
+    with pytest.raises(InvalidFile, match=says) as caught:
+        plan("contraction-relaxation", ("sweep.matrix.load", f"[6 kg, {load}]"))
+    (problem,) = caught.value.problems
+    assert (problem.path, problem.column) == ("--set sweep.matrix.load", 15)
+
+
+@pytest.mark.parametrize("name", sorted(BENCH_OF))
+def test_a_record_without_what_the_fit_needs_is_refused(name):
+    with pytest.raises(InvalidFile, match='record:1:8  lacks "displacement"'):
+        plan(name, ("record", "[pressure, force]"))
+
+
+@pytest.mark.parametrize("interval", ["-2 %", "0"])
+def test_an_accepted_interval_is_wider_than_nothing(interval):
+    with pytest.raises(InvalidFile, match="an interval is wider than nothing"):
+        plan("contraction-relaxation", ("accept.K.relative_interval", interval))
+
+
+def test_a_plan_without_end_names_its_longest_time():
+    with pytest.raises(InvalidFile, match=r"contract.hold:1:8  the whole plan can take \d+ years .* at most 30 days"):
+        plan("contraction-relaxation", ("trial.contract.hold", "1e9 s"))
+    with pytest.raises(InvalidFile, match="more than a million years"):
+        plan("sinusoidal-displacement", ("trial.at_least", "1e308 s"), ("trial.settle", "1e308 s"))
+
+
+def test_a_bench_without_the_commanded_pressure_is_refused_where_the_search_reads_it():
+    bench = mounted()
+    bench = replace(bench, bench=without(bench.bench, "pressure_command"))
+    with pytest.raises(InvalidFile, match='needs the channel "pressure_command", which the bench does not have'):
+        make_plan(ROOT / "protocols" / "static-load.yaml", bench, [("record", "[pressure, displacement]")])
+    record = ("record", "[pressure, displacement]")
+    assert make_plan(ROOT / "protocols" / "contraction-relaxation.yaml", bench, [record])
+
+
+def without(bench, channel):
+    devices = tuple(replace(d, channels=tuple(c for c in d.channels if c.name != channel)) for d in bench.devices)
+    return replace(bench, devices=devices)
+
+
+def test_the_longest_time_of_hands_counts_the_vent_before_them_and_the_wait_after():
+    vented, pressed = Ask("load", "x"), Ask("load", "x", demands="at-pressure")
+    assert vented.longest() == 33.0
+    assert pressed.longest() == 3.0
+    assert vented.shortest() == 3.0
+    compiled = plan("contraction-relaxation", ("sweep.repeat.count", "1"), ("prepare.precondition.cycles", "0"))
+    shortest, longest = compiled.duration()
+    assert longest - shortest == pytest.approx(11 * 30.0)
