@@ -27,6 +27,8 @@ GAIN = 0.03
 """Least relative fall of the sum of squares for which one more knot is kept."""
 MOST_KNOTS = 8
 """Most knots that are added."""
+PLACES = 5
+"""Places in a stretch that are tried for a knot, twice: the second time between the neighbours of the best."""
 FLOOR = 1e-4
 """Least noise, as a share of the typical force."""
 
@@ -179,17 +181,17 @@ def first_knots(tested: Array, commanded: Array) -> Array:
 def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
     """The pooled fit and the noise [N] that a segment should have, with knots added where the residual asks for them.
 
-    A coefficient that bends sharply between two knots leaves a residual there; a knot in the middle of the worst such
-    stretch is kept if the sum of squares falls by more than `GAIN`.
+    A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
+    the sum of squares is least, is kept if that falls by more than `GAIN`.
     """
     floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
     solved = solve(segments, knots, floor)
     for _ in range(MOST_KNOTS):
         expected = max(floor, expected_noise(segments, solved, noise))
-        middle = _worst_stretch(segments, solved, expected)
-        if middle is None:
+        stretch = _worst_stretch(segments, solved, expected)
+        if stretch is None:
             break
-        finer = solve(segments, np.sort(np.append(solved.knots, middle)), expected)
+        finer = _with_knot(segments, solved, stretch, expected)
         if finer.residual @ finer.residual > (1 - GAIN) * (solved.residual @ solved.residual):
             break
         solved = finer
@@ -197,12 +199,25 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
     return solve(segments, solved.knots, expected), expected
 
 
-def _worst_stretch(segments: Segments, solved: Fit, expected: float) -> float | None:
-    """Middle of the stretch between knots with the largest sum of squares in excess of the noise; None for none."""
+def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
+    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
+    low, high = stretch
+    found: list[tuple[float, Fit]] = []
+    for _ in range(2):
+        apart = (high - low) / (PLACES + 1)
+        for P in low + apart * np.arange(1, PLACES + 1):
+            found.append((float(P), solve(segments, np.sort(np.append(solved.knots, P)), expected)))
+        place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
+        low, high = place_of - apart, place_of + apart
+    return best
+
+
+def _worst_stretch(segments: Segments, solved: Fit, expected: float) -> tuple[float, float] | None:
+    """The stretch between knots [Pa] with the largest sum of squares in excess of the noise; None for none."""
     k = len(solved.knots)
     left, _ = place(segments.pressure, solved.knots)
     count = np.bincount(left, minlength=k - 1)
     power = np.bincount(left, solved.residual**2, k - 1)
     excess = np.where((count >= 20) & (power > EXCESS * expected**2 * count), power - expected**2 * count, 0.0)
     worst = int(np.argmax(excess))
-    return 0.5 * float(solved.knots[worst] + solved.knots[worst + 1]) if excess[worst] > 0 else None
+    return (float(solved.knots[worst]), float(solved.knots[worst + 1])) if excess[worst] > 0 else None
