@@ -33,7 +33,7 @@ def command(
     from pmabench.cli.prepare import prepare
 
     prepared = prepare(protocol, bench, specimen, settings)
-    plan, mounted = prepared.plan, prepared.mounted
+    plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
     peaks = _simulate(plan, mounted) if simulate else None
     if peaks is not None:
@@ -42,11 +42,11 @@ def command(
         summary["plan"] = plan.to_dict()
 
     def human() -> None:
-        _print(ui, plan, summary, peaks)
+        _print(ui, plan, summary, peaks, warnings)
         if show_plan:
             _print_steps(plan)
 
-    ui.result(summary, human)
+    ui.result(summary, human, None if show_plan or simulate else warnings)
     return None if peaks is None else int(peaks["exit_code"])
 
 
@@ -100,7 +100,7 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     }
 
 
-def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None) -> None:
+def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None, warnings: list[str]) -> None:
     from rich.table import Table
 
     from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
@@ -126,10 +126,8 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
             name, show(span["lowest"], quantity), show(span["highest"], quantity), limit, span["limits_from"][1]
         )
     console.print(table)
-    for hazard in summary["hazards"]:
-        console.print(f"HAZARD: {hazard}")
-    for lack in summary["lacks"]:
-        console.print(f"this bench has {lack}")
+    for warning in warnings:
+        console.print(warning)
     if peaks is not None:
         ending = "" if peaks["status"] == "finished" else f": {peaks['why']}"
         console.print(f"simulated: {peaks['status']}{ending}, {in_words(peaks['duration'])}")

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from errno import EPIPE
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, PmaError
+from pmabench.base.errors import InvalidFile, PmaError, RecordError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,37 +24,57 @@ if TYPE_CHECKING:
 
 @dataclass
 class Ui:
-    """Where a command prints: results on stdout, everything else on stderr."""
+    """Where a command prints: results on stdout, everything else on stderr; quiet: results and errors only."""
 
     json: bool = False
     verbose: bool = False
     quiet: bool = False
     color: bool = True
+    lost: OSError | None = None
+    """Why the result did not reach stdout."""
 
     def note(self, text: str) -> None:
         """A line for people, on stderr."""
         if not self.quiet:
-            click.echo(text, err=True)
+            say(text)
 
     def detail(self, text: str) -> None:
         """A line for people who asked for more."""
-        if self.verbose:
-            click.echo(text, err=True)
+        if self.verbose and not self.quiet:
+            say(text)
 
-    def result(self, data: Mapping[str, Any], human: Callable[[], None]) -> None:
-        """The result: as one JSON object, or as `human` prints it."""
-        if self.json:
-            click.echo(json.dumps(data, indent=1, sort_keys=True, allow_nan=False, default=str))
-        else:
-            human()
+    def result(self, data: Mapping[str, Any], human: Callable[[], None], brief: Iterable[str] | None = None) -> None:
+        """The result: one JSON object, or what `human` prints, or with --quiet the lines of `brief`.
+
+        A full disk or closed pipe behind stdout never ends the command; it has its own exit code at the end.
+        """
+        try:
+            if self.json:
+                click.echo(json.dumps(data, indent=1, sort_keys=True, allow_nan=False, default=str))
+            elif self.quiet and brief is not None:
+                click.echo("".join(f"{line}\n" for line in brief), nl=False)
+            else:
+                human()
+            if sys.stdout is not None:
+                sys.stdout.flush()
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            self.lost = error
 
     def console(self, *, err: bool = False, columns: int = 100) -> Console:
         """A rich console; `columns` wide where there is no terminal."""
         from rich.console import Console
 
+        class Plain(Console):
+            """Leaves a closed pipe to the command, as any other output does."""
+
+            def on_broken_pipe(self) -> None:
+                raise BrokenPipeError(EPIPE, os.strerror(EPIPE))
+
         stream = sys.stderr if err else sys.stdout
         width = None if stream.isatty() or "COLUMNS" in os.environ else columns
-        return Console(stderr=err, no_color=not self.color, width=width, highlight=False, markup=False, emoji=False)
+        return Plain(stderr=err, no_color=not self.color, width=width, highlight=False, markup=False, emoji=False)
 
 
 def common(function: Callable[..., int | None]) -> Callable[..., None]:
@@ -58,22 +82,66 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
 
     @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
     @click.option("-v", "--verbose", is_flag=True, help="Say more.")
-    @click.option("-q", "--quiet", is_flag=True, help="Say only what is needed.")
+    @click.option("-q", "--quiet", is_flag=True, help="Results and errors only.")
     @click.option("--no-color", is_flag=True, help="Plain text; also with NO_COLOR set.")
     @wraps(function)
     def command(*args: Any, as_json: bool, verbose: bool, quiet: bool, no_color: bool, **kwargs: Any) -> None:
         ui = Ui(as_json, verbose, quiet, not no_color and "NO_COLOR" not in os.environ)
+        code: int | None
         try:
             code = function(ui, *args, **kwargs)
         except PmaError as error:
             _explain(ui, error)
             code = error.exit_code
+        except OSError as error:
+            ui.lost = error if error.filename is None else ui.lost
+            if error.filename is not None:
+                say(f"{_shown(error.filename)}: cannot be read or written: {error.strerror or error}")
+            code = NOT_WRITTEN if error.filename is not None else None
         except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
+            say("interrupted")
             code = 130
+        if ui.lost is not None:
+            code = code or output_lost(ui.lost)
         sys.exit(code or 0)
 
     return command
+
+
+def prepare_streams() -> None:
+    """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks are spelled."""
+    if sys.stdout is None:
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def say(text: str) -> None:
+    """A line on stderr; nothing fails where nobody reads it."""
+    with suppress(OSError):
+        click.echo(text, err=True)
+
+
+NOT_WRITTEN = RecordError.exit_code
+
+
+def output_lost(error: OSError) -> int:
+    """The exit code where stdout took no more: a closed pipe is no failure, anything else is told."""
+    for stream in (sys.stdout, sys.stderr):  # what is left in them would fail again at the end of the program
+        with suppress(OSError, ValueError, AttributeError):
+            if stream is sys.stdout or error.errno == EPIPE:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    if error.errno == EPIPE:
+        return 0
+    say(f"the output could not be written: {error.strerror or error}; give it a place that takes it")
+    return NOT_WRITTEN
+
+
+def _shown(path: object) -> str:
+    return os.fsdecode(path) if isinstance(path, bytes) else str(path)
 
 
 def _explain(ui: Ui, error: PmaError) -> None:
@@ -81,11 +149,11 @@ def _explain(ui: Ui, error: PmaError) -> None:
         data: dict[str, Any] = {"schema": "pmabench.error/1", "error": str(error), "exit_code": error.exit_code}
         if isinstance(error, InvalidFile):
             data["problems"] = [vars(problem) for problem in error.problems]
-        click.echo(json.dumps(data, indent=1, sort_keys=True))
+        ui.result(data, lambda: None)
         return
-    click.echo(str(error), err=True)
+    say(str(error))
     if isinstance(error, InvalidFile) and len(error.problems) > 1:
-        click.echo(f"{len(error.problems)} problems", err=True)
+        say(f"{len(error.problems)} problems")
 
 
 def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -49,5 +49,5 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
         ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
         click.echo(str(report))
 
-    ui.result(data, human)
+    ui.result(data, human, [str(report)])
     return None

@@ -37,7 +37,7 @@ def command(ui: Ui, files: tuple[Path, ...], map_name: str, out: Path) -> int | 
                     click.echo(f"  {finding.level}: {finding.text}")
             click.echo(f"  {run.path}")
 
-    ui.result(data, human)
+    ui.result(data, human, [str(run.path) for run in runs])
     return None
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
+from typing import Any
 
 import click
 
 from pmabench import __version__
+from pmabench.cli.common import output_lost, prepare_streams
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(
@@ -47,6 +50,14 @@ class Commands(click.Group):
         """The table."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """As any command; an output that takes no more ends it with a sentence."""
+        prepare_streams()
+        try:
+            return super().main(*args, **kwargs)
+        except OSError as error:
+            sys.exit(output_lost(error))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
@@ -22,17 +23,30 @@ class Prepared:
     deviations: tuple[str, ...] = ()
     """What was changed in the protocol for this run, in words."""
 
+    def warnings(self) -> list[str]:
+        """What people must know before anything moves, a line each."""
+        hazards = [f"HAZARD: {hazard}" for hazard in self.plan.hazards]
+        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks)]
+
 
 def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
     """Read and compile everything; raises `InvalidFile` with every problem of every file."""
     problems: list[Problem] = []
+    paths: dict[str, Path] = {}
+    for kind, name in (("bench", bench), ("specimen", specimen), ("protocol", protocol)):
+        try:
+            paths[kind] = find_file(kind, name)
+        except InvalidFile as error:
+            problems.extend(error.problems)
     mounted = read = None
     try:
-        mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+        if "bench" in paths and "specimen" in paths:
+            mounted = mount(paths["bench"], paths["specimen"])
     except InvalidFile as error:
         problems.extend(error.problems)
     try:
-        read = read_protocol(find_file("protocol", protocol), settings)
+        if "protocol" in paths:
+            read = read_protocol(paths["protocol"], settings)
     except InvalidFile as error:
         problems.extend(error.problems)
     if mounted is None or read is None or problems:

@@ -54,10 +54,8 @@ def execute(ui: Ui, prepared: Prepared, out: Path, *, operator_name: str = "", y
     """Run a prepared plan with progress on the terminal."""
     from pmabench.engine.run import run_plan
 
-    for hazard in prepared.plan.hazards:
-        ui.note(f"HAZARD: {hazard}")
-    for lack in prepared.mounted.lacks:
-        ui.note(f"this bench has {lack}")
+    for warning in prepared.warnings():
+        ui.note(warning)
     with progress_line(ui, f"{prepared.plan.kind}") as progress:
         return run_plan(
             prepared.plan,

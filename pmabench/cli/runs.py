@@ -100,5 +100,6 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
             for finding in findings:
                 click.echo(f"  {finding}")
 
-    ui.result({"schema": "pmabench.verify/1", "runs": found}, human)
+    wrong = [f"{run}: {finding}" for run, findings in found.items() for finding in findings]
+    ui.result({"schema": "pmabench.verify/1", "runs": found}, human, wrong)
     return 3 if any(found.values()) else None

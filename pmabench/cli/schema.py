@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
 KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map")
@@ -21,14 +22,17 @@ KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map")
 def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> int | None:
     """Print the JSON Schema of KIND, or write all of them into a folder."""
     if write_all and out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        for name in KINDS:
-            (out / f"{name}.schema.json").write_text(schema_text(name), encoding="utf-8")
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for name in KINDS:
+                (out / f"{name}.schema.json").write_text(schema_text(name), encoding="utf-8")
+        except OSError as error:
+            raise RecordError(f"{out}: no schemas can be written here: {error.strerror or error}") from error
         ui.note(f"{len(KINDS)} schemas in {out}")
         return None
-    if kind is None:
-        raise click.UsageError(f"say which: {', '.join(KINDS)}; or --all --out FOLDER")
-    click.echo(schema_text(kind), nl=False)
+    if kind is None or write_all or out is not None:
+        raise UsageError(f"say which: {', '.join(KINDS)}; or --all --out FOLDER")
+    ui.result(_schema(kind), lambda: click.echo(schema_text(kind), nl=False))
     return None
 
 

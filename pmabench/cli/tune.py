@@ -37,7 +37,8 @@ def command(
     from pmabench.analysis.tuning import RULES, facts, rules_named, tune
     from pmabench.base.errors import UsageError
 
-    if (analysis is None) != (ku is not None and tu is not None):
+    given = [value is not None for value in (ku, tu)]
+    if any(given) if analysis is not None else not all(given):
         raise UsageError('give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER')
     try:
         rules: tuple[Rule, ...] = RULES if rule is None else rules_named(rule)
@@ -71,42 +72,49 @@ def command(
 
 def _gain(ui: Ui, text: str) -> Estimate:
     from pmabench.analysis.results import Estimate
-    from pmabench.base.errors import UsageError
-    from pmabench.files.quantity import parse_quantity
 
-    try:
-        bare = float(text)
-    except ValueError:
-        try:
-            return Estimate("K_u", parse_quantity(text, "gain"), "Pa/m", "gain", "given")
-        except ValueError as error:
-            raise UsageError(f"--ku: {error}") from error
+    value, bare = _quantity("--ku", text, "gain", 1e-30)
+    if not bare:
+        return Estimate("K_u", value, "Pa/m", "gain", "given")
     ui.note(
         f'--ku {text}: taken without a unit; K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
     )
-    return Estimate("K_u", bare, "1", "count", "given")
+    return Estimate("K_u", value, "1", "count", "given")
 
 
 def _time(ui: Ui, text: str) -> Estimate:
     from pmabench.analysis.results import Estimate
 
-    return Estimate("T_u", _seconds("--tu", text, ui), "s", "time", "given")
+    value, bare = _quantity("--tu", text, "time", 1e-6)
+    if bare:
+        ui.note(f"--tu {text}: taken as seconds")
+    return Estimate("T_u", value, "s", "time", "given")
 
 
-def _seconds(option: str, text: str, ui: Ui | None = None) -> float:
+def _seconds(option: str, text: str) -> float:
+    return _quantity(option, text, "time", 0.0)[0]
+
+
+def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[float, bool]:
+    """The value [SI], and whether it was written without a unit."""
     from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
+    bare = True
     try:
-        bare = float(text)
+        value = float(text)
     except ValueError:
+        bare = False
         try:
-            return parse_quantity(text, "time")
+            value = parse_quantity(text, quantity)
         except ValueError as error:
             raise UsageError(f"{option}: {error}") from error
-    if ui is not None:
-        ui.note(f"{option} {text}: taken as seconds")
-    return bare
+    most = 1e6 if quantity == "time" else 1e30
+    if not least <= value <= most:
+        raise UsageError(
+            f'{option}: "{text}" is no {quantity} that can be; expected is {least:g} to {most:g} in SI units'
+        )
+    return value, bare
 
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
@@ -138,13 +146,20 @@ def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
 
 
 def _plausible(period: Estimate, dead_time: str | None, lags: tuple[str, ...]) -> list[str]:
+    from pmabench.base.errors import UsageError
+
+    if dead_time is None and lags:
+        raise UsageError("--lag is for --dead-time; give both, or neither")
     if dead_time is None or period.value is None:
         return []
     from pmabench.analysis.tuning import plausibility
     from pmabench.model.loop import Loop
 
     loop = Loop(1.0, _seconds("--dead-time", dead_time), tuple(_seconds("--lag", lag) for lag in lags))
-    finding = plausibility(period.value, loop)
+    try:
+        finding = plausibility(period.value, loop)
+    except ValueError as error:
+        raise UsageError(f"--dead-time {dead_time} with --lag {', '.join(lags) or 'none'}: {error}") from error
     return [f"{finding.level}: {finding.text}"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import types
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -183,7 +184,11 @@ def read_document(path: Path, depth: int = 0) -> Document:
     """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
     name = _shown(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
+        found = path.stat()
+        if not S_ISREG(found.st_mode):
+            kind = "a folder" if S_ISDIR(found.st_mode) else "no file (a device or a pipe)"
+            raise invalid(name, f"is {kind}; a YAML file is expected")
+        if found.st_size > MAX_BYTES:
             raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
         raw = path.read_bytes()
     except OSError as error:

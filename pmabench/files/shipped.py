@@ -26,8 +26,13 @@ def shipped_folder(kind: str) -> Path:
 def find_file(kind: str, name: str) -> Path:
     """The file at the path `name`, or the shipped one called so; `InvalidFile` where there is neither."""
     path = Path(name)
-    if path.exists():
-        return path
+    if not name:
+        raise invalid('""', f"names no {kind}; give a file or the name of a shipped one")
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError) as error:
+        raise invalid(name[:80], f"cannot be the name of a file: {getattr(error, 'strerror', '') or error}") from error
     shipped = shipped_folder(kind) / (name if name.endswith(".yaml") else f"{name}.yaml")
     if path.name == name and shipped.is_file():
         return shipped

@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, one JSON object, sentences, and nothing left behind."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -181,6 +182,49 @@ def test_tune_says_what_cannot_be():
 def test_tune_refuses_what_is_no_gain():
     assert "no unit of gain" in call("tune", "--ku", "7 kPa", "--tu", "9 s", code=2).output
     assert "give --ku and --tu" in call("tune", "--ku", "7 kPa/mm", code=2).output
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--lag", "-1 s"], "--lag is for --dead-time"),
+        (["--dead-time", "40 ms", "--lag", "-1 s"], "a time is not below zero|no time that can be"),
+        (["--dead-time", "nan"], "no time that can be"),
+        (["--dead-time", "0 s"], "no ultimate gain"),
+        (["--ku", "nan"], "no gain that can be"),
+        (["--ku", "-7 bar/cm"], "no gain that can be"),
+        (["--tu", "0 s"], "no time that can be"),
+        (["--analysis", "x"], "give --ku and --tu"),
+    ],
+)
+def test_tune_refuses_what_cannot_be_in_a_sentence(args, says):
+    assert re.search(says, call("tune", "--ku", "7.1 bar/cm", "--tu", "9 s", *args, code=2).output)
+
+
+def test_schemas_that_cannot_be_written_exit_7(tmp_path):
+    (tmp_path / "file").touch()
+    assert "no schemas can be written here" in call("schema", "--all", "--out", tmp_path / "file" / "x", code=7).output
+    assert "say which" in call("schema", "--all", code=2).output
+
+
+def test_a_folder_or_device_where_a_file_is_expected(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    for path, says in ((tmp_path, "is a folder"), ("/dev/null", "is no file"), (tmp_path / "fifo", "is no file")):
+        assert says in call("check", path, *MOCK, code=3).output
+    assert "names no bench" in call("check", "static-load", "--bench", "", "--specimen", "x", code=3).output
+    assert "File name too long" in call("check", "a" * 5000, *MOCK, code=3).output
+
+
+def test_quiet_is_results_and_errors_only(tmp_path):
+    assert call("check", "contraction-relaxation", *MOCK, *SMALL, "-q").output == ""
+    hazards = call(
+        "check", "static-load-hands-at-pressure", "--bench", "mock-hands-at-pressure", *MOCK[2:], "-q"
+    ).output
+    assert hazards.startswith("HAZARD: ")
+    assert hazards.count("\n") == 1
+    assert "is no kind" in call("check", "static-load", *MOCK, "--set", "kind=x", "-q", code=3).output
+    assert "taken" not in call("tune", "--ku", "7", "--tu", "9", "-q").output
+    assert call("schema", "--all", "--out", tmp_path, "-q").output == ""
 
 
 def test_schema_prints_json():

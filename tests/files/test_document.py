@@ -80,7 +80,7 @@ def test_binary_and_absent_files(tmp_path):
         read_document(tmp_path / "b.yaml")
     with pytest.raises(InvalidFile, match="cannot be read"):
         read_document(tmp_path / "absent.yaml")
-    with pytest.raises(InvalidFile, match="cannot be read"):
+    with pytest.raises(InvalidFile, match="is a folder; a YAML file is expected"):
         read_document(tmp_path)
 
 

@@ -1,0 +1,59 @@
+"""What commands do with their output: closed pipes, full disks, closed streams, quiet; as programs of their own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CHECK = ["check", "static-load", "--bench", "mock", "--specimen", "mas-20-250-paper0"]
+FULL = Path("/dev/full")
+
+
+def start(*args, **streams):
+    code = "import sys; from pmabench.cli.main import main; sys.exit(main())"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
+    return subprocess.Popen([sys.executable, "-c", code, *args], stdin=subprocess.DEVNULL, **pipes)
+
+
+@pytest.mark.parametrize("args", [[*CHECK, "--plan"], [*CHECK, "--json"], ["--help"], ["schema", "bench"]])
+def test_a_closed_pipe_ends_quietly(args):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with start(*args, stdout=writing) as program:
+        os.close(writing)
+        error = program.communicate()[1]
+    assert error == b""
+    assert program.returncode in ({0, 1} if args == ["--help"] else {0})
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="not run: there is no /dev/full")
+@pytest.mark.parametrize("args", [CHECK, [*CHECK, "--json"], ["--help"], ["check", "--help"], ["schema", "bench"]])
+def test_a_full_disk_behind_stdout_is_a_sentence_and_exit_7(args):
+    with FULL.open("wb") as full, start(*args, stdout=full) as program:
+        error = program.communicate()[1].decode()
+    assert error == "the output could not be written: No space left on device; give it a place that takes it\n"
+    assert program.returncode == 7
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="not run: there is no /dev/full")
+def test_the_exit_code_of_the_work_outlasts_that_of_the_output():
+    with FULL.open("wb") as full, start("runs", "verify", str(Path(__file__).parent), stdout=full) as program:
+        program.communicate()
+    assert program.returncode == 3
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_closed_stream_is_no_failure(number):
+    with start(*CHECK, preexec_fn=lambda: os.close(number)) as program:
+        program.communicate()
+    assert program.returncode == 0
+
+
+def test_signs_that_the_terminal_lacks_are_spelled():
+    latin = {**os.environ, "PYTHONIOENCODING": "latin-1:strict"}
+    with start(*CHECK, "--set", "name=∞", env=latin) as program:
+        output = program.communicate()[0]
+    assert program.returncode == 0
+    assert rb"\u221e" in output
