@@ -23,14 +23,17 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """The machine's monotonic clock; time that has passed stays passed."""
+    """The machine's monotonic clock; time that has passed stays passed.
 
-    def __init__(self) -> None:
-        self._start = time.monotonic()
+    `start` is the moment of bench time 0 on that clock [s]: processes that share it share bench time.
+    """
+
+    def __init__(self, start: float | None = None) -> None:
+        self.start = time.monotonic() if start is None else start
 
     def now(self) -> float:
-        """Seconds since this clock was made."""
-        return time.monotonic() - self._start
+        """Seconds since the start."""
+        return time.monotonic() - self.start
 
     def wait_until(self, deadline: float) -> None:
         """Sleep to the absolute deadline, so that errors never add up."""

@@ -65,6 +65,7 @@ class DeviceError(PmaError):
     def __init__(self, device: str, message: str, channel: str = "") -> None:
         self.device = device
         self.channel = channel
+        self.message = message
         where = f"{device}.{channel}" if channel else device
         super().__init__(f"{where}: {message}")
 

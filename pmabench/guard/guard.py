@@ -1,58 +1,66 @@
-"""The guard: opens the devices, checks each command on the value that the device will really get, owns the safe state.
+"""The guard: owns the devices that can move anything, checks each command on what the device will really get, vents.
 
 Small enough to be read in one sitting. It does not trust the engine: values outside the active limits, NaN and
 infinity are refused here again, whatever was checked before. Knows devices through `pmabench.bench.interface` only.
+In virtual time it lives in the engine's process, at a real bench in one of its own (`pmabench.guard.process`).
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from importlib import import_module
-from math import ceil, floor, isfinite
+from math import inf, isfinite
 from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitRefused
-from pmabench.base.quantities import show
 from pmabench.bench.interface import (
+    Block,
     CompiledBench,
     Device,
     DeviceRecord,
     Follower,
     Hands,
     Identity,
+    Inputs,
     Load,
+    Motion,
     OutputRecord,
+    Rescue,
+    SafeAction,
     Segment,
     SetPoint,
+    Stream,
+    Switch,
+    ValveRecord,
+    Watchdog,
 )
+from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_bench, to_device
+from pmabench.guard.owner import Call, Direct, Owner
+from pmabench.guard.safe import SafeState, Vent
+
+__all__ = ["Guard", "Measure", "State", "Vent", "load_driver"]
 
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass and returns the latest measured values [SI]."""
+
+OPENS_WITHIN = 8.0
+"""Longest time that a device may take to be opened [s]."""
 
 
 class State(Enum):
     """What the guard allows now."""
 
     DISARMED = "disarmed"
-    ARMED = "armed"
+    SETUP = "set up"
+    """Armed, and not proven yet: low pressure only."""
+    RUNNING = "running"
+    STOPPING = "stopping"
     SAFE = "safe"
     TRIPPED = "tripped"
-
-
-@dataclass(frozen=True)
-class Vent:
-    """What came of the safe state: `confirmed`, `commanded` (not confirmed) or `failed`, and each action's outcome."""
-
-    result: str
-    actions: tuple[str, ...]
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether a measured value says that the bench is safe."""
-        return self.result == "confirmed"
 
 
 def load_driver(record: DeviceRecord, clock: Clock) -> Device:
@@ -68,51 +76,116 @@ def load_driver(record: DeviceRecord, clock: Clock) -> Device:
 
 
 class Guard:
-    """Commands the outputs of one compiled bench."""
+    """Commands the outputs of one compiled bench.
 
-    def __init__(self, bench: CompiledBench, clock: Clock) -> None:
+    `threads`: each device is called from a thread of its own, and those that only measure are left to the engine.
+    `forgiving`: devices that cannot be opened are left out, for venting the others.
+    """
+
+    def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool = False, forgiving: bool = False) -> None:
         self.bench = bench
         self.state = State.DISARMED
         self.devices: dict[str, Device] = {}
         self.identities: dict[str, Identity] = {}
-        self._clock = clock
+        self.latest: dict[str, float] = {}
+        """Newest measured values [SI] of the devices that the guard itself reads."""
+        self.clock = clock
+        self._threads, self._forgiving = threads, forgiving
+        self._owners: dict[str, Direct | Owner] = {}
         self._outputs = {output.name: output for output in bench.outputs}
-        self._vent: Vent | None = None
+        self._valves = {valve.name: valve for valve in bench.valves}
+        self._safe: SafeState | None = None
+        self._tripped = False
         self._stands: dict[str, float] = {}
         """Where each output was sent last [SI]."""
 
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
-        try:
-            for record in self.bench.devices:
-                device = load_driver(record, self._clock)
-                self.identities[record.name] = device.open()
+        for record in self.bench.devices:
+            if self._threads and not record.guarded:
+                continue
+            owner = self._owners[record.name] = (Owner if self._threads else Direct)(record.name)
+            try:
+                device = load_driver(record, self.clock)
+                self.identities[record.name] = owner.call(device.open, OPENS_WITHIN)
                 self.devices[record.name] = device
-        except BaseException:
-            self.close()
-            raise
+            except BaseException:
+                if self._forgiving:
+                    continue
+                self.close()
+                raise
+
+    def close(self) -> None:
+        """Let go of every device; harmless when repeated."""
+        for name, device in self.devices.items():
+            try:
+                self._owners[name].call(device.close)
+            except DeviceError:
+                continue
+        self.devices = {}
+
+    # -- arming -------------------------------------------------------------------------------------------------
 
     def arm(self) -> None:
-        """Refuse a bench that cannot be made safe, drive every output to its safe value, then allow commands."""
+        """Refuse a bench that cannot be made safe; watchdogs on, every output safe, valves energised: set up."""
+        refuse_unsafe_bench(self.bench)
         for output in self._outputs.values():
-            self._refuse_bad_limits(output)
             if not isinstance(self.devices.get(output.device), SetPoint):
                 raise DeviceError(output.device, "takes no set-points", output.output)
-        for action in self.bench.safe_state:
-            target = self._outputs.get(action.target)
-            if action.do == "set" and target is not None and not target.low <= action.value <= target.high:
-                raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
-        if "pressure" in self._outputs and not any(trip.channel == "pressure" for trip in self.bench.trips):
-            raise LimitRefused("the bench has no trip limit on pressure: it is not armed")
+        for record in self.bench.devices:
+            if record.watchdog:
+                self._arm_watchdog(record)
+            for interlock in record.interlocks:
+                if not isinstance(self.devices[record.name], Inputs):
+                    raise DeviceError(record.name, "has no digital inputs", interlock.input)
+        self.refuse_open_interlock()
         for output in self._outputs.values():
             self._write(output, output.safe)
-        self.state = State.ARMED
+            self._refuse_other_read_back(output)
+        for valve in self._valves.values():
+            self._owners[valve.device].call(self._switching(valve, closed=True))
+        self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
-    @staticmethod
-    def _refuse_bad_limits(output: OutputRecord) -> None:
-        numbers = (output.low, output.high, output.safe, output.scale.slope, output.scale.offset)
-        if not all(isfinite(number) for number in numbers) or output.low >= output.high or output.scale.slope == 0:
-            raise LimitRefused(f'the limits of "{output.name}" make no sense: it is not armed')
+    def release(self) -> None:
+        """The bench is proven: commands up to the limits from now on."""
+        if self.state is not State.SETUP:
+            raise LimitRefused(f"the bench is {self.state.value}: it cannot be released")
+        self.state = State.RUNNING
+
+    def _arm_watchdog(self, record: DeviceRecord) -> None:
+        device = self.devices[record.name]
+        if not isinstance(device, Watchdog):
+            raise DeviceError(record.name, "has no watchdog, and the bench file says that it has")
+        told = self._owners[record.name].call(partial(device.arm_watchdog, record.watchdog))
+        if not 0 < told <= record.watchdog * 1.01:
+            raise DeviceError(record.name, f"its watchdog says {told:g} s where {record.watchdog:g} s was asked for")
+
+    def _refuse_other_read_back(self, output: OutputRecord) -> None:
+        device = self.devices[output.device]
+        assert isinstance(device, SetPoint)  # noqa: S101  (checked before)
+        held = self._owners[output.device].call(partial(device.read_back, output.output))
+        if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
+            raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
+
+    def refuse_open_interlock(self) -> None:
+        """Raise LimitRefused where an interlock is not at its safe level."""
+        for record in self.bench.devices:
+            device = self.devices.get(record.name)
+            if not isinstance(device, Inputs):
+                continue
+            for interlock in record.interlocks:
+                high = self._owners[record.name].call(partial(device.level, interlock.input))
+                if high != (interlock.safe == "high"):
+                    raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
+
+    def feed_watchdogs(self) -> None:
+        """Tell every armed device that the program lives."""
+        for record in self.bench.devices:
+            device = self.devices.get(record.name)
+            if record.watchdog and isinstance(device, Watchdog):
+                self._owners[record.name].submit(device.feed_watchdog)
+
+    # -- commands -----------------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float) -> float:
         """Command `value` [SI]; returns the value [SI] that the device got, rounded to the safe side."""
@@ -123,13 +196,9 @@ class Guard:
         output = self._allowed(name, origin, target)
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
-        self._refuse_jump(output, origin)
+        refuse_jump(output, self._stands.get(name, output.safe), origin)
         self._stands[name] = target
-        scale = abs(output.scale.slope)
-        self._follow(
-            output,
-            Segment("ramp", self._clock.now(), self._raw(output, origin), self._raw(output, target), rate / scale),
-        )
+        self._call_follow(output, self._ramp_segment(output, origin, target, rate))
 
     def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """Let the device follow mean + amplitude sin(2 pi f t) [SI, Hz] for whole cycles."""
@@ -139,148 +208,179 @@ class Guard:
         fastest = 6.283185307179586 * frequency * abs(amplitude)
         if output.rate and fastest > output.rate:
             raise LimitRefused(f'"{name}": the sine moves at {fastest:.4g} per second; at most {output.rate:.4g}')
-        self._refuse_jump(output, mean)
+        refuse_jump(output, self._stands.get(name, output.safe), mean)
         self._stands[name] = mean
         segment = Segment(
             "sine",
-            self._clock.now(),
+            self.clock.now(),
             float(output.scale.to_raw(mean)),  # not rounded: that would shift a crest beyond its limit
             amplitude=amplitude / output.scale.slope,
             frequency=frequency,
             cycles=cycles,
         )
-        self._follow(output, segment)
+        self._call_follow(output, segment)
 
     def place(self, load: Load) -> None:
         """Tell the devices that have an operator inside what hands did."""
-        for device in self.devices.values():
+        for name, device in self.devices.items():
             if isinstance(device, Hands):
-                device.place(load)
+                self._owners[name].call(partial(device.place, load))
+
+    def valves(self, *, closed: bool) -> None:
+        """Close every valve, or open them all: hands go in with the dump valve open."""
+        self._refuse_unless_active("valves")
+        for valve in self._valves.values():
+            self._owners[valve.device].call(self._switching(valve, closed=closed))
 
     def value_sent(self, name: str, value: float) -> float:
         """The value [SI] that the device would get for `value`, after scaling and rounding."""
         output = self._outputs[name]
-        return float(output.scale.to_si(self._raw(output, value)))
+        return float(output.scale.to_si(to_device(output, value)))
+
+    def collect(self, name: str) -> Block:
+        """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
+        device = self.devices.get(name)
+        if not isinstance(device, Stream):
+            raise DeviceError(name, "takes no samples")
+        block: Block = self._owners[name].call(device.collect)
+        if len(block.time):
+            for record in self.bench.devices:
+                for channel in record.channels if record.name == name else ():
+                    self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
+        return block
+
+    def stream(self, name: str, rate: float) -> float:
+        """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
+        device = self.devices.get(name)
+        if not isinstance(device, Stream):
+            raise DeviceError(name, "takes no samples")
+        return float(self._owners[name].call(partial(device.start, rate) if rate else device.stop) or 0.0)
+
+    def _refuse_unless_active(self, name: str) -> None:
+        if self.state not in {State.SETUP, State.RUNNING}:
+            raise LimitRefused(f'"{name}" is not commanded: the bench is {self.state.value}')
 
     def _allowed(self, name: str, *values: float) -> OutputRecord:
         output = self._outputs.get(name)
         if output is None:
             raise LimitRefused(f'the bench has no output "{name}"')
-        if self.state is not State.ARMED:
-            raise LimitRefused(f'"{name}" is not commanded: the bench is {self.state.value}')
-        for value in values:
-            if not isfinite(value):
-                raise LimitRefused(f'"{name}" is never commanded to {value}')
-            slack = 1e-9 * max(abs(output.low), abs(output.high))
-            step = abs(output.resolution * output.scale.slope)
-            sent = output.scale.to_si(self._raw(output, value))
-            asked_inside = output.low - slack <= value <= output.high + slack
-            if not asked_inside or not output.low - step - slack <= sent <= output.high + slack:
-                low, high = show(output.low, output.quantity), show(output.high, output.quantity)
-                shown = show(value, output.quantity)
-                raise LimitRefused(
-                    f"{shown} for {name} is outside {low} ({output.low_from}) to {high} ({output.high_from})"
-                )
+        self._refuse_unless_active(name)
+        unproven = self.state is State.SETUP and output.quantity == "pressure"
+        refuse_outside(output, values, self.bench.setup_pressure if unproven else inf)
         return output
 
-    @staticmethod
-    def _raw(output: OutputRecord, value: float) -> float:
-        """Device units, rounded to the resolution towards the safe value, and at the safe value downwards [SI]."""
-        raw = float(output.scale.to_raw(value))
-        if output.resolution == 0:
-            return raw
-        steps = raw / output.resolution
-        near = round(steps)
-        if abs(steps - near) < 1e-6:
-            return near * output.resolution
-        lower_si = value >= output.safe
-        upwards = lower_si == (output.scale.slope < 0)
-        return (ceil(steps) if upwards else floor(steps)) * output.resolution
-
-    def _refuse_jump(self, output: OutputRecord, origin: float) -> None:
-        """An output with a highest rate starts a motion where it stands."""
-        stands = self._stands.get(output.name, output.safe)
-        room = 1e-3 * (output.high - output.low) + abs(output.resolution * output.scale.slope)
-        if output.rate and abs(origin - stands) > room:
-            where, shown = show(stands, output.quantity), show(origin, output.quantity)
-            raise LimitRefused(f'"{output.name}" stands at {where} and cannot jump to {shown}')
-
     def _write(self, output: OutputRecord, value: float) -> float:
-        raw = self._raw(output, value)
-        device = self.devices[output.device]
-        assert isinstance(device, SetPoint)  # noqa: S101  (checked at arming)
-        device.write(output.output, raw)
+        raw = to_device(output, value)
+        self._owners[output.device].call(self._writing(output, raw))
         self._stands[output.name] = float(output.scale.to_si(raw))
         return self._stands[output.name]
 
-    def _follow(self, output: OutputRecord, segment: Segment) -> None:
+    def _writing(self, output: OutputRecord, raw: float) -> Callable[[], None]:
+        device = self.devices[output.device]
+        assert isinstance(device, SetPoint)  # noqa: S101  (checked at arming)
+        return partial(device.write, output.output, raw)
+
+    def _ramp_segment(self, output: OutputRecord, origin: float, target: float, rate: float) -> Segment:
+        ends = (to_device(output, origin), to_device(output, target))
+        return Segment("ramp", self.clock.now(), *ends, rate / abs(output.scale.slope))
+
+    def _call_follow(self, output: OutputRecord, segment: Segment) -> None:
+        self._owners[output.device].call(self._following(output, segment))
+
+    def _following(self, output: OutputRecord, segment: Segment) -> Callable[[], None]:
         device = self.devices[output.device]
         if not isinstance(device, Follower):
             raise DeviceError(output.device, "cannot follow a ramp or a sine by itself", output.output)
-        device.follow(output.output, segment)
+        return partial(device.follow, output.output, segment)
+
+    def _switching(self, valve: ValveRecord, *, closed: bool) -> Callable[[], None]:
+        device = self.devices[valve.device]
+        if not isinstance(device, Switch):
+            raise DeviceError(valve.device, "switches no valves", valve.output)
+        return partial(device.switch, valve.output, on=closed == (valve.energised == "closed"))
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
+    def begin_safe(self, *, tripped: bool = False, hurry: bool = False) -> None:
+        """Begin the declared safe state; when it is under way or over, only send its commands again."""
+        self._tripped = self._tripped or tripped or self.state is State.TRIPPED
+        if self._safe is None:
+            self.state = State.STOPPING
+            self._safe = SafeState(self.bench.safe_state, self._begin, self._rescue, self.clock.now())
+        elif self._safe.vent is not None:
+            for action in self.bench.safe_state:
+                if action.do not in {"confirm", "hold"}:
+                    self._begin(action)
+        if hurry:
+            self._safe.hurry()
+
+    def step_safe(self, latest: Mapping[str, float]) -> Vent | None:
+        """Advance the safe state with the latest measured values [SI]; its result when it is over."""
+        if self._safe is None or not self._safe.step(self.clock.now(), latest):
+            return None
+        self.state = State.TRIPPED if self._tripped else State.SAFE
+        return self._safe.vent
+
     def safe_state(self, measure: Measure, *, tripped: bool = False) -> Vent:
-        """Run the declared safe state once: every command at once and in order, then the confirmations.
-
-        Nothing cancels it; one failed action does not stop the others; a second call only repeats the commands (they
-        are absolute) and returns the first result. `measure` may fail: then the vent is `commanded`, not `confirmed`.
-        """
-        self.state = State.TRIPPED if tripped or self.state is State.TRIPPED else State.SAFE
-        outcome: list[str] = []
-        failed = self._command_safe(outcome)
-        if self._vent is not None:
-            return self._vent
-        confirmed = 0
-        wanted = [action for action in self.bench.safe_state if action.do == "confirm"]
-        for action in wanted:
+        """Run the safe state to its end. `measure` may fail: then the vent is `commanded`, not `confirmed`."""
+        self.begin_safe(tripped=tripped)
+        vent = self.step_safe({})
+        while vent is None:
             try:
-                confirmed += self._confirm(action.target, action.value, action.within, measure, outcome)
-            except Exception as error:  # the vent's outcome is recorded whatever went wrong while confirming
-                outcome.append(f"confirm {action.target}: not possible ({error})")
-        result = "failed" if failed else "commanded"
-        if wanted and confirmed == len(wanted):
-            result = "confirmed"
-        self._vent = Vent(result, tuple(outcome))
-        return self._vent
+                latest = measure()
+            except Exception:  # the vent's outcome is recorded whatever goes wrong while measuring
+                latest = {}
+                self.clock.wait_until(self.clock.now() + 0.1)
+            vent = self.step_safe(latest)
+        return vent
 
-    def _command_safe(self, outcome: list[str]) -> int:
-        failed = 0
-        for action in self.bench.safe_state:
-            if action.do != "set" or action.target not in self._outputs:
-                continue
-            output = self._outputs[action.target]
-            if output.device not in self.devices:
-                continue
-            try:
-                self._write(output, action.value)
-                outcome.append(f"set {action.target} to {show(action.value, output.quantity)}: sent")
-            except Exception as error:  # a failed action never stops the next one
-                failed += 1
-                outcome.append(f"set {action.target}: failed ({error})")
-        return failed
+    def _begin(self, action: SafeAction) -> Call:
+        act: Callable[[], Any] | None = None
+        owner: Direct | Owner = Direct()
+        target = self._outputs.get(action.target) or self._valves.get(action.target)
+        try:
+            if target is not None:
+                owner = self._owners[target.device]
+                act = self._action(action, target)
+        except (DeviceError, KeyError) as error:
+            failure = error
 
-    def _confirm(self, channel: str, below: float, within: float, measure: Measure, outcome: list[str]) -> int:
-        deadline = self._clock.now() + within
-        value: float | None = None
-        while True:
-            value = measure().get(channel)
-            if value is not None and value < below:
-                outcome.append(f"confirm {channel}: {value:.6g} below {below:.6g}")
-                return 1
-            if self._clock.now() >= deadline:
-                outcome.append(f"confirm {channel}: {value} not below {below:.6g} within {within:g} s")
-                return 0
+            def act() -> None:
+                raise failure
 
-    def close(self) -> None:
-        """Let go of every device; harmless when repeated."""
-        for device in self.devices.values():
-            try:
-                device.close()
-            except DeviceError:
-                continue
-        self.devices = {}
+            owner = Direct()
+        return owner.submit(act or (lambda: None))
+
+    def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Callable[[], Any]:
+        if isinstance(target, ValveRecord):
+            return self._switching(target, closed=action.do == "close")
+        if action.do == "stop":
+            device = self.devices[target.device]
+            if not isinstance(device, Motion):
+                raise DeviceError(target.device, "cannot stop a motion by itself", target.output)
+            return partial(device.halt, target.output)
+        stands = self._stands.get(target.name, target.safe)
+        self._stands[target.name] = action.value
+        if action.do == "ramp":
+            follow = self._following(target, self._ramp_segment(target, stands, action.value, action.rate))
+            lasts = abs(action.value - stands) / action.rate
+            return lambda: follow() or lasts
+        return self._writing(target, to_device(target, action.value))
+
+    def _rescue(self, action: SafeAction) -> Call | None:
+        """Try an action over the second way of its device, from a thread that hangs alone if it does."""
+        target = self._outputs.get(action.target) or self._valves.get(action.target)
+        device = self.devices.get(target.device) if target is not None else None
+        if target is None or action.do == "stop" or not isinstance(device, Rescue):
+            return None
+        raw = (
+            to_device(target, action.value)
+            if isinstance(target, OutputRecord)
+            else float((action.do == "close") == (target.energised == "closed"))
+        )
+        call = Call(partial(device.rescue, target.output, raw))
+        threading.Thread(target=call.run, daemon=True).start()
+        return call
 
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""

@@ -28,6 +28,7 @@ class Recording:
 
     def __init__(self, device, clock):
         self.told: list[tuple[str, str, float]] = []
+        self.held: dict[str, float] = {}
 
     def open(self):
         return Identity("test", "recording", "1", "0", simulated=True)
@@ -39,9 +40,10 @@ class Recording:
         if output in self.broken:
             raise DeviceError("dac", "does not answer", output)
         self.told.append(("write", output, value))
+        self.held[output] = value
 
     def read_back(self, output):
-        return 0.0
+        return self.held[output]
 
     def follow(self, output, segment):
         ends = [segment.origin - abs(segment.amplitude), segment.origin + abs(segment.amplitude)]
@@ -185,7 +187,7 @@ def falling(guard, values):
     readings = iter(values)
 
     def measure():
-        guard._clock.wait_until(guard._clock.now() + 0.1)
+        guard.clock.wait_until(guard.clock.now() + 0.1)
         return {"pressure": next(readings)}
 
     return measure
@@ -221,7 +223,7 @@ def test_a_failed_action_does_not_stop_the_next():
     actions = (SafeAction("set", "displacement", 0.0, 0.2), SafeAction("set", "pressure", 0.0, 0.2))
     guard = Guard(bench(*both, driver="OneBroken", safe_state=actions), VirtualClock())
     guard.open()
-    guard.state = State.ARMED
+    guard.state = State.RUNNING
     vent = guard.safe_state(dict)
     assert vent.result == "failed"
     assert told(guard)[-1] == ("write", "pressure", 0.0)

@@ -1,0 +1,47 @@
+"""The safe state without a guard process: for when there is none, or it does not answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import PmaError
+from pmabench.bench.interface import CompiledBench, Stream
+from pmabench.guard.guard import Guard
+from pmabench.guard.safe import Vent
+from pmabench.guard.station import Station
+
+RATE = 50.0
+"""At which the pressure is looked at while a vent is confirmed [Hz]."""
+
+
+def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
+    """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
+
+    Devices that cannot be opened are left out: those that answer are vented. A bench that was armed stays latched.
+    """
+    guard = Guard(bench, RealClock(), threads=True, forgiving=True)
+    guard.open()
+    try:
+        sampled = [name for name, device in guard.devices.items() if isinstance(device, Stream)]
+        guard.begin_safe(tripped=True)
+        guard.step_safe({})
+        for name in sampled:
+            with suppress(PmaError):
+                guard.stream(name, RATE)
+
+        def measure() -> Mapping[str, float]:
+            guard.latest.clear()
+            guard.clock.wait_until(guard.clock.now() + 0.05)
+            for name in sampled:
+                with suppress(PmaError):
+                    guard.collect(name)
+            return guard.latest
+
+        vent = guard.safe_state(measure, tripped=True)
+    finally:
+        guard.close()
+    with suppress(OSError):
+        station.note("tripped", why=why if vent.confirmed else f"{why}; safe state {vent.result}", vent=vars(vent))
+    return vent

@@ -1,0 +1,69 @@
+"""What an output may be commanded to: looked at on the value that the device really gets. Pure functions of records."""
+
+from __future__ import annotations
+
+from math import ceil, floor, isfinite
+
+from pmabench.base.errors import LimitRefused
+from pmabench.base.quantities import show
+from pmabench.bench.interface import CompiledBench, OutputRecord
+
+
+def refuse_unsafe_bench(bench: CompiledBench) -> None:
+    """Raise LimitRefused where a bench cannot be made safe, whatever was checked before."""
+    outputs = {output.name: output for output in bench.outputs}
+    for output in outputs.values():
+        numbers = (output.low, output.high, output.safe, output.scale.slope, output.scale.offset)
+        if not all(isfinite(number) for number in numbers) or output.low >= output.high or output.scale.slope == 0:
+            raise LimitRefused(f'the limits of "{output.name}" make no sense: it is not armed')
+    for action in bench.safe_state:
+        target = outputs.get(action.target)
+        if action.do in {"set", "ramp"} and target is not None and not target.low <= action.value <= target.high:
+            raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
+    if "pressure" in outputs and not any(trip.channel == "pressure" for trip in bench.trips):
+        raise LimitRefused("the bench has no trip limit on pressure: it is not armed")
+
+
+def to_device(output: OutputRecord, value: float) -> float:
+    """Device units, rounded to the resolution towards the safe value, and at the safe value downwards [SI]."""
+    raw = float(output.scale.to_raw(value))
+    if output.resolution == 0:
+        return raw
+    steps = raw / output.resolution
+    near = round(steps)
+    if abs(steps - near) < 1e-6:
+        return near * output.resolution
+    lower_si = value >= output.safe
+    upwards = lower_si == (output.scale.slope < 0)
+    return (ceil(steps) if upwards else floor(steps)) * output.resolution
+
+
+def refuse_outside(output: OutputRecord, values: tuple[float, ...], most: float) -> None:
+    """Raise LimitRefused where one of `values` [SI], or what the device would make of it, is outside the limits.
+
+    `most` [SI] is a second upper limit: that of the set-up before the bench is proven.
+    """
+    for value in values:
+        if not isfinite(value):
+            raise LimitRefused(f'"{output.name}" is never commanded to {value}')
+        slack = 1e-9 * max(abs(output.low), abs(output.high))
+        step = abs(output.resolution * output.scale.slope)
+        sent = output.scale.to_si(to_device(output, value))
+        asked_inside = output.low - slack <= value <= output.high + slack
+        if not asked_inside or not output.low - step - slack <= sent <= output.high + slack:
+            low, high = show(output.low, output.quantity), show(output.high, output.quantity)
+            shown = show(value, output.quantity)
+            raise LimitRefused(
+                f"{shown} for {output.name} is outside {low} ({output.low_from}) to {high} ({output.high_from})"
+            )
+        if value > most + slack:
+            shown, bound = show(value, output.quantity), show(most, output.quantity)
+            raise LimitRefused(f"{shown} for {output.name} is above {bound}: the bench is not proven yet")
+
+
+def refuse_jump(output: OutputRecord, stands: float, origin: float) -> None:
+    """An output with a highest rate starts a motion where it stands [SI]."""
+    room = 1e-3 * (output.high - output.low) + abs(output.resolution * output.scale.slope)
+    if output.rate and abs(origin - stands) > room:
+        where, shown = show(stands, output.quantity), show(origin, output.quantity)
+        raise LimitRefused(f'"{output.name}" stands at {where} and cannot jump to {shown}')

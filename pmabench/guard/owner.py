@@ -1,0 +1,89 @@
+"""One owner per link: all calls of a device come from one thread, and none is waited for longer than it may take."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any
+
+from pmabench.base.errors import DeviceError, PmaError
+
+PATIENCE = 0.2
+"""How long a call of a device may take [s]."""
+
+
+class Call:
+    """A call that was handed to an owner."""
+
+    def __init__(self, act: Callable[[], Any]) -> None:
+        self._act = act
+        self.done = threading.Event()
+        self.result: Any = None
+        self.error: Exception | None = None
+
+    def run(self) -> None:
+        """Make the call; what it raises is kept."""
+        try:
+            self.result = self._act()
+        except Exception as error:  # belongs to whoever asked for the call
+            self.error = error
+        self.done.set()
+
+    def get(self, device: str) -> Any:
+        """What came of it; raises what it raised, as DeviceError of `device` where it is none of our own."""
+        if self.error is None:
+            return self.result
+        if isinstance(self.error, PmaError):
+            raise self.error
+        raise DeviceError(device, f"{type(self.error).__name__}: {self.error}") from self.error
+
+
+class Direct:
+    """Makes each call at once: virtual time, where no device can hang."""
+
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+
+    def submit(self, act: Callable[[], Any]) -> Call:
+        """Make the call."""
+        call = Call(act)
+        call.run()
+        return call
+
+    def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
+        """Make the call; what came of it."""
+        return self.submit(act).get(self.name)
+
+
+class Owner:
+    """The thread that makes all calls of one device."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.stuck = False
+        """Whether a call did not come back in time, and has not come back since."""
+        self._calls: SimpleQueue[Call] = SimpleQueue()
+        threading.Thread(target=self._work, name=f"link-{name}", daemon=True).start()
+
+    def _work(self) -> None:
+        while True:
+            self._calls.get().run()
+            if self._calls.empty():
+                self.stuck = False
+
+    def submit(self, act: Callable[[], Any]) -> Call:
+        """Have the call made after those before it."""
+        call = Call(act)
+        self._calls.put(call)
+        return call
+
+    def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
+        """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s]."""
+        if self.stuck:
+            raise DeviceError(self.name, "has not answered yet what was asked before")
+        call = self.submit(act)
+        if not call.done.wait(within):
+            self.stuck = not call.done.is_set()
+            raise DeviceError(self.name, f"did not answer within {within:g} s")
+        return call.get(self.name)

@@ -1,0 +1,306 @@
+"""The guard as a process of its own, in its own session: serves one engine over a loopback socket, and outlives it.
+
+The engine's requests are its heartbeat. When they stop, when the engine's end of the socket closes, when an interlock
+opens, when the computer slept, or when somebody asks for it, the guard runs the safe state by itself.
+Messages are those of `pmabench.guard.wire`; each request names what to `do`, each answer has `state` and what `ended`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import selectors
+import signal
+import socket
+import sys
+import time
+from array import array
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, LimitRefused, PmaError
+from pmabench.bench.interface import Block, CompiledBench, Load, Stream
+from pmabench.guard.guard import Guard, State
+from pmabench.guard.safe import Vent
+from pmabench.guard.station import Station
+from pmabench.guard.wire import Messages, encode
+
+SILENCE = 0.25
+"""The engine is lost when nothing was heard of it for so long while it commands [s]."""
+TICK = 0.005
+CONNECTS_WITHIN = 5.0
+"""An engine that does not connect within so long [s] is not waited for."""
+LOOK = 0.05
+"""Interlocks are looked at, and watchdogs fed, so often [s]."""
+ACTIVE = (State.SETUP, State.RUNNING)
+
+
+class _Peer:
+    def __init__(self, link: socket.socket) -> None:
+        self.link = link
+        self.messages = Messages()
+        self.waits = False
+        """Whether it waits for the end of the safe state."""
+
+
+class Service:
+    """Serves the socket until the bench is safe and the engine has gone."""
+
+    def __init__(self, guard: Guard, station: Station, listener: socket.socket, token: str) -> None:
+        self.guard, self.station = guard, station
+        self._token = token
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(listener, selectors.EVENT_READ)
+        self._listener = listener
+        self._engine: _Peer | None = None
+        self._peers: list[_Peer] = []
+        self._heard = self._looked = self._collected = time.monotonic()
+        self._slept = _slept()
+        self._ended: dict[str, str] = {}
+        self._vent: Vent | None = None
+        self._kept: dict[str, list[Block]] = {}
+        self._run = ""
+        self._served = self._told_to_end = False
+
+    def serve(self) -> None:
+        """Until it is over."""
+        signal.signal(signal.SIGTERM, self._note_signal)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        while not self._over():
+            for key, _events in self._selector.select(TICK):
+                if key.fileobj is self._listener:
+                    self._peers.append(_Peer(self._listener.accept()[0]))
+                    self._peers[-1].link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    self._selector.register(self._peers[-1].link, selectors.EVENT_READ, self._peers[-1])
+                else:
+                    self._hear(key.data)
+            self._tick()
+
+    def _over(self) -> bool:
+        """Whether the bench is safe, and nobody is there any more who could command it."""
+        here = self._engine is not None or (not self._served and time.monotonic() - self._heard < CONNECTS_WITHIN)
+        busy = self.guard.state in {*ACTIVE, State.STOPPING}
+        return not busy and (not here or self._told_to_end)
+
+    def _note_signal(self, number: int, _frame: FrameType | None) -> None:
+        self._told_to_end = True
+
+    def _hear(self, peer: _Peer) -> None:
+        try:
+            piece = peer.link.recv(1 << 16)
+            for message, _payload in peer.messages.feed(piece) if piece else ():
+                self._answer(peer, message)
+        except (OSError, ValueError, TypeError, KeyError):
+            piece = b""
+        if not piece:
+            self._selector.unregister(peer.link)
+            self._peers.remove(peer)
+            peer.link.close()
+            if peer is self._engine:
+                self._engine = None
+                if self.guard.state in ACTIVE:
+                    self._end("lost", "the engine has gone")
+
+    def _answer(self, peer: _Peer, message: dict[str, Any]) -> None:
+        if message.pop("token", "") != self._token:
+            raise ValueError("a stranger")
+        act = getattr(self, f"do_{message.pop('do', '')}", None)
+        if act is None:
+            raise ValueError("not something that the guard does")
+        if act not in {self.do_vent, self.do_status}:
+            self._engine, self._served = peer, True
+            self._heard = time.monotonic()
+        payload = b""
+        try:
+            answer = act(peer=peer, **message) or {}
+            payload = answer.pop("payload", b"")
+        except PmaError as error:
+            told = {"type": type(error).__name__, "text": str(error)}
+            if isinstance(error, DeviceError):
+                told |= {"device": error.device, "channel": error.channel, "text": error.message}
+            answer = {"error": told}
+        self._send(peer, answer, payload)
+
+    def _send(self, peer: _Peer, answer: dict[str, Any], payload: bytes = b"") -> None:
+        vent = vars(self._vent) if self._vent is not None else None
+        whole = {"state": self.guard.state.value, "ended": self._ended, "vent": vent, **answer}
+        peer.link.settimeout(SILENCE)
+        peer.link.sendall(encode(whole, payload))
+
+    # -- what can be asked for ----------------------------------------------------------------------------------
+
+    def do_open(self, peer: _Peer) -> dict[str, Any]:
+        """Open the devices; a latched bench is made safe again and refused."""
+        self.guard.open()
+        if latched := self.station.latched():
+            self._end("trip", f"the bench was tripped before: {latched}")
+            raise LimitRefused(
+                f"the bench is tripped: {latched}. Look at it, then: "
+                f'pmabench vent "{self.guard.bench.name}" --reset --operator NAME --because TEXT'
+            )
+        return {"identities": self.guard.describe(), "streams": self._streams()}
+
+    def _streams(self) -> list[str]:
+        return [name for name, device in self.guard.devices.items() if isinstance(device, Stream)]
+
+    def do_arm(self, peer: _Peer, run: str) -> None:
+        """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
+        self._run = run
+        self.station.write("bench", json.loads(self.guard.bench.to_json()))
+        self.station.note("armed", run=run, why="")
+        self.guard.arm()
+
+    def do_release(self, peer: _Peer) -> None:
+        """The bench is proven."""
+        self.guard.release()
+
+    def do_set(self, peer: _Peer, name: str, value: float) -> dict[str, Any]:
+        """A set-point [SI]."""
+        return {"sent": self.guard.set(name, value)}
+
+    def do_ramp(self, peer: _Peer, **ramp: Any) -> None:
+        """A ramp."""
+        self.guard.ramp(**ramp)
+
+    def do_sine(self, peer: _Peer, **sine: Any) -> None:
+        """A sine."""
+        self.guard.sine(**sine)
+
+    def do_valves(self, peer: _Peer, *, closed: bool) -> None:
+        """All valves closed or open."""
+        self.guard.valves(closed=closed)
+
+    def do_place(self, peer: _Peer, force: float, mass: float) -> None:
+        """What hands put on."""
+        self.guard.place(Load(force, mass))
+
+    def do_stream(self, peer: _Peer, device: str, rate: float) -> dict[str, Any]:
+        """Begin to sample, or end it with a rate of 0."""
+        return {"rate": self.guard.stream(device, rate)}
+
+    def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
+        """New samples, as they came; `seen` are newest values that the engine measured itself."""
+        self._collected = time.monotonic()
+        blocks = [*self._kept.pop(device, []), self._collect(device)]
+        self.guard.latest.update(seen)
+        columns = list(blocks[0].columns)
+        payload = b"".join(array("q", block.time).tobytes() for block in blocks)
+        for name in columns:
+            payload += b"".join(array("d", block.columns[name]).tobytes() for block in blocks)
+        return {
+            "payload": payload,
+            "rows": sum(len(b.time) for b in blocks),
+            "columns": columns,
+            "host": blocks[-1].host,
+        }
+
+    def do_safe(self, peer: _Peer, *, tripped: bool, hurry: bool, why: str) -> None:
+        """The engine ends the run."""
+        self._end("engine", why, tripped=tripped, hurry=hurry)
+
+    def do_vent(self, peer: _Peer, who: str) -> dict[str, Any]:
+        """Somebody wants it safe now; answered at once, and again when it is over."""
+        self._end("vent", f"vent by {who}", tripped=False, hurry=True)
+        peer.waits = True
+        return {"commanded": True}
+
+    def do_status(self, peer: _Peer) -> dict[str, Any]:
+        """What goes on."""
+        return {"run": self._run}
+
+    def do_bye(self, peer: _Peer) -> None:
+        """The engine is done."""
+        if self.guard.state in ACTIVE:
+            self._end("lost", "the engine left an armed bench")
+        self._engine = None
+
+    # -- what happens by itself ---------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self.guard.state in ACTIVE:
+            if now - self._heard > SILENCE:
+                self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
+            elif self._told_to_end:
+                self._end("lost", "the guard was told to end")
+            elif _slept() - self._slept > 1.0:
+                self._end("trip", "the computer slept")
+            elif now - self._looked > LOOK:
+                self._looked = now
+                self._look()
+        if self.guard.state is State.STOPPING:
+            self._step(now)
+
+    def _look(self) -> None:
+        self.guard.feed_watchdogs()
+        try:
+            self.guard.refuse_open_interlock()
+        except PmaError as error:
+            self._end("trip", str(error))
+
+    def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
+        """Begin the safe state; the first cause is the one that is told."""
+        if not self._ended:
+            self._ended = {"how": how, "why": why}
+            self.guard.latest.clear()
+        self.guard.begin_safe(tripped=tripped, hurry=hurry)
+        self._step(time.monotonic())
+
+    def _step(self, now: float) -> None:
+        if now - self._collected > 2 * LOOK:
+            self._collected = now
+            for name in self._streams():
+                with suppress(PmaError):
+                    self._kept.setdefault(name, []).append(self._collect(name))
+        vent = self.guard.step_safe(self.guard.latest)
+        if vent is None or self._vent is not None:
+            return
+        self._vent = vent
+        why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
+        latched = self.guard.state is State.TRIPPED or not vent.confirmed
+        self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self._run)
+        if self._engine is None and self._run:
+            about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
+            with suppress(OSError):
+                Path(self._run, "guard.json").write_text(json.dumps(about), encoding="utf-8")
+        for peer in self._peers:
+            if peer.waits:
+                with suppress(OSError):
+                    self._send(peer, {})
+
+    def _collect(self, name: str) -> Block:
+        return self.guard.collect(name)
+
+
+def _slept() -> float:
+    """How long the computer has slept since it was switched on [s], where the system tells."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.clock_gettime(clock) - time.monotonic() if clock is not None else 0.0
+
+
+def main() -> None:
+    """Read the compiled bench from stdin, say on stdout where the guard listens, and serve."""
+    given = json.loads(sys.stdin.readline())
+    bench = CompiledBench.from_json(json.dumps(given["bench"]))
+    station = Station(bench.name)
+    try:
+        station.take()
+    except PmaError as error:
+        sys.stdout.write(json.dumps({"busy": str(error)}) + "\n")
+        return
+    listener = socket.create_server(("127.0.0.1", 0))
+    token = secrets.token_hex(16)
+    here = {"port": listener.getsockname()[1], "token": token, "pid": os.getpid(), "user": given.get("user", "")}
+    station.write("guard", {**here, "since": time.strftime("%H:%M:%S")})
+    sys.stdout.write(json.dumps(here) + "\n")
+    sys.stdout.close()
+    guard = Guard(bench, RealClock(given["start"]), threads=True)
+    try:
+        Service(guard, station, listener, token).serve()
+    finally:
+        guard.close()
+        station.remove("guard")

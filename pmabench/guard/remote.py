@@ -1,0 +1,220 @@
+"""The engine's side of a guard that is a process of its own: the same face as `Guard`, over a loopback socket."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pmabench.base import errors
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError
+from pmabench.bench.interface import Block, CompiledBench, Identity, Load
+from pmabench.guard.direct import vent_directly
+from pmabench.guard.guard import Measure
+from pmabench.guard.limits import to_device
+from pmabench.guard.safe import Vent
+from pmabench.guard.station import Station
+from pmabench.guard.wire import exchange
+
+ANSWERS_WITHIN = 1.0
+"""A guard that does not answer for so long [s] is lost."""
+OPENS_WITHIN = 10.0
+
+
+class RemoteStream:
+    """The samples of a device that the guard reads."""
+
+    def __init__(self, guard: RemoteGuard, device: str) -> None:
+        self._guard, self._device = guard, device
+
+    def start(self, rate: float) -> float:
+        """As `Stream.start`."""
+        return float(self._guard.ask("stream", device=self._device, rate=rate)[0]["rate"])
+
+    def stop(self) -> None:
+        """As `Stream.stop`."""
+        self._guard.ask("stream", device=self._device, rate=0.0)
+
+    def collect(self) -> Block:
+        """As `Stream.collect`: 64-bit integers and floats, whatever the device gives."""
+        about, payload = self._guard.ask("collect", device=self._device, seen=self._guard.seen)
+        size = 8 * about["rows"]
+        parts = [payload[start : start + size] for start in range(0, len(payload), size)] if size else []
+        time_ns = array("q", parts[0] if parts else b"")
+        columns = {name: array("d", parts[1 + n] if parts else b"") for n, name in enumerate(about["columns"])}
+        return Block(time_ns, columns, about["host"])
+
+
+class RemoteGuard:
+    """Starts the guard process of a bench and speaks for the engine. Any thread may call it."""
+
+    def __init__(self, bench: CompiledBench, clock: RealClock) -> None:
+        self.bench = bench
+        self.devices: dict[str, RemoteStream] = {}
+        self.identities: dict[str, Identity] = {}
+        self.seen: dict[str, float] = {}
+        """Newest values [SI] of channels that the engine measures itself, for the guard's confirmation."""
+        self._clock = clock
+        self._outputs = {output.name: output for output in bench.outputs}
+        self._lock = threading.Lock()
+        self._link: socket.socket | None = None
+        self._here: dict[str, Any] = {}
+        self._safe = False
+        self._vent: Vent | None = None
+        self._state = "disarmed"
+
+    def open(self) -> None:
+        """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
+        station = Station(self.bench.name)
+        station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
+        with (station.folder / "guard.log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "pmabench.guard"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=True,
+            )
+        assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018
+        with process.stdin, process.stdout:
+            with suppress(BrokenPipeError):
+                process.stdin.write(json.dumps(given).encode() + b"\n")
+                process.stdin.flush()
+            line = process.stdout.readline()
+        process.returncode = 0  # nobody waits for it: it outlives the engine
+        if not line:
+            raise DeviceError(self.bench.name, f"its guard did not start; see {station.folder / 'guard.log'}")
+        self._here = json.loads(line)
+        if "busy" in self._here:
+            raise DeviceError(self.bench.name, self._here["busy"].partition(": ")[2])
+        self._link = socket.create_connection(("127.0.0.1", self._here["port"]), timeout=ANSWERS_WITHIN)
+        self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        answer, _ = self.ask("open", within=OPENS_WITHIN)
+        self.identities = {name: Identity(**about) for name, about in answer["identities"].items()}
+        self.devices = {name: RemoteStream(self, name) for name in answer["streams"]}
+
+    def ask(self, do: str, within: float = ANSWERS_WITHIN, **data: Any) -> tuple[dict[str, Any], bytes]:
+        """One request; raises what the guard says, and what ended the run if that was not the engine."""
+        with self._lock:
+            if self._link is None:
+                raise DeviceError("guard", "is not there any more")
+            try:
+                message = {"do": do, "token": self._here["token"], **data}
+                answer, payload = exchange(self._link, message, within)
+            except (OSError, ValueError) as error:
+                self._link.close()
+                self._link = None
+                raise DeviceError("guard", f"does not answer ({error or type(error).__name__})") from error
+        self._state = answer["state"]
+        if answer["vent"] is not None:
+            self._vent = Vent(answer["vent"]["result"], tuple(answer["vent"]["actions"]))
+        if not self._safe and answer["ended"]:
+            raise _ended(answer["ended"])
+        if "error" in answer:
+            raise _raised(answer["error"])
+        return answer, payload
+
+    def arm(self, run: Path | None = None) -> None:
+        """As `Guard.arm`; the guard then knows the folder of the run."""
+        self.ask("arm", within=OPENS_WITHIN, run=str(run.resolve()) if run is not None else "")
+
+    def release(self) -> None:
+        """As `Guard.release`."""
+        self.ask("release")
+
+    def set(self, name: str, value: float) -> float:
+        """As `Guard.set`."""
+        return float(self.ask("set", name=name, value=value)[0]["sent"])
+
+    def ramp(self, name: str, origin: float, target: float, rate: float) -> None:
+        """As `Guard.ramp`."""
+        self.ask("ramp", name=name, origin=origin, target=target, rate=rate)
+
+    def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
+        """As `Guard.sine`."""
+        self.ask("sine", name=name, mean=mean, amplitude=amplitude, frequency=frequency, cycles=cycles)
+
+    def valves(self, *, closed: bool) -> None:
+        """As `Guard.valves`."""
+        self.ask("valves", closed=closed)
+
+    def place(self, load: Load) -> None:
+        """As `Guard.place`."""
+        self.ask("place", force=load.force, mass=load.mass)
+
+    def value_sent(self, name: str, value: float) -> float:
+        """As `Guard.value_sent`."""
+        output = self._outputs[name]
+        return float(output.scale.to_si(to_device(output, value)))
+
+    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "") -> None:
+        """Have the safe state begun now; from any thread. Its end is waited for by `safe_state`."""
+        self._safe = True
+        with suppress(PmaError):
+            self.ask("safe", tripped=tripped, hurry=hurry, why=why)
+
+    def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
+        """As `Guard.safe_state`. Where the guard is gone the engine opens the devices itself."""
+        self.begin_safe(tripped=tripped, why=why)
+        longest = sum(action.within for action in self.bench.safe_state) + 2.0
+        deadline = time.monotonic() + longest
+        while self._vent is None and self._link is not None and time.monotonic() < deadline:
+            before = time.monotonic()
+            with suppress(Exception):  # whatever goes wrong while measuring: the guard goes on by itself
+                measure()
+            if time.monotonic() - before < 0.01:
+                time.sleep(0.05)
+                with suppress(PmaError):
+                    self.ask("status")
+        if self._vent is None:
+            self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
+        return self._vent
+
+    def close(self) -> None:
+        """Say good-bye; the guard then ends by itself."""
+        with suppress(PmaError):
+            self._safe = True
+            self.ask("bye")
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def describe(self) -> dict[str, Any]:
+        """Who answered, for the manifest."""
+        return {name: vars(identity) for name, identity in self.identities.items()}
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"
+
+
+def _ended(ended: Mapping[str, str]) -> PmaError:
+    """What ended the run, when it was not the engine."""
+    if ended["how"] == "trip":
+        return LimitTripped(ended["why"])
+    if ended["how"] == "vent":
+        return Interrupted(ended["why"], 130)
+    return DeviceError("guard", f"has taken over: {ended['why']}")
+
+
+def _raised(told: Mapping[str, str]) -> PmaError:
+    """The error that the guard told of."""
+    if told["type"] == "DeviceError":
+        return DeviceError(told["device"], told["text"], told["channel"])
+    kind = getattr(errors, told["type"], PmaError)
+    error: PmaError = kind(told["text"])
+    return error

@@ -1,0 +1,128 @@
+"""The safe state: the declared actions in their order, advanced step by step, never cancelled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from pmabench.bench.interface import SafeAction
+from pmabench.guard.owner import PATIENCE, Call
+
+AT_ONCE = ("set", "stop", "open", "close")
+REPEAT = 0.5
+"""While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
+
+
+@dataclass(frozen=True)
+class Vent:
+    """What came of the safe state: `confirmed`, `commanded` (not confirmed) or `failed`, and each action's outcome."""
+
+    result: str
+    actions: tuple[str, ...]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether a measured value says that the bench is safe."""
+        return self.result == "confirmed"
+
+
+@dataclass
+class _Sent:
+    action: SafeAction
+    call: Call
+    since: float
+    rescue: Call | None = None
+
+
+class SafeState:
+    """One pass through the actions.
+
+    `begin` starts an action (the result of a ramp is how long it takes [s]) and `rescue` tries it over a second way;
+    both return at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for
+    until they are done or their time is over.
+    """
+
+    def __init__(
+        self,
+        actions: tuple[SafeAction, ...],
+        begin: Callable[[SafeAction], Call],
+        rescue: Callable[[SafeAction], Call | None],
+        now: float,
+    ) -> None:
+        self._todo = list(actions)
+        self._begin, self._rescue = begin, rescue
+        self._sent: list[_Sent] = []
+        self._since = self._repeated = now
+        self._ramp: Call | None = None
+        self._confirms = sum(action.do == "confirm" for action in actions)
+        self._confirmed = self._failed = 0
+        self._outcome: list[str] = []
+        self._commands = [action for action in actions if action.do in AT_ONCE]
+        self.vent: Vent | None = None
+        """What came of it, when it is over."""
+
+    def hurry(self) -> None:
+        """Wait no longer: every command that is left goes out now; only confirmations are still waited for."""
+        todo = [replace(a, do="set") if a.do == "ramp" else a for a in self._todo if a.do != "hold"]
+        self._todo = sorted(todo, key=lambda action: action.do == "confirm")
+
+    def step(self, now: float, latest: Mapping[str, float]) -> bool:
+        """Do what can be done now, with the `latest` measured values [SI]; whether it is over."""
+        self._gather(now)
+        while self._todo and self._advance(self._todo[0], now, latest):
+            self._todo.pop(0)
+            self._gather(now)
+            self._since = self._repeated = now
+            self._ramp = None
+        if self.vent is None and not self._todo and not self._sent:
+            result = "failed" if self._failed else "commanded"
+            if self._confirms and self._confirmed == self._confirms:
+                result = "confirmed"
+            self.vent = Vent(result, tuple(self._outcome))
+        return self.vent is not None
+
+    def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
+        """Whether the next action may begin."""
+        if action.do in AT_ONCE:
+            self._sent.append(_Sent(action, self._begin(action), now))
+            return True
+        if action.do == "confirm":
+            return self._confirm(action, now, latest)
+        if action.do == "ramp" and self._ramp is None:
+            self._ramp = self._begin(action)
+            self._sent.append(_Sent(action, self._ramp, now))
+        lasts = self._ramp.result if self._ramp is not None else None
+        return now - self._since >= min(action.within, action.within if lasts is None else lasts)
+
+    def _confirm(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
+        value = latest.get(action.target)
+        if value is not None and value < action.value:
+            self._confirmed += 1
+            self._outcome.append(f"confirm {action.target}: {value:.6g} below {action.value:.6g}")
+            return True
+        if now - self._since >= action.within:
+            bound = f"below {action.value:.6g} within {action.within:g} s"
+            self._outcome.append(f"confirm {action.target}: {value} not {bound}")
+            return True
+        if now - self._repeated >= REPEAT:
+            self._repeated = now
+            for command in self._commands:
+                self._begin(command)
+        return False
+
+    def _gather(self, now: float) -> None:
+        """Note what came of the commands on their way; what fails or does not come back goes over the second way."""
+        waiting = []
+        for sent in self._sent:
+            way = sent.rescue or sent.call
+            name = f"{sent.action.do} {sent.action.target}"
+            if any(call.done.is_set() and call.error is None for call in (sent.call, way)):
+                self._outcome.append(f"{name}: sent" if sent.rescue is None else f"{name}: sent over the second way")
+            elif not way.done.is_set() and now - sent.since < PATIENCE:
+                waiting.append(sent)
+            elif sent.rescue is None and (second := self._rescue(sent.action)) is not None:
+                waiting.append(_Sent(sent.action, sent.call, now, second))
+            else:
+                self._failed += 1
+                self._outcome.append(f"{name}: failed ({way.error or 'no answer'})")
+        self._sent = waiting

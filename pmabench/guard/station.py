@@ -1,0 +1,93 @@
+"""What outlives a process of a real bench: its lock, its latch, where its guard listens, and its compiled bench.
+
+One folder per bench, below `PMABENCH_STATE` or the user's state folder; standard library only, so that `vent` is fast.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import DeviceError
+from pmabench.base.system import try_lock
+
+UNCLEAN = "the program ended without saying that the bench was safe"
+
+
+def root() -> Path:
+    """Where the folders of all benches are."""
+    if given := os.environ.get("PMABENCH_STATE"):
+        return Path(given)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "pmabench" / "state"
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "pmabench"
+
+
+def stations() -> Iterator[Station]:
+    """Every bench that was ever armed here."""
+    folder = root()
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.is_dir():
+            yield Station(path.name)
+
+
+class Station:
+    """The folder of one bench; the file of each method's name is written whole or not at all."""
+
+    def __init__(self, name: str) -> None:
+        self.folder = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "bench")
+        self._lock: int | None = None
+
+    def take(self) -> None:
+        """Be the only one who commands this bench until this process ends; raises DeviceError where another one is."""
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._lock = try_lock(self.folder / "lock")
+        if self._lock is None:
+            owner = self.read("guard")
+            who = f"process {owner['pid']} of {owner['user']} since {owner['since']}" if owner else "another program"
+            raise DeviceError(
+                self.folder.name, f"this bench is in use by {who}; one program commands a bench at a time"
+            )
+
+    def write(self, file: str, data: Mapping[str, Any]) -> None:
+        """Keep `data` in `file`.json: whole, synced, readable by this user only."""
+        path = self.folder / f"{file}.json"
+        part = path.with_suffix(".part")
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            json.dump(data, stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(path)
+
+    def read(self, file: str) -> dict[str, Any]:
+        """What `file`.json holds; empty where there is none that can be read."""
+        with suppress(OSError, ValueError):
+            data = json.loads((self.folder / f"{file}.json").read_text("utf-8"))
+            return data if isinstance(data, dict) else {}
+        return {}
+
+    def remove(self, file: str) -> None:
+        """Take `file`.json away."""
+        (self.folder / f"{file}.json").unlink(missing_ok=True)
+
+    def note(self, what: str, **data: Any) -> None:
+        """Add a line to the bench's journal, and make it the state of the bench."""
+        line = {"what": what, "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), **data}
+        self.write("state", line)
+        with (self.folder / "journal.jsonl").open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(line) + "\n")
+
+    def latched(self) -> str:
+        """Why nothing may run on this bench before an operator has reset it; empty where it may."""
+        state = self.read("state")
+        if state.get("what") not in {"armed", "tripped"}:
+            return ""
+        return str(state.get("why") or UNCLEAN) + f" ({state.get('at')})"
