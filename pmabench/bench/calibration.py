@@ -16,12 +16,16 @@ from pmabench.files.quantity import unit_factor
 
 @dataclass(frozen=True)
 class Calibration:
-    """A channel's scale, where it comes from, the unit of its raw readings, and the file's text."""
+    """A channel's scale, where it comes from, the unit of its raw readings, what it covers, and the file's text."""
 
     scale: Scale = field(default_factory=Scale)
     record: CalibrationRecord = field(default_factory=CalibrationRecord)
     raw_unit: str = ""
     text: str = ""
+    low: float = 0.0
+    """Lowest reference value [SI]."""
+    high: float = 0.0
+    """Highest reference value [SI]."""
 
 
 def read_calibration(path: Path, quantity: str) -> Calibration:
@@ -32,6 +36,8 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
     raw_unit = file.points[0][0][1]
     raw: list[float] = []
     value: list[float] = []
+    if file.id != path.stem:
+        raise InvalidFile([document.problem(("id",), f'the id "{file.id}" is not the name of the file, "{path.stem}"')])
     if file.quantity != quantity:
         raise InvalidFile([document.problem(("quantity",), f"is of {file.quantity}, the channel measures {quantity}")])
     for index, (reading, reference) in enumerate(file.points):
@@ -42,10 +48,17 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
             value.append(reference[0] * unit_factor(reference[1], quantity))
         except ValueError as error:
             problems.append(document.problem(("points", index, 1), str(error)))
+    if file.valid_until is not None and file.valid_until < file.date:
+        problems.append(document.problem(("valid_until",), "ends before the calibration was made"))
+    try:
+        uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
+        if uncertainty < 0:
+            raise ValueError("an uncertainty is not below zero")
+    except ValueError as error:
+        problems.append(document.problem(("expanded_uncertainty",), str(error)))
     if problems:
         raise InvalidFile(problems)
     try:
-        uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
         scale = fit_line(raw, value)
     except ValueError as error:
         raise InvalidFile([document.problem(("points",), str(error))]) from error
@@ -64,7 +77,7 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
         sensor_lag=file.sensor_lag,
         sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
-    return Calibration(scale, record, raw_unit, text)
+    return Calibration(scale, record, raw_unit, text, min(value), max(value))
 
 
 def fit_line(raw: list[float], value: list[float]) -> Scale:

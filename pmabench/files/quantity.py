@@ -37,6 +37,7 @@ EXAMPLES = {
     "current": "4 mA",
     "stiffness": "7 N/mm",
     "damping": "1.5 N.s/mm",
+    "force rate": "2000 N/s",
     "force per pressure": "1.08 N/kPa",
     "angle": "30 deg",
 }
@@ -56,6 +57,7 @@ _REFERENCE = {
     "current": "A",
     "stiffness": "N/m",
     "damping": "N*s/m",
+    "force rate": "N/s",
     "force per pressure": "N/Pa",
     "angle": "dimensionless",
 }

@@ -1,0 +1,74 @@
+"""The specimen file: the muscle under test, what it bears, and what is already believed of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from pmabench.bench.files.parts import LengthAbove0, PressureAbove0, RatioAbove0, Text
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Damping, Force, Pressure, Stiffness
+
+
+class MountedFile(Strict):
+    """How the specimen sits in the bench."""
+
+    date: str | None = None
+    length: LengthAbove0
+    at: Text | dict[str, str] = ""
+
+
+class SpecimenPressure(Strict):
+    """Pressure limits of the specimen."""
+
+    command: PressureAbove0
+    never_above: PressureAbove0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> SpecimenPressure:
+        if self.command >= self.never_above:
+            raise ValueError('"command" must lie below "never_above"')
+        return self
+
+
+class SpecimenLimits(Strict):
+    """What the specimen bears, and who says so."""
+
+    pressure: SpecimenPressure
+    contraction: RatioAbove0
+    source: Text
+
+
+class ExpectedPoint(Strict):
+    """What is already believed of the specimen at one pressure; straight lines between the points."""
+
+    pressure: Pressure
+    F_ce: Force
+    K: Stiffness
+    B_c: Damping
+    B_r: Damping
+
+
+class ExpectedFile(Strict):
+    """Earlier coefficients, used by `check` to predict forces; never by the analysis."""
+
+    source: Text
+    F_c: Force = 0.0
+    points: Annotated[list[ExpectedPoint], Field(min_length=1)]
+
+
+class SpecimenFile(Strict):
+    """The muscle under test."""
+
+    schema_: Annotated[Literal["pmabench.specimen/1"], Field(alias="schema")]
+    make: Text
+    type: Text
+    serial: Text
+    nominal_length: LengthAbove0
+    inner_diameter: LengthAbove0
+    braid_angle: Text | None = None
+    cycles_before: int = 0
+    mounted: MountedFile
+    limits: SpecimenLimits
+    expected: ExpectedFile | None = None

@@ -1,0 +1,220 @@
+"""Limits on what is measured, and the watch list: each to a trip record; a trip that protects nothing is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
+from pmabench.bench.compilation import Compilation
+from pmabench.bench.files import LimitFile, Reading, WatchFile
+from pmabench.bench.interface import ChannelRecord, OutputRecord, TripRecord
+from pmabench.files.document import Location
+
+LONGEST_DELAY = 1.0
+"""Longest delay of a limit that stops or vents [s]."""
+LONGEST_WATCH = 60.0
+"""Longest time of an entry of the watch list [s]."""
+SUPPLY_MARGIN = 50e3
+"""Least by which the supply lies above the highest set-point [Pa]."""
+SUPPLY_DELAY = 1.0
+"""How long the supply may be lower before the bench holds [s]."""
+
+LIMIT_CHANNEL = {
+    "pressure": "pressure",
+    "force": "force",
+    "contraction": "displacement",
+    "displacement": "displacement",
+    "supply": "supply",
+}
+"""Key of `limits` -> the channel that is watched."""
+RATE_OF = {"pressure": "pressure rate", "length": "speed", "force": "force rate"}
+"""Quantity -> its rate of change."""
+ENDS = ("stop", "vent")
+"""Actions that take the pressure off."""
+
+
+def trips(
+    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
+) -> Iterator[TripRecord]:
+    """Every limit of bench and specimen on a channel, and every entry of the watch list."""
+    ends_contraction = False
+    for name, limit in c.bench.limits.items():
+        for key in ("command", "command_low"):
+            if getattr(limit, key) is not None and name not in c.bench.set_points:
+                c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
+        channel = channels.get(LIMIT_CHANNEL[name])
+        if channel is None:
+            if (limit.trip or limit.trip_low) and LIMIT_CHANNEL[name] not in c.bench.channels:
+                c.fault(("limits", name), f'there is no channel "{LIMIT_CHANNEL[name]}" to watch')
+            continue
+        found = _range(c, name, limit, channel, outputs)
+        if found is not None:
+            ends_contraction = ends_contraction or (name == "contraction" and found.action in ENDS)
+            yield found
+    yield from _of_the_specimen(c, channels, watched=ends_contraction)
+    yield from _supply(c, channels, outputs)
+    pressure = c.bench.limits.get("pressure")
+    if "pressure" in c.bench.set_points and (pressure is None or pressure.trip is None):
+        c.fault(("limits", "pressure"), 'the output "pressure" has no trip limit; add "pressure: {trip: ...}"')
+    for index, entry in enumerate(c.bench.watch):
+        watch = _watch(c, index, entry, channels, outputs)
+        if watch is not None:
+            yield watch
+
+
+def _range(
+    c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
+) -> TripRecord | None:
+    at: Location = ("limits", name)
+    before = len(c.problems)
+    high, low = _bound(c, name, limit.trip, "trip"), _bound(c, name, limit.trip_low, "trip_low")
+    source = c.place(*at, "trip" if limit.trip is not None else "trip_low")
+    if name == "contraction" and limit.action in ENDS:
+        most = c.specimen.limits.contraction * c.specimen.mounted.length
+        if high is None or most < high:
+            high, source = most, c.specimen_place("limits", "contraction")
+    if len(c.problems) > before or (high is None and low is None):
+        return None
+    if low is not None:
+        _inside(c, (*at, "trip_low"), low, channel)
+    if limit.delay > LONGEST_DELAY and limit.action in ENDS:
+        c.fault((*at, "delay"), f"is longer than {LONGEST_DELAY:g} s: that is no protection")
+    if high is not None and low is not None and low >= high:
+        c.fault((*at, "trip_low"), "lies at or above the upper trip limit")
+    if high is not None:
+        _inside(c, (*at, "trip"), high, channel)
+        _above_commands(c, name, high, channel, outputs)
+        if name == "pressure":
+            _protects_the_muscle(c, limit, high)
+    return TripRecord(channel.name, low, high, limit.delay, limit.action, source)
+
+
+def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> float | None:
+    if reading is None:
+        return None
+    at: Location = ("limits", name, key)
+    if name == "contraction":
+        return c.si(reading, "ratio", at) * c.specimen.mounted.length
+    return c.si(reading, CHANNEL_QUANTITY[LIMIT_CHANNEL[name]], at)
+
+
+def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
+    """A trip lies where the channel can tell it: inside its range and inside what its calibration covers."""
+    quantity = channel.quantity
+    spans = [("channel's range", (channel.low, channel.high))]
+    if channel.name in c.calibrated:
+        spans.append((f"calibration {channel.calibration.id}", c.calibrated[channel.name]))
+    for what, (low, high) in spans:
+        if not low < value < high:
+            span = f"{show(low, quantity)} to {show(high, quantity)}"
+            c.fault(at, f"the trip {show(value, quantity)} is not inside the {what}, {span}: it would never be seen")
+            return
+
+
+def _above_commands(
+    c: Compilation, name: str, high: float, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
+) -> None:
+    """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
+    output = outputs.get(LIMIT_CHANNEL[name])
+    if output is None:
+        return
+    margin = channel.calibration.offset_uncertainty + channel.calibration.gain_uncertainty * abs(high)
+    margin += c.bench.air.overshoot if name == "pressure" else 0.0
+    if high <= output.high or high < output.high + margin:
+        shown, least = show(high, channel.quantity), show(margin, channel.quantity)
+        c.fault(
+            ("limits", name, "trip"),
+            f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above the command limit "
+            f"{show(output.high, channel.quantity)} ({output.high_from})",
+        )
+
+
+def _protects_the_muscle(c: Compilation, limit: LimitFile, high: float) -> None:
+    never = c.specimen.limits.pressure.never_above
+    if high >= never:
+        place = c.specimen_place("limits", "pressure", "never_above")
+        shown = f"the trip {show(high, 'pressure')} does not lie below the specimen's never_above"
+        c.fault(("limits", "pressure", "trip"), f"{shown} {show(never, 'pressure')} ({place})")
+    if limit.action != "vent":
+        c.fault(("limits", "pressure", "action"), 'the trip limit of the pressure must "vent"')
+
+
+def _of_the_specimen(c: Compilation, channels: Mapping[str, ChannelRecord], *, watched: bool) -> Iterator[TripRecord]:
+    """The specimen's contraction limit, where no limit of the bench that stops or vents is as strict."""
+    if "displacement" in channels and not watched:
+        most = c.specimen.limits.contraction * c.specimen.mounted.length
+        yield TripRecord("displacement", None, most, 0.0, "vent", c.specimen_place("limits", "contraction"))
+    if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"}:
+        c.fault(("channels",), "nothing measures the displacement, which the specimen's contraction limit needs")
+    if "pressure" in c.bench.set_points and "pressure" not in c.bench.channels:
+        c.fault(("channels",), 'nothing measures the pressure that is commanded; add a channel "pressure"')
+
+
+def _supply(
+    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
+) -> Iterator[TripRecord]:
+    """A measured supply stays above what may be commanded; the bench holds while it does not."""
+    supply, output = channels.get("supply"), outputs.get("pressure")
+    if supply is None or output is None:
+        return
+    least = output.high + SUPPLY_MARGIN
+    limit = c.bench.limits.get("supply")
+    if limit is not None and limit.trip_low is not None:
+        given = _bound(c, "supply", limit.trip_low, "trip_low") or 0.0
+        if given < least:
+            c.fault(
+                ("limits", "supply", "trip_low"),
+                f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point, "
+                f"{show(output.high, 'pressure')} ({output.high_from})",
+            )
+        return
+    place: Location = ("channels", "supply")
+    _inside(c, (*place, "range"), least, supply)
+    yield TripRecord("supply", least, None, SUPPLY_DELAY, "hold", c.place(*place))
+
+
+def _watch(
+    c: Compilation,
+    index: int,
+    entry: WatchFile,
+    channels: Mapping[str, ChannelRecord],
+    outputs: Mapping[str, OutputRecord],
+) -> TripRecord | None:
+    at: Location = ("watch", index)
+    kind, name = entry.kind, entry.channel
+    if c.unknown((*at, kind), "channel", name, c.bench.channels) or name not in channels:
+        return None
+    channel = channels[name]
+    quantity = channel.quantity
+    delay, window = entry.for_ or 0.0, entry.within or 0.0
+    low: float | None = None
+    high: float | None = None
+    if kind == "rate":
+        high = _above_zero(c, entry.faster_than, RATE_OF[quantity], (*at, "faster_than"))
+    elif kind == "following":
+        high = _above_zero(c, entry.more_than, quantity, (*at, "more_than"))
+        if name not in c.bench.set_points:
+            c.fault(
+                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(outputs) or "nothing"}'
+            )
+    elif kind == "burst":
+        high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
+        if high is not None and high >= channel.high - channel.low:
+            c.fault((*at, "falls"), "is more than the channel can tell: it would never be seen")
+    elif kind == "slack":
+        low = c.si(entry.below, quantity, (*at, "below")) if entry.below else None
+        if low is not None:
+            _inside(c, (*at, "below"), low, channel)
+    if kind in {"stale", "frozen"} and delay <= 0:
+        c.fault((*at, "for"), "a time above zero is expected: every channel is silent between two samples")
+    if max(delay, window) > LONGEST_WATCH:
+        c.fault((*at, "within" if window > delay else "for"), f"is longer than {LONGEST_WATCH:g} s")
+    return TripRecord(name, low, high, delay, entry.action, c.place(*at), kind.replace("_", "-"), window)
+
+
+def _above_zero(c: Compilation, reading: Reading | None, quantity: str, at: Location) -> float | None:
+    before = len(c.problems)
+    value = c.si(reading, quantity, at) if reading is not None else 0.0
+    if value <= 0 and len(c.problems) == before:
+        c.fault(at, "a value above zero is expected")
+    return value
