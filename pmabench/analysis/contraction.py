@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis import contraction_steps, contraction_view, replay
+from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
 from pmabench.analysis.intervals import Pooled, assess, replay_fits
@@ -107,8 +108,8 @@ def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return segments_of(replay.measured(work, again, campaign.noise, campaign.cell, seed))
 
     replays = replay_fits(replayed, solved, expected, int(options.get("replays", REPLAYS)))
-    infos = [run.channels for run in campaign.runs]
-    return Pooled(segments, solved, expected, assess(segments, solved, expected, campaign.cells, replays, infos))
+    trust = assess(segments, solved, expected, campaign.cells, replays, Scales.of(campaign.runs))
+    return Pooled(segments, solved, expected, trust)
 
 
 def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:

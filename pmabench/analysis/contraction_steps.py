@@ -6,25 +6,37 @@ Knows trials and what the primary method found; computes no interval of the latt
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.curves import curve
 from pmabench.analysis.onset import KINDS, dead_times
 from pmabench.analysis.pooled import SYMBOLS, Fit
 from pmabench.analysis.results import Curve, Estimate, Finding, Parts
 from pmabench.analysis.segments import Gate
-from pmabench.analysis.steps import Regression, Step, half_width, mean_with_half, regress, steps_of, stiffness
+from pmabench.analysis.steps import Regression, Step, half_width, mean_over, regress, steps_of, stiffness
 from pmabench.base.quantities import show
 
 METHOD = "step-exponential"
 KNOWN_F_CE = "step-exponential, F_ce known"
 ONSET = "onset"
-LOADS_ENOUGH = 2
+UNITS = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+ONCE = "no repeats part: each load and pressure was tested once"
+SINGLE = "no repeats part: too few points for scatter about their line"
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """An estimate, and its change per relative change and per offset of the channels but the pressure."""
+
+    estimate: Estimate
+    gains: Mapping[str, float]
+    offsets: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -42,16 +54,19 @@ def compare(
     campaign: Campaign, primary: Fit, found: Sequence[Estimate], options: Mapping[str, Any], moved: set[int]
 ) -> Beside:
     """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
+    scales = Scales.of(campaign.runs)
     steps = [
         step
         for number in sorted(moved)
         for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
     ]
     reference = {(e.symbol, e.at["pressure"]): e.value for e in found if "pressure" in e.at}
-    estimates: list[Estimate] = []
-    for P in campaign.tested:
-        estimates += _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], primary, options)
-    estimates = [_with_bias(e, reference) for e in estimates]
+    raw = [
+        entry
+        for P in campaign.tested
+        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], primary, options)
+    ]
+    estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
     curves = []
     for symbol in SYMBOLS:
         members = [e for e in estimates if e.symbol == symbol and e.method == METHOD]
@@ -75,29 +90,23 @@ def compare(
     return Beside((*ordered, *_dead_times(campaign, moved)), tuple(curves), _findings(estimates), table)
 
 
-def _at(
-    campaign: Campaign, P: float, steps: Sequence[Step], primary: Fit, options: Mapping[str, Any]
-) -> list[Estimate]:
+def _at(campaign: Campaign, P: float, steps: Sequence[Step], primary: Fit, options: Mapping[str, Any]) -> list[_Raw]:
     """All of the papers' coefficients at one pressure [Pa]."""
     contract = [step for step in steps if step.phase == "contract"]
     relax = [step for step in steps if step.phase == "relax"]
-    result: list[Estimate] = []
+    result: list[_Raw] = []
 
-    def add(symbol: str, value: float, half: float | None, among: Sequence[Step], method: str = METHOD) -> None:
-        unit, quantity = {
-            "F_ce": ("N", "force"),
-            "K": ("N/m", "stiffness"),
-            "B_c": ("N.s/m", "damping"),
-            "B_r": ("N.s/m", "damping"),
-        }.get(symbol, ("s", "time"))
+    def add(
+        symbol: str, value: float, parts: Parts, among: Sequence[Step], gains: Mapping[str, float],
+        offsets: Mapping[str, float], note: str = "", method: str = METHOD,
+    ) -> None:  # fmt: skip
+        unit, quantity = UNITS.get(symbol, ("s", "time"))
         names = tuple(dict.fromkeys(campaign.name(step.trial) for step in among))
-        result.append(
-            Estimate(
-                symbol, value, unit, quantity, method, {"pressure": P}, Parts(repeats=half), len(names), trials=names
-            )
-        )
+        found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
+        result.append(_Raw(replace(found, note=note), gains, offsets))
 
     regression: Regression | None = None
+    half_K: float | None = None
     if contract:
         loads = np.array([step.load for step in contract])
         x = np.array([step.fit.end for step in contract])
@@ -109,36 +118,73 @@ def _at(
             else float(primary.values("F_ce", np.array([P]))[0])
         )
         one = stiffness(loads, x, F_ce)
-        add("K", one.K, half_width(one.se_K, one.n - 1), contract, KNOWN_F_CE)
+        lever = float(x.sum() / (x @ x))
+        gains, offsets = {"displacement": -one.K}, {"displacement": -one.K * lever}
+        if campaign.cell and not known:
+            gains["force"], offsets["force"] = F_ce * lever, lever
+        half = half_width(one.se_K, one.n - 1)
+        add("K", one.K, Parts(half), contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)
     if regression is not None:
-        add("F_ce", regression.F_ce, half_width(regression.se_F_ce, regression.n - 2), contract)
-        add("K", regression.K, half_width(regression.se_K, regression.n - 2), contract)
+        half, half_K = (half_width(se, regression.n - 2) for se in (regression.se_F_ce, regression.se_K))
+        note = "" if half is not None else SINGLE
+        add("F_ce", regression.F_ce, Parts(half), contract, {"displacement": 0.0}, {"displacement": regression.K}, note)
+        add("K", regression.K, Parts(half_K), contract, {"displacement": -regression.K}, {}, note)
     for symbol, members in (("c", contract), ("r", relax)):
         if not members:
             continue
-        tau, half = mean_with_half([step.fit.tau for step in members])
-        add(f"tau_{symbol}", tau, half, members)
+        of_loads = [step.load for step in members]
+        tau, half, (low, high) = mean_over([step.fit.tau for step in members], of_loads)
+        several = len(set(of_loads)) > 1
+        note = (
+            f"from {show(low, 'time', 3)} to {show(high, 'time', 3)} over the loads, half of which is the method part"
+            if several
+            else "no method part: one load"
+        )
+        once = "" if half is not None else ONCE
+        parts = Parts(half, (high - low) / 2 if several else None)
+        add(f"tau_{symbol}", tau, parts, members, {}, {}, sentences(once, note))
         if regression is not None:
-            half_K = half_width(regression.se_K, regression.n - 2)
             both = None if half is None or half_K is None else hypot(regression.K * half, tau * half_K)
-            add(f"B_{symbol}", regression.K * tau, both, members)
+            gains = {"displacement": -regression.K * tau}
+            add(f"B_{symbol}", regression.K * tau, Parts(both), members, gains, {}, once or ("" if half_K else SINGLE))
+    return result
+
+
+def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
+    """The estimates with their calibration part; the weights are taken as exact.
+
+    The pressure counts by the slope of the coefficient over the pressures tested: it is told for a pressure that is
+    off by an offset o and a gain g, and so off itself by (o + g P) times that slope.
+    """
+    result = []
+    for one in raw:
+        e = one.estimate
+        alike = [r.estimate for r in raw if (r.estimate.symbol, r.estimate.method) == (e.symbol, e.method)]
+        gains, offsets, alone = dict(one.gains), dict(one.offsets), ""
+        if len(alike) > 1:
+            P = [other.at["pressure"] for other in alike]
+            slopes = np.gradient(np.array([other.value for other in alike]), np.array(P))
+            offsets["pressure"] = float(slopes[P.index(e.at["pressure"])])
+            gains["pressure"] = offsets["pressure"] * e.at["pressure"]
+        else:
+            alone = "calibration part without that of the pressure: one pressure only"
+        part = scales.part(gains, offsets)
+        lack = "" if part is not None else scales.lack(gains, offsets)
+        result.append(replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, alone, lack)))
     return result
 
 
 def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float | None]) -> Estimate:
     """The estimate with its distance to the primary method as bias, not taken off, and as method part."""
+    if estimate.symbol not in SYMBOLS:
+        return estimate
     known = reference.get((estimate.symbol, estimate.at["pressure"]))
     if known is None or estimate.value is None:
-        return estimate
+        note = "no method part: measured-pressure gives no value to hold it against"
+        return replace(estimate, note=sentences(estimate.note, note))
     bias = estimate.value - known
-    return Estimate(
-        **{
-            **estimate.__dict__,
-            "bias": bias,
-            "parts": Parts(repeats=estimate.parts.repeats, method=abs(bias)),
-            "note": "bias: against measured-pressure",
-        }
-    )
+    note = sentences(estimate.note, "bias: against measured-pressure")
+    return replace(estimate, bias=bias, parts=replace(estimate.parts, method=abs(bias)), note=note)
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
@@ -162,8 +208,12 @@ def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
 
 
 def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
-    """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move."""
-    found: dict[tuple[str, float], list[tuple[str, float]]] = {}
+    """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
+
+    The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
+    are for all of them.
+    """
+    found: dict[str, list[tuple[int, float]]] = {}
     for number, trial in enumerate(campaign.trials):
         command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)
         if command is None:
@@ -172,34 +222,41 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         channels = {"pressure": samples.P, "displacement": samples.x}
         for kind, value in dead_times(samples.t, channels, samples.ok, command.t).items():
             if number in moved or not kind.endswith("motion"):
-                found.setdefault((kind, trial.point["pressure"]), []).append((campaign.name(number), value))
+                found.setdefault(kind, []).append((number, value))
     estimates = []
     for kind in KINDS:
-        rows = [(P, members) for (k, P), members in sorted(found.items()) if k == kind]
-        groups: list[tuple[dict[str, float], list[tuple[str, float]]]] = [({"pressure": P}, m) for P, m in rows]
-        if len(rows) > 1:
-            groups.append(({}, [member for _, members in rows for member in members]))
-        for at, members in groups:
-            mean, half = mean_with_half([value for _, value in members])
-            estimates.append(
-                Estimate(
-                    symbol="t_d",
-                    value=mean,
-                    unit="s",
-                    quantity="time",
-                    method=ONSET,
-                    at=at,
-                    parts=Parts(repeats=half, method=0.5 / campaign.rate),
-                    n=len(members),
-                    note=kind,
-                    trials=tuple(name for name, _ in members),
-                    coordinate=kind,
-                )
-            )
+        members = found.get(kind, [])
+        tested = sorted({campaign.trials[number].point["pressure"] for number, _ in members})
+        groups: list[tuple[dict[str, float], list[tuple[int, float]]]] = [
+            ({"pressure": P}, [m for m in members if campaign.trials[m[0]].point["pressure"] == P]) for P in tested
+        ]
+        if len(tested) > 1:
+            groups.append(({}, members))
+        for at, group in groups:
+            estimates.append(_dead_time(campaign, kind, at, group))
     return estimates
 
 
-def summary(estimates: Sequence[Estimate]) -> str:
-    """The pooled dead times in words."""
-    pooled = [e for e in estimates if e.symbol == "t_d" and not e.at and e.value is not None]
-    return ", ".join(f"{e.coordinate} {show(e.value or 0.0, 'time', 3)}" for e in pooled)
+def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]]) -> Estimate:
+    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s]."""
+    numbers = [number for number, _ in group]
+    motion = kind.endswith("motion")
+    conditions = [float(campaign.cells[n]) if motion else campaign.trials[n].point["pressure"] for n in numbers]
+    mean, half, (low, high) = mean_over([value for _, value in group], conditions)
+    note = ""
+    if len(set(conditions)) > 1:
+        over = "the loads" if at else "loads and pressures" if motion else "the pressures"
+        note = f"mean over {over}, from {show(low, 'time', 3)} to {show(high, 'time', 3)} among them"
+    return Estimate(
+        symbol="t_d",
+        value=mean,
+        unit="s",
+        quantity="time",
+        method=ONSET,
+        at=at,
+        parts=Parts(repeats=half, method=0.5 / campaign.rate, calibration=0.0),
+        n=len(group),
+        note=sentences(ONCE if half is None else "", note),
+        trials=tuple(campaign.name(number) for number in numbers),
+        coordinate=kind,
+    )

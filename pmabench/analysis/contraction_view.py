@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis import replay
+from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.intervals import Pooled
 from pmabench.analysis.results import Estimate, Finding, Trace
@@ -67,7 +68,12 @@ def findings(
             )
         )
     if not campaign.cell:
-        lines.append(Finding("note", "no load cell: F_L is the weight, with the inertia of the moving mass"))
+        text = "no load cell: F_L is the weight, taken as exact, with the inertia of the moving mass"
+        lines.append(Finding("note", text))
+    channels = ("pressure", "displacement", *(("force",) if campaign.cell else ()))
+    lack = Scales.of(campaign.runs).lack(channels)
+    if lack:
+        lines.append(Finding("note", lack))
     if not pooled.fit.friction:
         lines.append(Finding("doubt", "all samples move one way: F_ce carries the friction"))
     for symbol in ("F_ce", "K", "B_c", "B_r"):

@@ -71,7 +71,9 @@ def curve(
     known = estimates[0]
     P = np.array([e.at["pressure"] for e in estimates])
     y = np.array([e.value for e in estimates], dtype=np.float64)
-    half = np.array([e.parts.combined or 0.0 for e in estimates])
+    known_half = [e.parts.combined for e in estimates]
+    widest = max((half for half in known_half if half is not None), default=0.0)
+    half = np.array([widest if one is None else one for one in known_half])
     found = polynomial(P, y, half, order)
     unit, quantities = QUANTITIES_OF[known.quantity]
     trials = tuple(dict.fromkeys(trial for e in estimates for trial in e.trials))
@@ -97,6 +99,7 @@ def curve(
                 n=len(trials),
                 bias=bias,
                 corrected=bias is not None,
+                note="" if parts.repeats is not None else "no repeats part: points of the curve have none",
                 trials=trials,
                 coordinate=TERMS[power],
             )
@@ -114,13 +117,15 @@ def curve(
 
 
 def _independent(estimates: Sequence[Estimate], row: Array, scatter: float) -> Parts:
-    """Parts of sum(row y) for independent y; systematic parts (calibration) add up with their signs unknown."""
+    """Parts of sum(row y) for independent y; one error of calibration is in all of them, with one sign."""
 
-    def root(name: str) -> float | None:
+    def of(name: str) -> list[float] | None:
         parts = [getattr(e.parts, name) for e in estimates]
-        if any(part is None for part in parts):
-            return None
-        return sqrt(sum((share * part) ** 2 for share, part in zip(row, parts, strict=True)))
+        return None if any(part is None for part in parts) else parts
 
-    method = root("method")
-    return Parts(repeats=root("repeats"), method=hypot(method or 0.0, scatter), calibration=root("calibration"))
+    repeats, method, calibration = of("repeats"), of("method"), of("calibration")
+    return Parts(
+        repeats=None if repeats is None else float(np.linalg.norm(row * repeats)),
+        method=hypot(0.0 if method is None else float(np.linalg.norm(row * method)), scatter),
+        calibration=None if calibration is None else abs(float(row @ calibration)),
+    )

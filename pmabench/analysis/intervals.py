@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from pmabench.analysis.calibration import Scales
 from pmabench.analysis.pooled import SYMBOLS, Fit, solve
 from pmabench.analysis.results import Parts
 from pmabench.analysis.segments import Segments
-from pmabench.store.records import Array, ChannelInfo
+from pmabench.store.records import Array
 
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
@@ -45,7 +46,7 @@ class Trust:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
         repeats = NORMAL * float(np.sqrt(max(0.0, float(combination @ self.covariance @ combination))))
         bias = float(combination @ self.bias)
-        calibration = float(np.sqrt(np.sum((self.shifts @ combination) ** 2))) if len(self.shifts) else 0.0
+        calibration = float(np.sqrt(np.sum((self.shifts @ combination) ** 2))) if len(self.shifts) else None
         method = float(np.sqrt(bias**2 + np.sum((combination * self.mean_error) ** 2) + extra_method**2))
         return Parts(repeats=repeats, method=method, calibration=calibration), bias
 
@@ -67,7 +68,7 @@ def assess(
     expected: float,
     cells: NDArray[np.intp],
     replays: Sequence[Array],
-    infos: Sequence[Mapping[str, ChannelInfo]],
+    scales: Scales,
 ) -> Trust:
     """All parts for a fit.
 
@@ -79,8 +80,8 @@ def assess(
         Cell number of each trial number in `segments.trial`.
     replays
         `Fit.theta` of fits to replays of `fit`.
-    infos
-        Channels of each run; the largest uncertainty counts.
+    scales
+        How well the channels are known.
     """
     bias, spread = _replayed(fit, replays)
     noise = max(fit.rms, expected)
@@ -100,7 +101,7 @@ def assess(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
-        shifts=_calibration(segments, fit, expected, infos),
+        shifts=_calibration(segments, fit, expected, scales),
         excess=excess,
         within=within,
     )
@@ -154,16 +155,13 @@ def _pooled(fit: Fit, symbol: str, ratio: Array, segments: Segments) -> float:
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Fit, expected: float, infos: Sequence[Mapping[str, ChannelInfo]]) -> Array:
+def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> Array:
     """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty."""
     shifts = []
     for channel in ("pressure", "displacement", "force"):
-        known = [info[channel] for info in infos if channel in info]
-        offset = max((info.offset_uncertainty for info in known), default=0.0)
-        gain = max((info.gain_uncertainty for info in known), default=0.0)
-        for by_gain, by_offset in ((0.0, offset), (gain, 0.0)):
-            if by_gain or by_offset:
-                again = solve(segments.shifted(channel, by_gain, by_offset), fit.knots, expected)
+        for gain, offset in ((0.0, scales.offsets.get(channel, 0.0)), (scales.gains.get(channel, 0.0), 0.0)):
+            if gain or offset:
+                again = solve(segments.shifted(channel, gain, offset), fit.knots, expected)
                 shifts.append(again.theta - fit.theta)
     return np.array(shifts).reshape(len(shifts), len(fit.theta))
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SCHEMA = "pmabench.analysis/1"
+POSITIVE = frozenset(("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "t_d", "tau_c", "tau_r", "tau_P", "K_u", "T_u"))
+"""Symbols of what cannot be below 0; terms of their curves and differences of them can."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,10 @@ class Parts:
 
     @property
     def combined(self) -> float | None:
-        """Root of the sum of squares of the assessed parts."""
-        known = [p for p in (self.repeats, self.method, self.calibration) if p is not None]
-        return sqrt(sum(p * p for p in known)) if known else None
+        """Root of the sum of squares of the assessed parts; None without `repeats`, for the others are no interval."""
+        if self.repeats is None:
+            return None
+        return sqrt(sum(p * p for p in (self.repeats, self.method, self.calibration) if p is not None))
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,20 @@ class Estimate:
 
     @property
     def ci95(self) -> tuple[float, float] | None:
-        """The 95 % interval from all parts together."""
+        """The 95 % interval from all parts together; None without a repeats part.
+
+        It ends at 0 for what cannot be below: what is cut off cannot be true, so it holds the truth as often.
+        """
         half = self.parts.combined
         if self.value is None or half is None:
             return None
-        return (self.value - half, self.value + half)
+        low, high = self.value - half, self.value + half
+        return (max(0.0, low) if self.positive and high > 0 else low, high)
+
+    @property
+    def positive(self) -> bool:
+        """Whether the quantity cannot be below 0."""
+        return self.symbol in POSITIVE and (not self.coordinate or self.quantity == "time")
 
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON object of an estimate."""

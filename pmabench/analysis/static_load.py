@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
@@ -88,14 +89,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         line = _fit(points.load[usable], points.side(method)[usable])
         if line is not None:
             lines[method] = line
-    offset, gain = _uncertainty(runs)
+    scales = Scales.of(runs)
     friction = _friction(points, lines)
     for method, line in lines.items():
-        found, through = _of_line(points, method, line, lines.get(MEAN), friction, (offset, gain))
+        found, through = _of_line(points, method, line, lines.get(MEAN), friction, scales)
         estimates += found
         curves.append(through)
         findings += _line_findings(method, line)
     estimates += _half_differences(points, lines)
+    if lines and (lack := scales.lack(["pressure"])):
+        findings.append(Finding("note", lack))
     if not lines:
         findings.append(Finding("fault", "no line F_ce(P): fewer than two loads were found to lift or to set down"))
     elif MEAN not in lines:
@@ -197,13 +200,6 @@ def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray
     return sqrt(between / pure) if pure > 0 else 0.0
 
 
-def _uncertainty(runs: Sequence[RunData]) -> tuple[float, float]:
-    """Largest expanded offset [Pa] and gain [1] uncertainty of the pressure channels."""
-    known = [run.channels["pressure"] for run in runs if "pressure" in run.channels]
-    offset = max((info.offset_uncertainty for info in known), default=0.0)
-    return offset, max((info.gain_uncertainty for info in known), default=0.0)
-
-
 def _friction(points: _Points, lines: Mapping[str, _Line]) -> float | None:
     """Half difference of lift and set-down over all trials [N]."""
     apart = 0.5 * (points.lift - points.set_down)
@@ -217,17 +213,20 @@ def _of_line(
     line: _Line,
     mean: _Line | None,
     friction: float | None,
-    pressure: tuple[float, float],
+    scales: Scales,
 ) -> tuple[list[Estimate], Curve]:
-    """F_ce on the grid inside the domain, and the line itself; one-sided lines carry their distance to the mean."""
+    """F_ce on the grid inside the domain, and the line itself; one-sided lines carry their distance to the mean.
+
+    Calibration: with P off by an offset o and a gain g, F_ce(P) is off by s (o + g P), the slope by s g.
+    """
     P = points.side(method)
     usable = np.isfinite(P)
     low, high = float(P[usable].min()), float(P[usable].max())
     names = tuple(name for name, use in zip(points.names, usable, strict=True) if use)
-    offset, gain = pressure
     two_sided = method == MEAN
+    few = "" if line.factor else "no repeats part: two points leave no scatter about the line through them"
 
-    def estimate(row: Array, calibration: float, at: float | None, coordinate: str = "") -> Estimate:
+    def estimate(row: Array, calibration: float | None, at: float | None, coordinate: str = "") -> Estimate:
         value = float(row @ (line.a, line.s))
         bias = None
         off = UNEQUAL * abs(friction) if two_sided and friction is not None and row[0] else 0.0
@@ -245,24 +244,28 @@ def _of_line(
             parts=Parts(repeats=line.half(row) if line.factor else None, method=off, calibration=calibration),
             n=len(names),
             bias=bias,
-            note="" if bias is None else f"bias: against {MEAN}, the friction of one direction",
+            note=sentences(few, "" if bias is None else f"bias: against {MEAN}, the friction of one direction"),
             trials=names,
             coordinate=coordinate,
         )
 
     first, last = int(np.ceil(low / GRID - 0.05)), int(np.floor(high / GRID + 0.05))
     grid = [GRID * k for k in range(first, last + 1)]
-    values = [estimate(np.array([1.0, at]), abs(line.s) * hypot(offset, gain * at), at) for at in grid]
+    shift = {"pressure": line.s}
+    values = [estimate(np.array([1.0, at]), scales.part({"pressure": line.s * at}, shift), at) for at in grid]
     terms = (
-        estimate(np.array([1.0, 0.0]), abs(line.s) * offset, None, "intercept"),
-        estimate(np.array([0.0, 1.0]), abs(line.s) * gain, None, "slope"),
+        estimate(np.array([1.0, 0.0]), scales.part({}, shift), None, "intercept"),
+        estimate(np.array([0.0, 1.0]), scales.part(shift), None, "slope"),
     )
     curve = Curve("F_ce", "line", terms, "pressure", (low, high), line.r2, line.rms, method)
     return values, curve
 
 
 def _half_differences(points: _Points, lines: Mapping[str, _Line]) -> list[Estimate]:
-    """Half the difference of lift and set-down in N, per load and over all: friction, between F_c and F_s."""
+    """Half the difference of lift and set-down in N, per load and over all: friction, between F_c and F_s.
+
+    The pressure's scale drops out of it: a gain changes the difference and the slope alike.
+    """
     if MEAN not in lines:
         return []
     half = 0.5 * lines[MEAN].s * (points.lift - points.set_down)
@@ -287,7 +290,11 @@ def _half_differences(points: _Points, lines: Mapping[str, _Line]) -> list[Estim
                 at=at,
                 parts=Parts(repeats=spread, calibration=0.0),
                 n=n,
-                note="half the difference of lift and set-down: between sliding and static friction",
+                note=sentences(
+                    f"no repeats part: {'one trial at this load' if at else 'one load'}" if few else "",
+                    "half the difference of lift and set-down: between sliding and static friction",
+                    "no method part: what the search adds is not assessed",
+                ),
                 trials=tuple(name for name, use in zip(points.names, rows, strict=True) if use),
             )
         )

@@ -1,0 +1,70 @@
+"""What the uncertainties of the channels' scales do to a result, to first order; knows no test.
+
+A calibration tells two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
+reading [SI of the channel], and a gain, a share of the reading: true value = (1 + gain) reading + offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+from pmabench.store.records import RunData
+
+Sensitivities = Mapping[str, float]
+"""Channel -> change of a result."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Expanded uncertainties by channel, the largest of several runs; only those that every run's record tells."""
+
+    offsets: Mapping[str, float]
+    """[SI of the channel]."""
+    gains: Mapping[str, float]
+    """[1]."""
+
+    @classmethod
+    def of(cls, runs: Iterable[RunData]) -> Scales:
+        """Of the channels of runs; a channel that a run does not record counts as not told."""
+        infos = [run.channels for run in runs]
+        names = [name for name in (infos[0] if infos else ()) if all(name in info for info in infos)]
+
+        def worst(of: str) -> dict[str, float]:
+            told = {name: [float(getattr(info[name], of)) for info in infos] for name in names}
+            return {name: max(values) for name, values in told.items() if min(values) > 0}
+
+        return cls(worst("offset_uncertainty"), worst("gain_uncertainty"))
+
+    def part(self, gains: Sensitivities, offsets: Sensitivities | None = None) -> float | None:
+        """Half width from the scales, independent causes added as squares; None where nothing of them is told.
+
+        `gains`: change of the result per relative change of a channel; `offsets`: per change of its offset [SI].
+        """
+        offsets = offsets or {}
+        if (gains or offsets) and len(self._untold(gains, offsets)) == len({*gains, *offsets}):
+            return None
+        by_gain = sum((self.gains.get(name, 0.0) * change) ** 2 for name, change in gains.items())
+        return sqrt(by_gain + sum((self.offsets.get(name, 0.0) * change) ** 2 for name, change in offsets.items()))
+
+    def lack(self, gains: Iterable[str], offsets: Iterable[str] = ()) -> str:
+        """A sentence that names the channels of `part` whose uncertainty the record does not tell; empty if none."""
+        gains, offsets = list(gains), list(offsets)
+        untold = self._untold(gains, offsets)
+        if not untold:
+            return ""
+        kind = "uncertainty" if set(untold) <= set(offsets) else "gain uncertainty"
+        whole = len(untold) == len({*gains, *offsets})
+        named = ", ".join(untold[:-1]) + (" and " if untold[:-1] else "") + untold[-1]
+        return f"{'no' if whole else 'incomplete'} calibration part: the record tells no {kind} of {named}"
+
+    def _untold(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
+        """Channels of which nothing is told that would count."""
+        told = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
+        return [name for name in dict.fromkeys((*gains, *offsets)) if name not in told]
+
+
+def sentences(*parts: str) -> str:
+    """What there is to say, in one note."""
+    return "; ".join(part for part in dict.fromkeys(parts) if part)
