@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import types
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -217,8 +218,30 @@ def _shown(path: Path) -> str:
         return str(path)
 
 
+_SCHEMA = re.compile(r"pmabench\.([a-z-]{1,40})/([0-9]{1,4})")
+
+
+def check_schema(model: type[BaseModel], document: Document) -> None:
+    """Raise `InvalidFile` with this one problem where the document says that it is of another kind than the model."""
+    field = model.model_fields.get("schema_")
+    written = document.data.get("schema")
+    expected = get_args(field.annotation)[0] if field is not None and get_args(field.annotation) else ""
+    found, wanted = _SCHEMA.fullmatch(str(written)), _SCHEMA.fullmatch(expected)
+    if found is None or wanted is None or found[0] == wanted[0]:
+        return
+    if found[1] == wanted[1]:
+        message = f"is written in version {found[2]} of the {wanted[1]} file; this pmabench reads version {wanted[2]}"
+    else:
+        message = (
+            f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected ({expected}); give another file"
+        )
+    raise InvalidFile([document.problem(("schema",), message)])
+
+
 def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:
     """The model of a document (or of its part `data` at `at`), or `InvalidFile` with every problem."""
+    if data is None:
+        check_schema(model, document)
     try:
         return model.model_validate(document.data if data is None else data)
     except ValidationError as error:
@@ -311,4 +334,4 @@ def _unwrapped(annotation: Any) -> list[Any]:
     return [annotation]
 
 
-__all__ = ["Document", "Location", "Strict", "read_document", "validate"]
+__all__ = ["Document", "Location", "Strict", "check_schema", "read_document", "validate"]

@@ -11,7 +11,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import in_words
 from pmabench.bench.compile import Mounted
-from pmabench.files.document import Document, Location, read_document, validate
+from pmabench.files.document import Document, Location, check_schema, read_document, validate
 from pmabench.files.quantity import parse_quantity
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Plan
@@ -37,6 +37,7 @@ def read_protocol(path: Path, settings: Sequence[tuple[str, str]] = ()) -> tuple
     document = read_document(path)
     for name, text in settings:
         document.override(name, text)
+    check_schema(ProtocolHead, document)
     kind = document.data.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         message = f'"{kind}" is no kind of protocol{did_you_mean(str(kind), KINDS)}' if kind else '"kind" is missing'

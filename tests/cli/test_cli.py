@@ -84,6 +84,35 @@ def test_problems_of_protocol_bench_and_specimen_come_together(tmp_path):
         assert name in out
 
 
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        ("protocols/static-load.yaml", {"bench", "specimen"}),
+        ("fixtures/benches/mock.yaml", {"protocol", "specimen"}),
+        ("fixtures/specimens/mas-20-250-paper0.yaml", {"bench", "protocol"}),
+        ("fixtures/maps/aarl-10mm.yaml", {"bench", "protocol", "specimen"}),
+    ],
+)
+def test_a_file_of_another_kind_is_told_once_and_nothing_else_of_it(file, said):
+    path = ROOT / file
+    out = call("check", path, "--bench", path, "--specimen", path, code=3).output
+    lines = [line for line in out.splitlines() if " file is expected" in line]
+    assert {re.search(r"where a (\w+) file is expected", line)[1] for line in lines} == said
+    assert all(re.search(r"\.yaml:\d+:9  is a \w+ file", line) for line in lines)
+    assert len(out.splitlines()) == len(said) + 1
+    kind = file.split("/")[-2].removesuffix("s")
+    own = {"benche": "bench"}.get(kind, kind)
+    assert f"is a {own} file (pmabench.{own}/1)" in out
+
+
+def test_a_file_of_a_later_version_says_which_is_read(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text("schema: pmabench.protocol/7\nkind: x\n")
+    out = call("check", path, *MOCK, code=3).output
+    assert "version 7 of the protocol file; this pmabench reads version 1" in out
+    assert len(out.splitlines()) == 1
+
+
 def test_an_unknown_name_gets_the_nearest_shipped_one():
     assert 'did you mean "static-load"' in call("check", "static-lod", *MOCK, code=3).output
 

@@ -1,6 +1,7 @@
 """Old files through the command line: imported, flagged, processed; bad ones refused, and nothing left behind."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -44,3 +45,34 @@ def test_bad_files_are_one_sentence_and_leave_nothing(tmp_path, content, says):
     assert first.name in text
     assert "Traceback" not in text
     assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["10mm_13cm_Unkinked_Test1.csv", "notes.txt"])
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda path: None, "there is no such file"),
+        (lambda path: path.mkdir(), "is a folder; give the files in it"),
+        (lambda path: path.touch(), "is empty"),
+        (lambda path: os.mkfifo(path), "is not a file"),
+    ],
+)
+def test_what_is_no_file_of_data_is_told_whatever_its_name(tmp_path, name, make, says):
+    make(tmp_path / name)
+    text = call("import", tmp_path / name, "--map", OLD / "isometric.yaml", "--out", tmp_path / "o", code=3).output
+    assert f"{tmp_path / name}  {says}" in text
+    assert len(text.splitlines()) == 1
+
+
+def test_a_name_that_fits_no_form_is_still_told(tmp_path):
+    first = sorted((OLD / "isometric").glob("*.csv"))[0]
+    other = tmp_path / "other.csv"
+    other.write_bytes(first.read_bytes())
+    text = call("import", other, "--map", OLD / "isometric.yaml", "--out", tmp_path / "o", code=3).output
+    assert '"other", fits none of the forms in the map' in text
+
+
+def test_quiet_import_prints_the_folders_and_nothing_else(tmp_path):
+    first = sorted((OLD / "isometric").glob("*.csv"))[0]
+    out = call("import", first, "--map", OLD / "isometric.yaml", "--out", tmp_path, "-q").output
+    assert [Path(line).parent for line in out.splitlines()] == [tmp_path]

@@ -127,10 +127,10 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
 
 def _prepare(path: Path, rules: ImportMap) -> _Prepared:
     """Read, scale and check one file."""
-    named = _named(path, rules)
     wanted = [column.column for column in rules.columns if not column.optional]
     optional = [column.column for column in rules.columns if column.optional]
     table = read_table(path, rules.layout, wanted, optional, rules.ignored)
+    named = _named(path, rules)
     time = next(column for column in rules.columns if column.role == "time")
     t = table.columns[time.column] * time.slope
     if np.isnan(t).any() or np.abs(t).max() > 9e9:

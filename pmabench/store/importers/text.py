@@ -96,6 +96,8 @@ def read_table(
 
 def _content(path: Path) -> bytes:
     try:
+        if path.is_dir():
+            raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
         if not path.is_file():
             raise invalid(path, "is not a file" if path.exists() else "there is no such file")
         if path.stat().st_size > MAX_BYTES:
