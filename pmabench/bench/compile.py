@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import channels
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files import BenchFile, SpecimenFile
-from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, ValveRecord
+from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
 from pmabench.bench.lacks import lacks
 from pmabench.bench.outputs import outputs, valves
 from pmabench.bench.registry import driver_class
@@ -61,7 +61,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
     missing = tuple(lacks(c, measured, commanded))
     most = setup_pressure(c, commanded)
     proof_test = proof(c, most)
-    devices = tuple(_devices(c, measured, commanded, switched))
+    devices = tuple(_devices(c, measured, commanded, switched, actions))
     if c.problems:
         raise InvalidFile(c.problems)
     weights = c.bench.weights
@@ -93,6 +93,7 @@ def _devices(
     measured: Mapping[str, ChannelRecord],
     commanded: Mapping[str, OutputRecord],
     switched: Mapping[str, ValveRecord],
+    actions: tuple[SafeAction, ...],
 ) -> Iterator[DeviceRecord]:
     locked = interlocks(c)
     for name, file in c.bench.devices.items():
@@ -108,7 +109,13 @@ def _devices(
             file.options,
             tuple(channel for channel in measured.values() if channel.device == name),
             tuple(output for output in commanded.values() if output.device == name),
-            tuple(valve for valve in switched.values() if valve.device == name),
+            tuple(_left_safe(valve, actions) for valve in switched.values() if valve.device == name),
             tuple(locked[name]),
             file.watchdog or 0.0,
         )
+
+
+def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:
+    """The valve with the position in which the safe state leaves it."""
+    last = [action.do for action in actions if action.target == valve.name and action.do in {"open", "close"}]
+    return replace(valve, safe="closed" if last and last[-1] == "close" else "open")

@@ -97,6 +97,8 @@ class ValveRecord:
     device: str
     output: str
     energised: str = "closed"
+    safe: str = "open"
+    """Where the safe state leaves it; while the bench runs it stands the other way."""
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ class Guard:
             self._write(output, output.safe)
             self._refuse_other_read_back(output)
         for valve in self._valves.values():
-            self._owners[valve.device].call(self._switching(valve, closed=True))
+            self._owners[valve.device].call(self._switching(valve, closed=valve.safe == "open"))
         self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
     def release(self) -> None:
@@ -227,10 +227,10 @@ class Guard:
                 self._owners[name].call(partial(device.place, load))
 
     def valves(self, *, closed: bool) -> None:
-        """Close every valve, or open them all: hands go in with the dump valve open."""
+        """Every valve as it stands in a run, or (not `closed`) in the safe state: hands go in with the dump open."""
         self._refuse_unless_active("valves")
         for valve in self._valves.values():
-            self._owners[valve.device].call(self._switching(valve, closed=closed))
+            self._owners[valve.device].call(self._switching(valve, closed=closed == (valve.safe == "open")))
 
     def value_sent(self, name: str, value: float) -> float:
         """The value [SI] that the device would get for `value`, after scaling and rounding."""
