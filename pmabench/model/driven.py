@@ -134,6 +134,10 @@ class DrivenPlant:
         self.wanted.command(waves)
         self._drive.command(taken)
 
+    def halt(self) -> None:
+        """Stop at the place that the drive has reached, and hold it."""
+        self.move((Wave(self.time, self._drive.setpoint(self.time)),))
+
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to come back to this moment."""
         return {**self.__dict__, **self._copies()}

@@ -25,6 +25,8 @@ class Overrides:
     """Lag while venting by lag while filling [1]."""
     dead_band: float | None = None
     """Pressure error that the regulator does not act on [Pa]."""
+    leak: float | None = None
+    """Share of the pressure that a leak takes away per second [1/s]; needs a lag above 0 to be seen."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     b_relax: str | None = None

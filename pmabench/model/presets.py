@@ -106,6 +106,7 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         lag=chosen("regulator_lag", BENCH_LAG),
         vent_ratio=chosen("vent_ratio", 1.0, 1.0),
         dead_band=chosen("dead_band", 0.0),
+        leak=chosen("leak", 0.0),
     )
     noise = BENCH_NOISE.scaled(chosen("noise", 1.0))
     return Setup(muscle, regulator, noise, chosen("follow_lag", BENCH_FOLLOW_LAG))

@@ -1,6 +1,7 @@
 """Commands through a dead time and a first-order lag, in closed form piece by piece; knows no muscle.
 
-Used for the pressure behind a regulator and for the position of an actuator with a follow error.
+Used for the pressure behind a regulator, which a dump valve or a fault may override, and for the position of an
+actuator with a follow error.
 """
 
 from __future__ import annotations
@@ -17,19 +18,21 @@ from pmabench.model.signal import Wave, to_nanosecond
 
 @dataclass(frozen=True)
 class Regulator:
-    """How the output y follows the command u: T y' = u(t - dead_time) - y.
+    """How the output y follows the command u: T y' = u(t - dead_time) - y - T leak y.
 
     `lag` T [s] while filling (y rising), `lag * vent_ratio` while venting; a lag of 0 is exact. Within `dead_band`
-    [units] of the command the output rests, outside of it the lag drives it to the edge of the band.
+    [units] of the command the regulator rests, outside of it the lag drives it to the edge of the band. `leak` is the
+    share of the output that is lost per second [1/s]; a regulator without lag makes up for it.
     """
 
     dead_time: float = 0.04
     lag: float = 0.0
     vent_ratio: float = 1.0
     dead_band: float = 0.0
+    leak: float = 0.0
 
     def __post_init__(self) -> None:
-        if min(self.dead_time, self.lag, self.dead_band) < 0 or self.vent_ratio <= 0:
+        if min(self.dead_time, self.lag, self.dead_band, self.leak) < 0 or self.vent_ratio <= 0:
             raise ValueError(f"times and bands cannot be negative: {self}")
         if self.dead_band > 0 and self.lag == 0:
             raise ValueError("a dead band needs a lag above 0")
@@ -83,16 +86,16 @@ class Trace:
         return rate
 
 
-def lagged(wave: Wave, t: float, value: float, lag: float, shift: float = 0.0) -> Trace:
-    """The exact answer of `lag` y' = wave + shift - y from y(t) = `value` on; with `lag` 0 the wave itself.
+def lagged(wave: Wave, t: float, value: float, lag: float) -> Trace:
+    """The exact answer of `lag` y' = wave - y from y(t) = `value` on; with `lag` 0 the wave itself.
 
     `t` is on the wave's time axis [s]. Particular solution of a first-order lag under a constant, ramp and sine:
     level + slope (s - T) + A (sin(ws + p) - wT cos(ws + p)) / (1 + (wT)^2).
     """
     if wave.steady:
-        level = wave.level + shift
+        level = wave.level
         return Trace(t, level, decay=value - level, lag=lag) if lag > 0 else Trace(t, level)
-    level = wave.level + wave.slope * (t - wave.start) + shift - wave.slope * lag
+    level = wave.level + wave.slope * (t - wave.start) - wave.slope * lag
     phase = wave.omega * (t - wave.start) + wave.phase
     share = wave.amplitude / (1 + (wave.omega * lag) ** 2)
     sine, cosine = math.sin(phase), math.cos(phase)
@@ -115,7 +118,7 @@ class Regulated:
         self._waves: tuple[Wave, ...] = (Wave(start, value),)
         self._trace = Trace(start, value)
         self._end = math.inf
-        self._failed = False
+        self._forced = False
 
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
@@ -124,13 +127,19 @@ class Regulated:
         while kept and self._waves[kept - 1].start >= first:
             kept -= 1
         self._waves = self._waves[:kept] + waves
-        if not self._failed:
+        if not self._forced:
             self._end = min(self._end, self._arrival(waves[0]))
 
-    def fail(self, t: float, lag: float) -> None:
-        """From `t` [s] on the output falls to 0 with `lag` [s] whatever is commanded: a burst muscle, a lost supply."""
-        self._trace = Trace(t, 0.0, decay=self.value(t), lag=lag)
-        self._end, self._failed = math.inf, True
+    def force(self, t: float, level: float, lag: float) -> None:
+        """From `t` [s] on the output goes to `level` with `lag` [s] whatever is commanded: a dump valve, a burst."""
+        self._trace = lagged(Wave(t, level), t, self.value(t), lag)
+        self._end, self._forced = math.inf, True
+
+    def release(self, t: float) -> None:
+        """From `t` [s] on the output follows the commands again, from where it is."""
+        if self._forced:
+            self._forced = False
+            self._begin(t)
 
     def setpoint(self, t: float) -> float:
         """The value commanded at time t [s], before the dead time."""
@@ -186,19 +195,29 @@ class Regulated:
         end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
         value = self._trace.value(t)
         if r.lag == 0 or (r.vent_ratio == 1 and r.dead_band == 0):
-            self._trace, self._end = lagged(wave, t, value, r.lag), end
+            self._trace, self._end = self._answer(wave, t, value, r.lag), end
             return
         way = self._way(wave, t, value)
         if way == 0:
-            self._trace = Trace(t, value)
+            self._trace = Trace(t, 0.0, decay=value, lag=1 / r.leak) if r.leak else Trace(t, value)
         else:
-            self._trace = lagged(wave, t, value, r.lag * (1 if way > 0 else r.vent_ratio), -way * r.dead_band)
+            edge = replace(wave, level=wave.level - way * r.dead_band)
+            self._trace = self._answer(edge, t, value, r.lag * (1 if way > 0 else r.vent_ratio))
         self._end = self._change(wave, way, t, end)
+
+    def _answer(self, wave: Wave, t: float, value: float, lag: float) -> Trace:
+        """The answer of a lag to a wave; a leak beside it makes it faster and leaves it short of the command."""
+        share = 1 / (1 + lag * self.regulator.leak)
+        if share == 1:
+            return lagged(wave, t, value, lag)
+        short = replace(wave, level=share * wave.level, slope=share * wave.slope, amplitude=share * wave.amplitude)
+        return lagged(short, t, value, share * lag)
 
     def _way(self, wave: Wave, t: float, value: float) -> int:
         """1 filling, -1 venting, 0 resting in the dead band; on an edge, the way that the command goes."""
         band, error = self.regulator.dead_band, wave.value(t) - value
         rate = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
+        rate += self.regulator.leak * value
         near = 1e-9 * (1 + abs(value))
         if error > band + near or (error >= band - near and rate > 0):
             return 1
@@ -207,10 +226,17 @@ class Regulated:
         return 0
 
     def _change(self, wave: Wave, way: int, t: float, end: float) -> float:
-        """When, before `end`, the regulator leaves this way of working; under a constant command it never does."""
-        if wave.steady:
-            return end
+        """When, before `end`, the regulator leaves this way of working.
+
+        Under a constant command it does so only where a leak takes it away from above.
+        """
         band = self.regulator.dead_band
+        if wave.steady:
+            edge, left = wave.level - (way or 1) * band, self._trace
+            if way > 0 or not self.regulator.leak or not left.level < edge < left.value(t):
+                return end
+            after = left.lag * math.log(left.decay / (edge - left.level))
+            return min(end, max(to_nanosecond(t + after), to_nanosecond(t + 1e-9)))
 
         def beyond(at: Array) -> Array:
             error = wave.values(at) - self._trace.values(at)

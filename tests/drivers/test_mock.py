@@ -1,7 +1,6 @@
-"""The mock bench through the driver interface: what it samples, when, in which units, and what goes wrong on order."""
+"""The mock bench through the driver interface: what it samples, when, in which units, and what it refuses."""
 
 import math
-import threading
 
 import numpy as np
 import pytest
@@ -15,88 +14,21 @@ from pmabench.bench.interface import (
     DeviceRecord,
     Follower,
     Hands,
+    Inputs,
     Load,
-    OutputRecord,
+    Motion,
     Scale,
     Segment,
     SetPoint,
     Stream,
+    Switch,
 )
-
-COUNTS = {
-    "pressure": ("pressure", Scale(1e6 / 65535, -50e3), -50e3, 950e3),
-    "displacement": ("length", Scale(0.5e-6, -5e-3), -5e-3, 90e-3),
-    "force": ("force", Scale(2000 / 65535, -50.0), -50.0, 1950.0),
-}
-RANGES = {
-    "pressure": ("pressure", 1e6),
-    "displacement": ("length", 0.1),
-    "force": ("force", 2e3),
-    "supply": ("pressure", 1e6),
-    "pressure_set": ("pressure", 1e6),
-    "displacement_set": ("length", 0.1),
-}
-
-
-def record(counts=False, actuator=False, **options):
-    inputs = ["pressure", "displacement", "force", "supply", "pressure_set"] + ["displacement_set"] * actuator
-    channels = []
-    for name in inputs:
-        if counts and name in COUNTS:
-            quantity, scale, low, high = COUNTS[name]
-            channels.append(ChannelRecord(name, quantity, "plant", name, "int32", "count", scale, low, high))
-        else:
-            quantity, high = RANGES[name]
-            channels.append(ChannelRecord(name, quantity, "plant", name, "float64", "SI", Scale(), -high, high))
-    outputs = [OutputRecord("pressure", "pressure", "plant", "pressure", Scale(1e6 / 65535), 1, 0, 0, 6e5)]
-    if actuator:
-        options["free_end"] = "actuator"
-        outputs.append(OutputRecord("displacement", "length", "plant", "displacement", Scale(1e-3), 0, 0, 0, 0.05))
-    given = {"preset": "ideal", **options}
-    return DeviceRecord("plant", "pmabench_drivers.mock:MockBench", "", given, tuple(channels), tuple(outputs))
-
-
-class Rig:
-    """An open mock with its clock; collects SI or raw columns."""
-
-    def __init__(self, device, rate=500.0):
-        self.clock, self.device = VirtualClock(), device
-        self.mock = MockBench(device, self.clock)
-        self.mock.open()
-        self.mock.start(rate)
-        self.time, self.columns = [], {channel.name: [] for channel in device.channels}
-
-    def pressure(self, kPa):
-        self.mock.write("pressure", kPa * 65.535)
-
-    def wait(self, duration, block=1.0):
-        end = self.clock.now() + duration
-        while self.clock.now() < end - 1e-12:
-            self.clock.wait_until(min(self.clock.now() + block, end))
-            self.collect()
-
-    def collect(self):
-        block = self.mock.collect()
-        self.time.extend(int(t) for t in block.time)
-        for name, column in self.columns.items():
-            column.extend(float(value) for value in block.columns[name])
-
-    def back_to(self, moment):
-        """What the executor does: time goes back, the device is told by a call, samples after it are dropped."""
-        self.clock.back_to(moment)
-        assert len(self.mock.collect().time) == 0
-        kept = sum(t <= round(moment * 1e9) for t in self.time)
-        del self.time[kept:]
-        for column in self.columns.values():
-            del column[kept:]
-
-    def array(self, name):
-        return np.array(self.columns[name])
+from tests.drivers.rig import COUNTS, Rig, record
 
 
 def test_it_has_every_capability():
     mock = MockBench(record(), VirtualClock())
-    for capability in (Device, Stream, SetPoint, Follower, Hands):
+    for capability in (Device, Stream, SetPoint, Follower, Hands, Switch, Inputs, Motion):
         assert isinstance(mock, capability)
     assert mock.open().simulated
 
@@ -366,73 +298,3 @@ def test_closing_twice_is_harmless_and_a_closed_bench_says_so():
     mock.stop()
     with pytest.raises(DeviceError, match="not open"):
         mock.collect()
-
-
-# -- faults on order ---------------------------------------------------------------------------------------------
-
-
-def test_a_burst_takes_the_pressure_away():
-    rig = Rig(record(preset="bench", noise=0, faults={"burst_at": 1.0}))
-    rig.pressure(300)
-    rig.wait(2.0)
-    P = rig.array("pressure")
-    assert P[499] > 299e3
-    assert P[525] < 300e3 * math.exp(-4)
-    assert P[-1] < 1
-    assert rig.array("displacement")[-1] < 10 / 5600
-    rig.back_to(0.9)
-    rig.wait(0.05)
-    assert rig.array("pressure")[-1] > 299e3
-
-
-def test_a_stuck_sensor_repeats_itself():
-    rig = Rig(record(preset="bench", faults={"pressure_stuck_at": 0.5}))
-    rig.pressure(300)
-    rig.wait(2.0, block=0.05)
-    assert len(set(rig.columns["pressure"][250:])) == 1
-    assert len(set(rig.columns["pressure"][:250])) > 200
-
-
-def test_nan_and_the_lowest_count():
-    plain, counts = (Rig(record(counts=c, preset="bench", faults={"nan_at": 0.5})) for c in (False, True))
-    for rig in (plain, counts):
-        rig.wait(1.0)
-    assert np.isnan(plain.array("force")[250:]).all()
-    assert not np.isnan(plain.array("force")[:250]).any()
-    assert set(counts.columns["pressure"][250:]) == {0.0}
-
-
-def test_a_gap_loses_samples_and_goes_on():
-    rig = Rig(record(faults={"gap_at": 0.5}))
-    rig.wait(1.0)
-    steps = np.diff(rig.time)
-    assert sorted(set(steps)) == [2_000_000, 22_000_000]
-
-
-def test_a_lost_link_fails_every_call():
-    rig = Rig(record(faults={"lost_at": 0.5}))
-    rig.wait(0.4)
-    rig.clock.wait_until(0.5)
-    for call in (rig.mock.collect, lambda: rig.pressure(0)):
-        with pytest.raises(DeviceError, match="link lost"):
-            call()
-
-
-def test_a_hung_device_answers_nobody_until_it_is_closed():
-    rig = Rig(record(faults={"hang_at": 0.5}))
-    rig.clock.wait_until(0.6)
-    caught = []
-
-    def call():
-        try:
-            rig.mock.collect()
-        except DeviceError as error:
-            caught.append(error)
-
-    thread = threading.Thread(target=call)
-    thread.start()
-    thread.join(0.1)
-    assert thread.is_alive()
-    rig.mock.close()
-    thread.join(5)
-    assert "closed while it did not answer" in str(caught[0])

@@ -51,6 +51,9 @@ def test_a_new_command_ends_the_rest_of_the_old_one():
         Regulator(0.04, 0.1, vent_ratio=1.5),
         Regulator(0.04, 0.1, vent_ratio=1.5, dead_band=5.0),
         Regulator(0.04, 0.1, dead_band=5.0),
+        Regulator(0.04, 0.1, leak=0.8),
+        Regulator(0.04, 0.1, vent_ratio=1.5, leak=0.8),
+        Regulator(0.04, 0.1, vent_ratio=1.5, dead_band=5.0, leak=0.8),
     ],
 )
 def test_ramps_and_sines_agree_with_an_independent_integration(regulator):
@@ -75,10 +78,11 @@ def test_ramps_and_sines_agree_with_an_independent_integration(regulator):
 
     def rate(t, y):
         error = command(t - regulator.dead_time) - y[0]
+        lost = regulator.leak * y[0]
         if abs(error) <= regulator.dead_band:
-            return [0.0]
+            return [-lost]
         pull = error - math.copysign(regulator.dead_band, error)
-        return [pull / (regulator.lag * (1 if error > 0 else regulator.vent_ratio))]
+        return [pull / (regulator.lag * (1 if error > 0 else regulator.vent_ratio)) - lost]
 
     regulated, values, truth, y = Regulated(regulator), [], [], 0.0
     breaks = [0.0, *(edge + regulator.dead_time for edge in edges), 9.0]
@@ -103,13 +107,42 @@ def test_rates_are_the_slope_of_the_values():
     np.testing.assert_allclose(regulated.values(t)[1], (after - before) / 2e-6, atol=1e-5)
 
 
-def test_a_failed_supply_falls_whatever_is_commanded():
+def test_an_open_valve_takes_the_output_away_whatever_is_commanded():
     regulated = Regulated(Regulator(0.04, 0.1), 300e3)
-    regulated.fail(1.0, 0.01)
+    regulated.force(1.0, 0.0, 0.01)
     regulated.command(constant(1.0, 500e3))
     assert regulated.value(1.01) == pytest.approx(300e3 / math.e)
     assert regulated.value(2.0) == pytest.approx(0, abs=1e-9)
     assert regulated.setpoint(2.0) == 500e3
+
+
+def test_a_valve_that_closes_lets_the_regulator_fill_from_where_the_output_is():
+    regulated = Regulated(Regulator(0.04, 0.1), 300e3)
+    regulated.force(1.0, 0.0, 0.2)
+    regulated.command(constant(1.1, 500e3))
+    assert regulated.value(1.2) == pytest.approx(300e3 / math.e)
+    regulated.release(1.3)
+    t = np.array([1.3, 1.4, 1.8])
+    low = 300e3 * math.exp(-0.3 / 0.2)
+    np.testing.assert_allclose(regulated.values(t)[0], 500e3 + (low - 500e3) * np.exp(-(t - 1.3) / 0.1), rtol=1e-12)
+
+
+def test_a_command_under_way_through_the_dead_time_arrives_although_the_valve_closes_meanwhile():
+    regulated = Regulated(Regulator(dead_time=0.04), 100.0)
+    regulated.force(1.0, 0.0, 0.0)
+    regulated.command(constant(1.0, 200.0))
+    regulated.release(1.02)
+    assert regulated.values(np.array([1.02, 1.03, 1.04]))[0].tolist() == [100.0, 100.0, 200.0]
+    assert regulated.piece(2.0)[1] == math.inf
+
+
+@pytest.mark.parametrize("band", [0.0, 5.0])
+def test_a_leak_keeps_the_output_below_the_command(band):
+    """Balance of fill and loss: (u - band - y) / T = leak y; from above too, where it first falls through the band."""
+    for begin in (0.0, 200.0):
+        regulated = Regulated(Regulator(0.0, 0.1, vent_ratio=2.0, dead_band=band, leak=0.5), begin)
+        regulated.command(constant(0.0, 100.0))
+        assert regulated.value(60.0) == pytest.approx((100 - band) / 1.05, abs=1e-6)
 
 
 def test_a_dead_band_needs_a_lag():

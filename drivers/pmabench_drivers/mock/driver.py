@@ -6,10 +6,10 @@ import math
 import threading
 from typing import TYPE_CHECKING
 
-from pmabench.base.clock import Clock
+from pmabench.base.clock import Clock, VirtualClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import read_options
+from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, Options, read_options
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import Simulation
@@ -20,7 +20,9 @@ class MockBench:
 
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
-    `displacement`. Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
+    `displacement`, and `dump_valve` to be switched: it is there when the bench names it as a valve, and open, so that
+    the muscle empties whatever the regulator does, unless it is energised. Digital input: `e_stop`.
+    Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
     the plant catch up with it, and when the clock was taken back, the plant goes back too. Whoever takes the clock back
     calls `collect` (which then returns nothing) before time goes on: a jump back and forth between two calls is not
     seen.
@@ -28,17 +30,25 @@ class MockBench:
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._device, self._clock = device, clock
-        self._options = read_options(device.name, device.options)
+        self._options = self._read_options()
         self._outputs = {output.output: output for output in device.outputs}
         self._opened: Simulation | None = None
         self._closed = threading.Event()
 
+    def _read_options(self) -> Options:
+        options, name = read_options(self._device.name, self._device.options), self._device.name
+        late = (options.faults.dead_at, options.faults.mute_at)
+        if late != (None, None) or options.clock_ppm or options.clock_offset:
+            raise DeviceError(name, "faults dead_at, mute_at and options clock_* need the driver mock-realtime")
+        return options
+
     def open(self) -> Identity:
         """Build the plant at rest, without pressure, the load support under the carriage."""
-        from pmabench_drivers.mock.simulation import Simulation
+        from pmabench_drivers.mock.simulation import MEMORY, Simulation
 
         try:
-            self._opened = Simulation(self._device, self._options, self._now())
+            memory = MEMORY if isinstance(self._clock, VirtualClock) else 0.0
+            self._opened = Simulation(self._device, self._options, self._now(), memory)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error)) from error
         self._closed.clear()
@@ -86,6 +96,27 @@ class MockBench:
             raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero, not {speed}", output)
         self._command(output, segment, record)
 
+    def halt(self, output: str) -> None:
+        """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
+        self._output(output)
+        self._simulation().halt(output)
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise the dump valve, which closes it, or not."""
+        self._valve(output)
+        self._simulation().switch(on=on)
+
+    def is_on(self, output: str) -> bool:
+        """Whether the dump valve is energised."""
+        self._valve(output)
+        return self._simulation().energised
+
+    def level(self, name: str) -> bool:
+        """Whether the emergency stop's contact is closed, which holds the input high."""
+        if name != E_STOP:
+            raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, [E_STOP])}')
+        return self._simulation().e_stop_high()
+
     def place(self, load: Load) -> None:
         """The free end carries `load` from now on; without effect where an actuator holds it."""
         self._simulation().place(load)
@@ -105,6 +136,11 @@ class MockBench:
                 raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
         return record
 
+    def _valve(self, output: str) -> None:
+        known = [valve.output for valve in self._device.valves]
+        if output not in known:
+            raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or [DUMP_VALVE])}')
+
     def _now(self) -> float:
         return round(self._clock.now(), 9)
 
@@ -112,11 +148,16 @@ class MockBench:
         """The simulation, brought to the clock's time."""
         if self._opened is None:
             raise DeviceError(self._device.name, "is not open")
-        now, faults = self._now(), self._options.faults
+        now = self._now()
+        self._check_link(now)
+        self._opened.catch_up(now)
+        return self._opened
+
+    def _check_link(self, now: float) -> None:
+        """The faults of the link."""
+        faults = self._options.faults
         if faults.hang_at is not None and now >= faults.hang_at:
             self._closed.wait()
             raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
         if faults.lost_at is not None and now >= faults.lost_at:
             raise DeviceError(self._device.name, "link lost (simulated fault)")
-        self._opened.catch_up(now)
-        return self._opened

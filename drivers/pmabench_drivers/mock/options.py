@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.model.overrides import Overrides
 
+SENSORS = ("pressure", "displacement", "force")
+"""Channel inputs that are measured."""
+INPUTS = (*SENSORS, "supply", "pressure_set", "displacement_set")
+"""All channel inputs; the last one where the free end is driven."""
+DUMP_VALVE = "dump_valve"
+"""The output that switches the valve."""
+E_STOP = "e_stop"
+"""The digital input: high while the emergency stop is not pressed."""
+
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong, and when [s, bench time]; None for never."""
+    """What goes wrong, and when [s]: bench time, in real time seconds since the plant's process began to serve.
+
+    None for never. In real time each can also be called up while it runs (`pmabench_drivers.mock.server`).
+    """
 
     burst_at: float | None = None
     """The muscle bursts: pressure falls to 0 within some 10 ms and stays there."""
+    regulator_stuck_at: float | None = None
+    """The regulator takes set-points and ignores them: it holds the pressure that it has then."""
+    supply_lost_at: float | None = None
+    """The supply is lost: the channel input `supply` reads 0, and the muscle empties backwards with a lag of 0.5 s."""
+    dump_stuck_at: float | None = None
+    """The dump valve does not open any more; it still closes."""
+    e_stop_at: float | None = None
+    """The emergency stop is pressed: the digital input `e_stop` goes low. Nothing else happens by itself."""
     pressure_stuck_at: float | None = None
     """The pressure channel repeats one value from then on."""
     nan_at: float | None = None
@@ -23,9 +43,30 @@ class Faults:
     gap_at: float | None = None
     """The samples of 20 ms are lost."""
     hang_at: float | None = None
-    """Calls do not return until the device is closed."""
+    """Calls do not return until the device is closed. In real time: questions are neither answered nor carried out,
+    but the second way (`rescue`) works."""
     lost_at: float | None = None
-    """Calls fail as if the link were cut."""
+    """Calls fail as if the link were cut; the second way too."""
+    dead_at: float | None = None
+    """Real time only: as `hang_at`, and the second way gets no answer either."""
+    mute_at: float | None = None
+    """Real time only: commands are carried out, but no answer arrives."""
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """What is wrong with one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
+
+    factor: float = 1.0
+    """What the reading is multiplied by: 1.02 reads 2 % too much, -1 has the wrong sign."""
+    offset: float = 0.0
+    """What is added to it then [SI unit of the channel]."""
+    reads: str = ""
+    """The input whose raw values it gives instead of its own: swapped plugs. It needs a channel of its own."""
+    end: str = ""
+    """`low` or `high`: the channel stands at that end of its range: a broken wire, a short."""
+    at: float = 0.0
+    """From when on [s], as in `Faults`."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +85,10 @@ class Options:
     """Moving mass before a load is placed [kg]."""
     supply: float = 690e3
     """What the channel input `supply` reads [Pa]."""
+    dump_lag: float = 0.1
+    """First-order lag with which the muscle empties through the open dump valve [s]."""
+    slow_vent: float = 1.0
+    """Factor on the lags of dump valve and venting regulator: a clogged silencer [1]."""
     actuator_low: float = -10e-3
     """Least contraction that the actuator reaches [m]."""
     actuator_high: float = 90e-3
@@ -52,13 +97,37 @@ class Options:
     """Its highest speed [m/s]."""
     actuator_force: float = 1500.0
     """The force at which it stalls [N]."""
+    clock_ppm: float = 0.0
+    """How much faster than bench time the device's clock runs [ppm]; real time only."""
+    clock_offset: float = 0.0
+    """What the device's clock shows at bench time 0 [s]; real time only."""
     faults: Faults = field(default_factory=Faults)
+    errors: Mapping[str, SensorError] = field(default_factory=dict)
+    """Errors of channel inputs, by input."""
     overrides: Overrides = field(default_factory=Overrides)
     """Given among the options by their own names."""
 
 
-TEXT = {"plant", "preset", "free_end", "b_relax"}
-CHOICES = {"free_end": ("weights", "actuator"), "preset": ("ideal", "bench"), "plant": ("paper0", "serres2009")}
+@dataclass(frozen=True)
+class Service:
+    """Options of the plant's own process, for the driver `mock-realtime`; given among the others."""
+
+    start: bool = True
+    """Start the process when nobody listens at the device's address."""
+    idle: float = 30.0
+    """It vents and ends after so long without a client [s]."""
+    log: str = ""
+    """File to which it appends what was commanded, as JSON lines; none by default."""
+
+
+TEXT = {"plant", "preset", "free_end", "b_relax", "reads", "end", "log"}
+CHOICES = {
+    "free_end": ("weights", "actuator"),
+    "preset": ("ideal", "bench"),
+    "plant": ("paper0", "serres2009"),
+    "reads": SENSORS,
+    "end": ("low", "high"),
+}
 
 
 def read_options(device: str, given: Mapping[str, Any]) -> Options:
@@ -76,23 +145,74 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     for name, value in given.items():
         if name == "faults":
             values[name] = _faults(device, value)
+        elif name == "errors":
+            values[name] = _errors(device, value)
         elif name in own:
             values[name] = _value(device, name, value)
         elif name in changes:
             overrides[name] = _value(device, name, value)
         else:
             raise DeviceError(device, f'no option "{name}"{did_you_mean(name, own | changes)}')
-    return Options(**values, overrides=Overrides(**overrides))
+    options = Options(**values, overrides=Overrides(**overrides))
+    if options.dump_lag < 0 or not options.slow_vent > 0:
+        raise DeviceError(device, "option dump_lag needs a lag of at least 0 s, option slow_vent a factor above 0")
+    return options
+
+
+def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:
+    """The options of the process, checked, and all others as they are."""
+    names = {item.name for item in fields(Service)}
+    values: dict[str, Any] = {}
+    for name in names & set(given):
+        value = given[name]
+        if name == "start":
+            if not isinstance(value, bool):
+                raise DeviceError(device, f"option start: true or false is expected, not {value!r}")
+            values[name] = value
+        else:
+            values[name] = _value(device, name, value)
+    service = Service(**values)
+    if not service.idle > 0:
+        raise DeviceError(device, f"option idle: a time above 0 s is expected, not {service.idle:g}")
+    return service, {name: value for name, value in given.items() if name not in names}
+
+
+def fault_name(device: str, name: str) -> str:
+    """The field of `Faults` for `burst` or `burst_at`."""
+    known = [item.name for item in fields(Faults)]
+    full = name if name.endswith("_at") else f"{name}_at"
+    if full not in known:
+        raise DeviceError(device, f'no fault "{name}"{did_you_mean(full, known)}')
+    return full
+
+
+def sensor_error(device: str, channel: str, given: Any) -> SensorError:
+    """The error of one channel input, checked."""
+    if not isinstance(given, Mapping):
+        raise DeviceError(device, f"errors of {channel} are given as {{factor: ..., offset: ...}}, not {given!r}")
+    if channel not in INPUTS:
+        raise DeviceError(device, f'errors: no input "{channel}"{did_you_mean(channel, INPUTS)}')
+    return SensorError(**_values(device, given, SensorError, "error"))
 
 
 def _faults(device: str, given: Any) -> Faults:
-    known = [item.name for item in fields(Faults)]
     if not isinstance(given, Mapping):
         raise DeviceError(device, f"faults are given as {{name: time in s}}, not {given!r}")
+    return Faults(**_values(device, given, Faults, "fault"))
+
+
+def _errors(device: str, given: Any) -> dict[str, SensorError]:
+    if not isinstance(given, Mapping):
+        raise DeviceError(device, f"errors are given as {{input: {{factor: ..., offset: ...}}}}, not {given!r}")
+    return {str(name): sensor_error(device, str(name), value) for name, value in given.items()}
+
+
+def _values(device: str, given: Mapping[str, Any], kind: Callable[..., Any], word: str) -> dict[str, Any]:
+    known = [item.name for item in fields(kind)]  # type: ignore[arg-type]
     for name in given:
         if name not in known:
-            raise DeviceError(device, f'no fault "{name}"{did_you_mean(str(name), known)}')
-    return Faults(**{name: _value(device, name, value) for name, value in given.items()})
+            raise DeviceError(device, f'no {word} "{name}"{did_you_mean(str(name), known)}')
+    return {name: _value(device, name, value) for name, value in given.items()}
 
 
 def _value(device: str, name: str, value: Any) -> Any:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,19 +15,32 @@ from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, S
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
-from pmabench.model.sensors import NoiseSource
 from pmabench.model.signal import Wave, constant, ramp, sine
-from pmabench_drivers.mock.options import Options
+from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
+from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, INPUTS, Options, SensorError
 
 MEMORY = 2.5
 """How far the plant can be taken back [s]; a block of virtual time is at most 1 s."""
+BUFFER = 20_000
+"""Blocks of samples kept for whoever collects; older ones are lost, as in any device."""
 LEAST_MASS = 0.01
 """Moving mass of a free end without anything on it [kg]."""
+SETPOINTS = (0.0, 1e6)
+"""What the pressure regulator can be set to [Pa]; it takes anything beyond as the nearest of these."""
 BURST_LAG = 0.01
-GAP = 0.02
-SENSORS = ("pressure", "displacement", "force")
-INPUTS = (*SENSORS, "supply", "pressure_set", "displacement_set")
-Column = list[float] | NDArray[Any]
+SUPPLY_LAG = 0.5
+
+
+@dataclass(frozen=True)
+class _Valve:
+    """The dump valve and what else keeps the regulator from the muscle."""
+
+    energised: bool = False
+    open: bool = False
+    held: float | None = None
+    """The pressure that a stuck regulator holds [Pa]."""
+    forced: tuple[float, float] | None = None
+    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
 
 
 @dataclass(frozen=True)
@@ -37,42 +50,23 @@ class _Moment:
     time: float
     plant: dict[str, Any]
     due: int
-
-
-class _Channel:
-    """One channel: its noise, and the way from SI to what the device gives."""
-
-    def __init__(self, record: ChannelRecord, sigma: float, seed: int) -> None:
-        self.record = record
-        self.counts = record.raw_type == "int32"
-        self._sigma = sigma
-        self._noise = NoiseSource(seed, INPUTS.index(record.input))
-        ends = float(record.scale.to_raw(record.low)), float(record.scale.to_raw(record.high))
-        self.low, self.high = round(min(ends)), round(max(ends))
-
-    def raw(self, si: NDArray[np.float64], first: int) -> Column:
-        """Device units of consecutive samples in SI, the first of which has the number `first`."""
-        if self._sigma:
-            si = si + self._sigma * self._noise.samples(first, len(si))
-        raw = self.record.scale.to_raw(si)
-        if not self.counts:
-            return np.asarray(raw, dtype=np.float64)
-        return np.asarray(np.clip(np.rint(raw), self.low, self.high), dtype=np.int32)
-
-    def raw_one(self, si: float, number: int) -> float:
-        """The same for one sample."""
-        if self._sigma:
-            si += self._sigma * self._noise.one(number)
-        raw = self.record.scale.to_raw(si)
-        return min(max(round(raw), self.low), self.high) if self.counts else float(raw)
+    valve: _Valve
+    stuck: float | None
 
 
 class Simulation:
-    """The plant of one mock bench from bench time `start` [s] on."""
+    """The plant of one mock bench from bench time `start` [s] on; `memory` says how far it can be taken back [s].
 
-    def __init__(self, device: DeviceRecord, options: Options, start: float) -> None:
+    It has a dump valve when the device has a valve on the output `dump_valve`: not energised it is open.
+    """
+
+    def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         setup = preset(options.plant, options.preset, options.overrides)
-        self._name, self._options = device.name, options
+        setup = replace(
+            setup, regulator=replace(setup.regulator, vent_ratio=setup.regulator.vent_ratio * options.slow_vent)
+        )
+        self._name, self._options, self._keep_for = device.name, options, memory
+        self.faults, self.errors = options.faults, dict(options.errors)
         self._plant: Plant | DrivenPlant = Plant(setup.muscle, setup.regulator, mass=options.carriage, start=start)
         if options.free_end == "actuator":
             actuator = Actuator(
@@ -85,13 +79,20 @@ class Simulation:
             self._plant = DrivenPlant(setup.muscle, setup.regulator, actuator, start=start)
         sigma = {"pressure": setup.noise.pressure, "displacement": setup.noise.displacement, "force": setup.noise.force}
         self._channels = [
-            _Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
+            Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
         ]
+        self._damage = Damage(self._channels, options.clock_ppm, options.clock_offset)
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
-        self._pending: list[Block] = []
-        self._stuck: float | None = None
-        self._burst = False
+        self._pending: deque[Block] = deque(maxlen=BUFFER)
+        _known(device.name, "output", [valve.output for valve in device.valves], DUMP_VALVE)
+        _known(device.name, "digital input", [item.input for item in device.interlocks], E_STOP)
+        for error in self.errors.values():
+            self._check_error(error)
+        self._regulator = setup.regulator
+        self._has_valve = bool(device.valves)
+        self._valve = _Valve(open=self._has_valve)
+        self._settle()
 
     def _input(self, record: ChannelRecord) -> str:
         driven = self._options.free_end == "actuator"
@@ -100,11 +101,29 @@ class Simulation:
             raise DeviceError(self._name, f'no input "{record.input}"{did_you_mean(record.input, known)}', record.name)
         return record.input
 
+    def _check_error(self, error: SensorError) -> None:
+        if error.reads and error.reads not in {channel.record.input for channel in self._channels}:
+            raise DeviceError(self._name, f'errors: no channel has the input "{error.reads}"')
+
+    @property
+    def time(self) -> float:
+        """The time that the plant has reached [s]."""
+        return self._plant.time
+
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle [Pa], without any error of a sensor."""
+        return self._plant.supply.value(self._plant.time)
+
     # -- commands, at the plant's time ----------------------------------------------------------------------------
 
     def command(self, output: str, segment: Segment, scale: Scale) -> None:
-        """Follow a segment in device units; `constant` goes to its origin at once."""
-        waves = _waves(segment, scale, self._plant.time)
+        """Follow a segment in device units; `constant` goes to its origin at once.
+
+        The pressure set-point ends at the regulator's range; ValueError for a sine that goes beyond.
+        """
+        limits = SETPOINTS if output == "pressure" else (-math.inf, math.inf)
+        waves = _waves(segment, scale, self._plant.time, limits)
         if output == "displacement" and isinstance(self._plant, DrivenPlant):
             self._plant.move(waves)
         elif output == "pressure":
@@ -118,6 +137,67 @@ class Simulation:
         held = plant.wanted if output == "displacement" and isinstance(plant, DrivenPlant) else plant.supply
         return held.setpoint(plant.time)
 
+    def halt(self, output: str) -> None:
+        """Stop where it is: an actuator at the place it has reached, the regulator at its set-point of now."""
+        if output == "displacement" and isinstance(self._plant, DrivenPlant):
+            self._plant.halt()
+        else:
+            self._plant.command(constant(self._plant.time, self.setpoint(output)))
+
+    def switch(self, *, on: bool) -> None:
+        """Energise the dump valve, which closes it, or not."""
+        self._valve = replace(self._valve, energised=on)
+        self._settle()
+
+    @property
+    def energised(self) -> bool:
+        """Whether the dump valve is commanded closed."""
+        return self._valve.energised
+
+    def e_stop_high(self) -> bool:
+        """Whether the emergency stop's contact is closed."""
+        return not self._is_due(self.faults.e_stop_at)
+
+    def fail(self, fault: str, at: float | None) -> None:
+        """Let a fault (field of `Faults`) happen at `at` [s]; None: it is over."""
+        self.faults = replace(self.faults, **{fault: at})
+        self._settle()
+
+    def disturb(self, channel: str, error: SensorError | None) -> None:
+        """Give a channel input an error from now on; None: it is right again."""
+        self.errors.pop(channel, None)
+        if error is not None:
+            self._check_error(error)
+            self.errors[channel] = error
+
+    def _is_due(self, at: float | None) -> bool:
+        return at is not None and at <= self._plant.time
+
+    def _settle(self) -> None:
+        """Bring the muscle's air in line with valve and faults as they are at this moment; the strongest one counts."""
+        faults, valve, supply, time = self.faults, self._valve, self._plant.supply, self._plant.time
+        held = None
+        if self._is_due(faults.regulator_stuck_at):
+            held = supply.value(time) if valve.held is None else valve.held
+        opens = valve.open and not valve.energised
+        if not valve.energised and self._has_valve and not self._is_due(faults.dump_stuck_at):
+            opens = True
+        forced: tuple[float, float] | None = None
+        if self._is_due(faults.burst_at):
+            forced = 0.0, BURST_LAG
+        elif opens:
+            forced = 0.0, self._options.dump_lag * self._options.slow_vent
+        elif self._is_due(faults.supply_lost_at):
+            forced = 0.0, SUPPLY_LAG
+        elif held is not None:
+            forced = held, self._regulator.lag
+        if forced != valve.forced:
+            if forced is None:
+                supply.release(time)
+            else:
+                supply.force(time, *forced)
+        self._valve = replace(valve, open=opens, held=held, forced=forced)
+
     def place(self, load: Load) -> None:
         """Change the load on the free end, unless an actuator holds it."""
         if isinstance(self._plant, Plant):
@@ -128,7 +208,7 @@ class Simulation:
     def start(self, rate: float) -> None:
         """Take sample 0 now."""
         self._rate, self._start_ns, self._due = rate, round(self._plant.time * 1e9), 0
-        self._pending = []
+        self._pending.clear()
 
     def stop(self) -> None:
         """Take no more samples."""
@@ -137,12 +217,13 @@ class Simulation:
     def collect(self) -> Block:
         """The samples taken since the last call."""
         self._sample(self._plant.time)
-        blocks, self._pending = self._pending, []
+        blocks = list(self._pending)
+        self._pending.clear()
         if len(blocks) == 1:
             return blocks[0]
         if not blocks:
             return Block([], {channel.record.name: [] for channel in self._channels})
-        return _block(
+        return as_block(
             np.concatenate([block.time for block in blocks]),
             {name: np.concatenate([block.columns[name] for block in blocks]) for name in blocks[0].columns},
         )
@@ -154,13 +235,14 @@ class Simulation:
         if now < self._plant.time:
             self._go_back(now)
         if now > self._plant.time:
-            self._remember()
+            if self._keep_for:
+                self._remember()
             self._run(now)
 
     def _remember(self) -> None:
         time = self._plant.time
-        self._memory.append(_Moment(time, self._plant.snapshot(), self._due))
-        while len(self._memory) > 1 and self._memory[1].time < time - MEMORY:
+        self._memory.append(_Moment(time, self._plant.snapshot(), self._due, self._valve, self._damage.stuck))
+        while len(self._memory) > 1 and self._memory[1].time < time - self._keep_for:
             self._memory.popleft()
 
     def _go_back(self, now: float) -> None:
@@ -171,23 +253,20 @@ class Simulation:
             raise DeviceError(self._name, f"cannot go back to {now} s")
         moment = self._memory[-1]
         self._plant.restore(moment.plant)
-        self._due = moment.due
-        faults = self._options.faults
-        if faults.burst_at is not None and moment.time < faults.burst_at:
-            self._burst = False
-        if faults.pressure_stuck_at is not None and now < faults.pressure_stuck_at:
-            self._stuck = None
+        self._due, self._valve, self._damage.stuck = moment.due, moment.valve, moment.stuck
         self._run(now)
-        self._pending = []
+        self._pending.clear()
 
     def _run(self, until: float) -> None:
-        """Advance to `until`, bursting on the way where that is due; samples up to there are made and kept."""
-        burst_at = self._options.faults.burst_at
-        if burst_at is not None and not self._burst and burst_at <= until:
-            if burst_at > self._plant.time:
-                self._sample(burst_at)
-            self._plant.supply.fail(self._plant.time, BURST_LAG)
-            self._burst = True
+        """Advance to `until`, stopping where a fault of the plant begins; samples up to there are made and kept."""
+        faults = self.faults
+        for at in sorted(
+            at
+            for at in (faults.burst_at, faults.supply_lost_at, faults.regulator_stuck_at, faults.dump_stuck_at)
+            if at is not None and self._plant.time < at <= until
+        ):
+            self._sample(at)
+            self._settle()
         self._sample(until)
 
     def _sample(self, until: float) -> None:
@@ -211,12 +290,13 @@ class Simulation:
 
     def _many(self, first: int, last: int, until: float) -> None:
         time_ns = self._start_ns + np.rint(np.arange(first, last) * (1e9 / self._rate)).astype(np.int64)
+        supply = self._supply()
         motion = self._plant.advance(until, time_ns / 1e9)
         values = {
             "pressure": motion.P,
             "displacement": motion.x,
             "force": motion.F,
-            "supply": np.full(len(time_ns), self._options.supply),
+            "supply": np.full(len(time_ns), supply),
             "pressure_set": motion.P_set,
             "displacement_set": motion.x_set,
         }
@@ -233,7 +313,7 @@ class Simulation:
             "pressure": P,
             "displacement": x,
             "force": F,
-            "supply": self._options.supply,
+            "supply": self._supply(),
             "pressure_set": plant.supply.setpoint(plant.time),
             "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
         }
@@ -245,47 +325,34 @@ class Simulation:
         """Number of a sample counted from bench time 0: the noise belongs to the moment."""
         return round(time_ns * self._rate / 1e9)
 
+    def _supply(self) -> float:
+        return 0.0 if self._is_due(self.faults.supply_lost_at) else self._options.supply
+
     def _keep(self, time_ns: list[int] | NDArray[np.int64], columns: dict[str, Column]) -> None:
-        block = _block(time_ns, columns)
-        if self._options.faults != _NO_FAULTS:
-            block = self._with_faults(block)
-        self._pending.append(block)
-
-    # -- faults of the channels -----------------------------------------------------------------------------------
-
-    def _with_faults(self, block: Block) -> Block:
-        faults = self._options.faults
-        time = np.asarray(block.time, dtype=np.int64)
-        columns = {name: np.array(column) for name, column in block.columns.items()}
-        seconds = time / 1e9
-        for channel in self._channels:
-            column = columns[channel.record.name]
-            if faults.pressure_stuck_at is not None and channel.record.input == "pressure":
-                stuck = seconds >= faults.pressure_stuck_at
-                if stuck.any():
-                    self._stuck = float(column[stuck.argmax()]) if self._stuck is None else self._stuck
-                    column[stuck] = self._stuck
-            if faults.nan_at is not None and channel.record.input in SENSORS:
-                column[seconds >= faults.nan_at] = channel.low if channel.counts else np.nan
-        if faults.gap_at is not None:
-            kept = (seconds < faults.gap_at) | (seconds >= faults.gap_at + GAP)
-            return _block(time[kept], {name: column[kept] for name, column in columns.items()})
-        return _block(time, columns)
+        self._pending.append(self._damage.done(as_block(time_ns, columns), self.faults, self.errors))
 
 
-_NO_FAULTS = type(Options().faults)()
+def _known(device: str, word: str, names: list[str], only: str) -> None:
+    for name in names:
+        if name != only:
+            raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, [only])}')
 
 
-def _waves(segment: Segment, scale: Scale, now: float) -> tuple[Wave, ...]:
-    """A segment in device units as waves in SI; it begins now if its start has passed."""
-    start, origin = max(segment.start, now), float(scale.to_si(segment.origin))
+def _waves(segment: Segment, scale: Scale, now: float, limits: tuple[float, float]) -> tuple[Wave, ...]:
+    """A segment in device units as waves in SI within `limits`; it begins now if its start has passed."""
+    start, origin = max(segment.start, now), _inside(float(scale.to_si(segment.origin)), limits)
     if segment.kind == "ramp":
-        return ramp(start, origin, float(scale.to_si(segment.target)), abs(segment.rate * scale.slope))
+        target = _inside(float(scale.to_si(segment.target)), limits)
+        return ramp(start, origin, target, abs(segment.rate * scale.slope))
     if segment.kind == "sine":
-        return sine(start, origin, segment.amplitude * scale.slope, segment.frequency, segment.cycles)
+        amplitude = segment.amplitude * scale.slope
+        low, high = origin - abs(amplitude), origin + abs(amplitude)
+        slack = 1e-4 * (limits[1] - limits[0])
+        if low < limits[0] - slack or high > limits[1] + slack:
+            raise ValueError(f"a sine from {low:.6g} to {high:.6g} is outside of what can be set")
+        return sine(start, origin, amplitude, segment.frequency, segment.cycles)
     return constant(start, origin)
 
 
-def _block(time: Any, columns: Mapping[str, Any]) -> Block:
-    """A block of lists or arrays."""
-    return Block(time, columns)
+def _inside(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])

@@ -1,0 +1,113 @@
+"""The channels of the mock bench: noise, counts, and what may be wrong with a sensor; knows no plant, no link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.bench.interface import Block, ChannelRecord
+from pmabench.model.sensors import NoiseSource
+from pmabench_drivers.mock.options import INPUTS, SENSORS, Faults, SensorError
+
+GAP = 0.02
+Column = list[float] | NDArray[Any]
+
+
+class Channel:
+    """One channel: its noise, and the way from SI to what the device gives."""
+
+    def __init__(self, record: ChannelRecord, sigma: float, seed: int) -> None:
+        self.record = record
+        self.counts = record.raw_type == "int32"
+        self._sigma = sigma
+        self._noise = NoiseSource(seed, INPUTS.index(record.input))
+        self.ends = float(record.scale.to_raw(record.low)), float(record.scale.to_raw(record.high))
+        self.low, self.high = round(min(self.ends)), round(max(self.ends))
+
+    def raw(self, si: NDArray[np.float64], first: int) -> Column:
+        """Device units of consecutive samples in SI, the first of which has the number `first`."""
+        if self._sigma:
+            si = si + self._sigma * self._noise.samples(first, len(si))
+        return self._given(self.record.scale.to_raw(si))
+
+    def raw_one(self, si: float, number: int) -> float:
+        """The same for one sample."""
+        if self._sigma:
+            si += self._sigma * self._noise.one(number)
+        raw = self.record.scale.to_raw(si)
+        return min(max(round(raw), self.low), self.high) if self.counts else float(raw)
+
+    def wrong(self, raw: NDArray[Any], error: SensorError) -> NDArray[Any]:
+        """What the device gives instead of `raw` when its sensor has that error."""
+        if error.end:
+            return np.full(raw.shape, self._given(np.array(self.ends[error.end == "high"])), dtype=raw.dtype)
+        scale = self.record.scale
+        return self._given(scale.to_raw(error.factor * scale.to_si(raw) + error.offset))
+
+    def _given(self, raw: Any) -> NDArray[Any]:
+        if not self.counts:
+            return np.asarray(raw, dtype=np.float64)
+        return np.asarray(np.clip(np.rint(raw), self.low, self.high), dtype=np.int32)
+
+
+class Damage:
+    """What is done to blocks that the channels gave: wrong readings, lost samples, a clock that runs wrong.
+
+    `stuck` is the value that the stuck pressure channel repeats [device units]; None while it does not.
+    """
+
+    def __init__(self, channels: Sequence[Channel], clock_ppm: float, clock_offset: float) -> None:
+        self._channels = channels
+        self._by_input = {channel.record.input: channel for channel in channels}
+        self._rate, self._offset_ns = 1e-6 * clock_ppm, round(clock_offset * 1e9)
+        self.stuck: float | None = None
+
+    def done(self, block: Block, faults: Faults, errors: Mapping[str, SensorError]) -> Block:
+        """The block as it arrives; `faults` and `errors` are those of this moment."""
+        if faults == NO_FAULTS and not errors and not self._rate and not self._offset_ns:
+            return block
+        time = np.asarray(block.time, dtype=np.int64)
+        columns = {name: np.array(column) for name, column in block.columns.items()}
+        seconds = time / 1e9
+        self._errors(columns, seconds, errors)
+        for channel in self._channels:
+            column = columns[channel.record.name]
+            if faults.pressure_stuck_at is not None and channel.record.input == "pressure":
+                stuck = seconds >= faults.pressure_stuck_at
+                if stuck.any():
+                    self.stuck = float(column[stuck.argmax()]) if self.stuck is None else self.stuck
+                    column[stuck] = self.stuck
+            if faults.nan_at is not None and channel.record.input in SENSORS:
+                column[seconds >= faults.nan_at] = channel.low if channel.counts else np.nan
+        if faults.gap_at is not None:
+            kept = (seconds < faults.gap_at) | (seconds >= faults.gap_at + GAP)
+            time, columns = time[kept], {name: column[kept] for name, column in columns.items()}
+        if self._rate or self._offset_ns:
+            time = time + np.rint(self._rate * time).astype(np.int64) + self._offset_ns
+        return as_block(time, columns)
+
+    def _errors(
+        self, columns: dict[str, NDArray[Any]], seconds: NDArray[np.float64], errors: Mapping[str, SensorError]
+    ) -> None:
+        own = dict(columns)
+        for channel in self._channels:
+            error = errors.get(channel.record.input)
+            if error is None:
+                continue
+            raw = own[channel.record.name]
+            if error.reads:
+                raw = np.asarray(own[self._by_input[error.reads].record.name])
+            columns[channel.record.name] = np.where(
+                seconds >= error.at, channel.wrong(raw, error), own[channel.record.name]
+            )
+
+
+NO_FAULTS = Faults()
+
+
+def as_block(time: Any, columns: Mapping[str, Any]) -> Block:
+    """A block of lists or arrays."""
+    return Block(time, columns)
