@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -25,9 +26,9 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
     """Fit the coefficients of one or more RUNS, kind by kind, each with its 95 % interval."""
     from pmabench.analysis.reduce import verdicts
 
-    loaded = load_runs(runs)
+    loaded = load_runs(without_analyses(ui, runs))
     analyses = analyse(loaded)
-    folder = out or _beside(runs[0].resolve().parent) / "analyses" / loaded[0].id
+    folder = out or _beside(Path(loaded[0].path).resolve().parent) / "analyses" / loaded[0].id
     folders = write(analyses, loaded, folder)
     failed = verdicts(loaded, analyses)
     data = {
@@ -43,7 +44,7 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
             click.echo(f"NOT ACCEPTED: {verdict}")
         click.echo("\n".join(str(path) for path in folders))
 
-    ui.result(data, human)
+    ui.result(data, human, [*(f"NOT ACCEPTED: {verdict}" for verdict in failed), *(str(path) for path in folders)])
     return 6 if failed else None
 
 
@@ -52,9 +53,24 @@ def _beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
+def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
+    """The paths that are no folders of analyses, which lie among runs that are named with `*`; those are told."""
+    skipped = [path for path in paths if _holds_analyses(path)]
+    if len(skipped) == len(paths):
+        raise invalid(paths[0], "holds analyses and no run; give run folders")
+    for path in skipped:
+        ui.note(f"{path}: holds analyses, skipped")
+    return [path for path in paths if path not in skipped]
+
+
+def _holds_analyses(path: Path) -> bool:
+    if not path.is_dir() or (path / "manifest.json").exists():
+        return False
+    return any(next(path.glob(pattern), None) for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json"))
+
+
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.base.errors import InvalidFile, Problem
     from pmabench.store.reader import open_run
 
     loaded, problems = [], list[Problem]()

@@ -16,12 +16,13 @@ from pmabench.cli.common import Ui, common
 @common
 def command(ui: Ui, sources: tuple[Path, ...], output: Path, title: str | None) -> int | None:
     """Write the characterisation report of runs (processed now) or of analysis folders."""
-    from pmabench.cli.process import analyse, load_runs
+    from pmabench.cli.process import analyse, load_runs, without_analyses
     from pmabench.report.analysis_folder import read_analysis, runs_of
     from pmabench.report.html import write_report
 
     folders = [source for source in sources if (source / "analysis.json").is_file()]
-    runs = load_runs([source for source in sources if source not in folders])
+    others = [source for source in sources if source not in folders]
+    runs = load_runs(without_analyses(ui, others) if others else [])
     analyses = [read_analysis(folder) for folder in folders]
     for folder in folders:
         runs += load_runs(runs_of(folder))

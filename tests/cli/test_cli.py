@@ -172,13 +172,21 @@ def test_process_twice_gives_the_same_bytes(run_folder, tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
-def test_analyses_go_beside_the_runs_so_that_all_runs_can_be_named_at_once(tmp_path):
-    out = tmp_path / "runs"
+@pytest.mark.parametrize("name", ["runs", "lab"])
+def test_all_runs_can_be_named_at_once_wherever_analyses_lie(tmp_path, name):
+    out = tmp_path / name
     call("run", "sinusoidal-displacement", "--bench", "mock-actuator", "--specimen", "mas-20-250-paper0", "--out", out,
          "--set", "sweep.repeat.count=1", "--set", "sweep.matrix.frequency=[1 Hz, 3 Hz]", "-q")  # fmt: skip
-    for _ in range(2):
-        call("process", *out.glob("*"), "-q")
-    assert list((tmp_path / "analyses").glob("*/sinusoidal-displacement/analysis.json"))
+    first = call("process", *sorted(out.glob("*")), "-q").stdout
+    again = call("process", *sorted(out.glob("*"), reverse=True))
+    place = tmp_path if name == "runs" else out
+    (folder,) = (place / "analyses").glob("*/sinusoidal-displacement")
+    assert first.splitlines() == [str(folder)]
+    assert ("analyses: holds analyses, skipped" in again.stderr) == (name == "lab")
+    assert f"{folder}: holds analyses, skipped" in call("process", folder, *out.glob("2*")).stderr
+    assert "give run folders" in call("process", place / "analyses", code=3).output
+    report = call("report", *sorted(out.glob("*")), "-o", tmp_path / "r.html")
+    assert ("holds analyses, skipped" in report.stderr) == (name == "lab")
 
 
 def test_process_of_what_is_no_run_exits_3(tmp_path):
