@@ -232,10 +232,10 @@ class Regulated:
         """
         band = self.regulator.dead_band
         if wave.steady:
-            edge, left = wave.level - (way or 1) * band, self._trace
-            if way > 0 or not self.regulator.leak or not left.level < edge < left.value(t):
+            edge, trace = wave.level - (way or 1) * band, self._trace
+            if way > 0 or not self.regulator.leak or not trace.level < edge < trace.value(t):
                 return end
-            after = left.lag * math.log(left.decay / (edge - left.level))
+            after = trace.lag * math.log(trace.decay / (edge - trace.level))
             return min(end, max(to_nanosecond(t + after), to_nanosecond(t + 1e-9)))
 
         def beyond(at: Array) -> Array:
