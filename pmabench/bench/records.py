@@ -240,7 +240,7 @@ class CompiledBench:
     def from_json(cls, text: str) -> CompiledBench:
         """The inverse of `to_json`."""
         data = json.loads(text)
-        data["devices"] = tuple(_device(item) for item in data["devices"])
+        data["devices"] = tuple(device_from(item) for item in data["devices"])
         data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
         data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
         if data.get("proof") is not None:
@@ -248,7 +248,8 @@ class CompiledBench:
         return cls(**data)
 
 
-def _device(data: dict[str, Any]) -> DeviceRecord:
+def device_from(data: Mapping[str, Any]) -> DeviceRecord:
+    """A device from its JSON object, as `dataclasses.asdict` gives it."""
     channels = tuple(
         ChannelRecord(
             **{
