@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pmabench.analysis.results import Trace
+from pmabench.analysis.sine_fit import Muscle
 from pmabench.analysis.sine_loop import Sine, along
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
@@ -14,18 +15,16 @@ from pmabench.store.records import Array
 LONGEST_TRACE = 1500
 
 
-def traces_of(
-    at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: tuple[float, float, float]
-) -> list[Trace]:
+def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle) -> list[Trace]:
     """One loop per frequency (the last cycle of its first trial), and the Bode table.
 
-    `sines` by frequency [Hz]; `muscle` is K [N/m], B [N.s/m], F_c [N].
+    `sines` by frequency [Hz].
     """
     where = ", ".join(
         show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
     )
     name = "-".join(f"{at[key]:g}" for key in at)
-    K, B, F_c = muscle
+    K, B, F_c = muscle.K, muscle.B, muscle.F_c
     traces = []
     groups = sorted(sines.items())
     for frequency, members in groups:
