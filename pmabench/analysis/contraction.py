@@ -52,27 +52,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     options = options or {}
     campaign, dropped = gather(runs)
-    base: dict[str, Any] = {
-        "kind": KIND,
-        "runs": tuple(run.id for run in runs),
-        "simulated": any(run.simulated for run in runs),
-    }
     pooled = _pool(campaign, options) if campaign is not None else None
     if campaign is None or pooled is None:
         reason = "no trial moves: there is nothing to fit"
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis(**base, dropped=tuple(dropped), findings=(Finding("fault", reason),), facts=facts)
+        return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
     estimates, curves = _estimates(campaign, pooled)
     beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
     traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
-    return Analysis(
-        **base,
+    return Analysis.of(
+        KIND,
+        runs,
         estimates=(*estimates, *beside.estimates),
         curves=(*curves, *beside.curves),
-        dropped=tuple(dropped),
+        dropped=dropped,
         findings=(*contraction_view.findings(campaign, pooled, estimates, free_run), *beside.findings),
         traces=traces,
         facts={

@@ -5,15 +5,16 @@ Knows the manifest of imports; no reduction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
-from pmabench.analysis.results import Finding
+from pmabench.analysis.results import Dropped, Finding
 from pmabench.store.records import Flag, RunData, TrialData
 
 LEVELS = ("fault", "doubt", "note")
+Measured = TypeVar("Measured")
 
 
 def import_of(run: RunData) -> Mapping[str, Any]:
@@ -39,6 +40,30 @@ def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
     """How much older a channel's values are than their time stamps, least and most [s]; None where it is not told."""
     told = (import_of(run).get("late_by") or {}).get(channel)
     return None if told is None else (float(told[0]), float(told[1]))
+
+
+def measured(
+    runs: Sequence[RunData],
+    options: Mapping[str, Any],
+    measure: Callable[[TrialData, tuple[float, float]], Measured | str],
+) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
+    """What `measure` makes of every trial and the lateness of its pressure, and the trials for which it gives a reason.
+
+    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs tell it.
+    """
+    found: list[tuple[RunData, Measured]] = []
+    dropped: list[Dropped] = []
+    told = True
+    for run in runs:
+        late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
+        told = told and late is not None
+        for trial in run.trials:
+            one = measure(trial, late or (0.0, 0.0))
+            if isinstance(one, str):
+                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, one))
+            else:
+                found.append((run, one))
+    return found, dropped, told
 
 
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:

@@ -125,15 +125,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces.append(_trace(contraction, tests, line, above))
     if estimates and all(estimate.parts.calibration is None for estimate in estimates):
         findings.append(Finding("note", "the record says nothing of how well force and pressure were calibrated"))
-    return Analysis(
-        kind=runs[0].kind if runs else "isometric",
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
+    return Analysis.of(
+        runs[0].kind if runs else "isometric",
+        runs,
         estimates=(*estimates, *others),
-        curves=tuple(curves),
-        dropped=tuple(dropped),
+        curves=curves,
+        dropped=dropped,
         findings=(*import_findings(runs), *findings),
-        traces=tuple(traces),
+        traces=traces,
         facts={"rule": rule, "cells": cells, "flagged": flagged_counts(runs)},
     )
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.imported import flagged_counts, import_findings, late_by, unusable_because
+from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.lines import mean_half
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.sine_loop import three_parameter
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -80,18 +80,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     its range is the `method` part. K and B do not follow from x and P alone: F_ce(P) stands between them.
     """
     options = options or {}
-    sines: list[tuple[RunData, Sine]] = []
-    dropped: list[Dropped] = []
-    told = True
-    for run in runs:
-        late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
-        told = told and late is not None
-        for trial in run.trials:
-            sine = measure(trial, late or (0.0, 0.0))
-            if isinstance(sine, str):
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, sine))
-            else:
-                sines.append((run, sine))
+    sines, dropped, told = measured(runs, options, measure)
     groups: dict[float, list[tuple[RunData, Sine]]] = {}
     for run, sine in sines:
         groups.setdefault(round(sine.frequency, 6), []).append((run, sine))
@@ -101,14 +90,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
     first = [group[0][1] for _, group in sorted(groups.items())]
     findings += _over_frequency(first)
-    return Analysis(
-        kind=KIND,
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
-        estimates=tuple(estimates),
-        dropped=tuple(dropped),
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=estimates,
+        dropped=dropped,
         findings=(*import_findings(runs), *findings),
-        traces=tuple([_loop(sine) for sine in first] + ([_bode(first)] if first else [])),
+        traces=([_loop(sine) for sine in first] + ([_bode(first)] if first else [])),
         facts={
             "options": dict(options),
             "trials": len(sines),

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.imported import flagged_counts, import_findings, late_by, unusable_because
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.steps import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -98,18 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     [[least, most] in s] instead of what the record says.
     """
     options = options or {}
-    steps: list[tuple[RunData, Step]] = []
-    dropped: list[Dropped] = []
-    told = False
-    for run in runs:
-        late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
-        told = told or late is not None
-        for trial in run.trials:
-            step = measure(trial, late or (0.0, 0.0))
-            if isinstance(step, str):
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, step))
-            else:
-                steps.append((run, step))
+    steps, dropped, told = measured(runs, options, measure)
     groups: dict[tuple[float, float], list[tuple[RunData, Step]]] = {}
     for run, step in steps:
         point = step.trial.point
@@ -125,14 +114,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if any(e.symbol == "K" and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
-    return Analysis(
-        kind=KIND,
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
-        estimates=tuple(estimates),
-        dropped=tuple(dropped),
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=estimates,
+        dropped=dropped,
         findings=(*import_findings(runs), *findings),
-        traces=tuple(_trace(group[0][1]) for _, group in sorted(groups.items())),
+        traces=(_trace(group[0][1]) for _, group in sorted(groups.items())),
         facts={
             "options": dict(options),
             "trials": len(steps),

@@ -5,13 +5,15 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pmabench.store.records import RunData
 
 SCHEMA = "pmabench.analysis/1"
 POSITIVE = frozenset(("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "t_d", "tau_c", "tau_r", "tau_P", "K_u", "T_u"))
@@ -163,6 +165,32 @@ class Analysis:
     traces: tuple[Trace, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of trials and cells used, residual rms, options, in SI."""
+
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        runs: Sequence[RunData],
+        *,
+        estimates: Iterable[Estimate] = (),
+        curves: Iterable[Curve] = (),
+        dropped: Iterable[Dropped] = (),
+        findings: Iterable[Finding] = (),
+        traces: Iterable[Trace] = (),
+        facts: Mapping[str, Any] | None = None,
+    ) -> Analysis:
+        """What was found in `runs`, of which one that is simulated makes all simulated."""
+        return cls(
+            kind,
+            tuple(run.id for run in runs),
+            any(run.simulated for run in runs),
+            tuple(estimates),
+            tuple(curves),
+            tuple(dropped),
+            tuple(findings),
+            tuple(traces),
+            facts or {},
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON object; traces by name only, their numbers lie beside it."""

@@ -59,14 +59,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             findings.append(Finding("note", text))
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
-    return Analysis(
-        kind=KIND,
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
-        estimates=tuple(estimates),
-        dropped=tuple(dropped),
-        findings=tuple(findings),
-        traces=tuple(traces),
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=estimates,
+        dropped=dropped,
+        findings=findings,
+        traces=traces,
         facts={
             "options": dict(options),
             "trials": len(members),

@@ -106,14 +106,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if MEAN in lines and friction is not None:
         text = f"lift and set-down lie {show(2 * friction, 'force', 3)} apart: friction of about half of that"
         findings.append(Finding("note", f"{text}, between sliding and static"))
-    return Analysis(
-        kind=KIND,
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
-        estimates=tuple(estimates),
-        curves=tuple(curves),
-        dropped=tuple(dropped),
-        findings=tuple(findings),
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=estimates,
+        curves=curves,
+        dropped=dropped,
+        findings=findings,
         traces=_traces(runs, points),
         facts={
             "options": dict(options or {}),

@@ -90,14 +90,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
             findings.append(tuning.plausibility(T_u.value, model, K_u.value))
     findings += _schedule(estimates)
-    return Analysis(
-        kind=KIND,
-        runs=tuple(run.id for run in runs),
-        simulated=any(run.simulated for run in runs),
-        estimates=tuple(estimates),
-        dropped=tuple(dropped),
-        findings=tuple(findings),
-        traces=tuple(traces),
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=estimates,
+        dropped=dropped,
+        findings=findings,
+        traces=traces,
         facts={
             "options": dict(options),
             "trials": sum(len(cell.good) for cell in cells),
