@@ -84,7 +84,9 @@ def _confirm(
         return None
     channel = channels[target]
     below = c.si(file.below, channel.quantity, (*at, "below"))
-    if not channel.low < below < channel.high:
+    if target == "pressure" and below <= 0:
+        c.fault((*at, "below"), "a pressure above zero is expected: a vent ends at that of the room")
+    elif not channel.low < below < channel.high:
         c.fault((*at, "below"), f"{show(below, channel.quantity)} is not inside the channel's range")
     elif target == "pressure" and below > c.bench.hands.below:
         hands = f"{show(c.bench.hands.below, 'pressure')} ({c.place('hands', 'below')})"

@@ -82,6 +82,9 @@ def _range(
     if high is not None and low is not None and low >= high:
         c.fault((*at, "trip_low"), "lies at or above the upper trip limit")
     if high is not None:
+        if high <= 0:
+            c.fault((*at, "trip"), "a value above zero is expected: the bench would trip where it rests")
+            return None
         _inside(c, (*at, "trip"), high, channel)
         _above_commands(c, name, high, channel, outputs)
         if name == "pressure":
