@@ -101,9 +101,8 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None, warnings: list[str]) -> None:
-    from rich.table import Table
-
     from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+    from pmabench.report.terminal import print_grid
 
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
@@ -116,16 +115,11 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
     console.print(
         f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, {_size(summary['bytes'])}"
     )
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("command", "lowest", "highest", "limit", "set by"):
-        table.add_column(name, justify="right" if name in {"lowest", "highest", "limit"} else "left", no_wrap=True)
+    rows = []
     for name, span in summary["commands"].items():
-        quantity = span["quantity"]
-        limit = show(span["limits"][1], quantity)
-        table.add_row(
-            name, show(span["lowest"], quantity), show(span["highest"], quantity), limit, span["limits_from"][1]
-        )
-    console.print(table)
+        numbers = [show(value, span["quantity"]) for value in (span["lowest"], span["highest"], span["limits"][1])]
+        rows.append([name, *numbers, span["limits_from"][1]])
+    print_grid(console, ["command", "lowest", "highest", "limit", "set by"], rows, ("command", "set by"))
     for warning in warnings:
         console.print(warning)
     if peaks is not None:

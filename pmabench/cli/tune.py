@@ -164,14 +164,8 @@ def _plausible(period: Estimate, dead_time: str | None, lags: tuple[str, ...]) -
 
 
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
-    from rich.table import Table
-
     from pmabench.base.quantities import QUANTITIES
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("rule", no_wrap=True)
-    for name in ("K_p", "T_i", "T_d", "K_i", "K_d"):
-        table.add_column(name, justify="right", no_wrap=True)
+    from pmabench.report.terminal import print_grid
 
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
@@ -182,13 +176,16 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
         return quantity.show(estimate.value, 4)
 
     known = any(row.margins is not None for row in gains)
-    for name in ("M_s", "gain margin", "phase margin", "overshoot") if known else ():
-        table.add_column(name, justify="right", no_wrap=True)
+    heads = ["rule", "K_p", "T_i", "T_d", "K_i", "K_d"]
+    heads += ["M_s", "gain margin", "phase margin", "overshoot"] if known else []
+    rows = []
     for row in gains:
         cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
-        if row.margins is not None:
+        if known and row.margins is None:
+            cells += [""] * 4
+        elif row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
             cells.append("" if row.overshoot is None else f"{100 * row.overshoot:.0f} %")
-        table.add_row(row.rule.title, *cells)
-    ui.console().print(table)
+        rows.append([row.rule.title, *cells])
+    print_grid(ui.console(), heads, rows, ("rule",))

@@ -13,6 +13,7 @@ import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.rounding import half_width, rounded
+from pmabench.report.terminal import print_grid
 from pmabench.report.wording import (
     AGREEMENT,
     HEADLINES,
@@ -304,7 +305,6 @@ def _numbers(value: Any) -> dict[str, float]:
 
 def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
     """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
-    from rich.table import Table as Grid
     from rich.text import Text
 
     for analysis in analyses:
@@ -315,13 +315,9 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
             frame = _pivot(members) if names else _whole(members).drop(columns="quantity")
             for method, rows in frame.groupby("method", sort=False):
                 console.print(Text(f"  {method}", style="italic"))
-                grid = Grid(box=None, pad_edge=False, header_style="bold")
                 body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
-                for head in body.columns:
-                    grid.add_column(Text(str(head)), justify="left" if head in ("symbol", "unit") else "right")
-                for row in body.itertuples(index=False):
-                    grid.add_row(*(Text(str(value)) for value in row))
-                console.print(grid)
+                cells = [[str(value) for value in row] for row in body.itertuples(index=False)]
+                print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
         if beside:
             console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()

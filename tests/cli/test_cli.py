@@ -208,6 +208,24 @@ def test_tune_never_prints_the_papers_misprints():
     assert "without a unit" in text
 
 
+@pytest.mark.parametrize("columns", ["40", "60", "80"])
+def test_no_number_is_cut_in_a_narrow_terminal(run_folder, tmp_path, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    tune = ["tune", "--ku", "7.1 bar/cm", "--tu", "9 s"]
+    shown = call(*tune).output
+    for value in ("35.5 kPa/mm", "31.95 kPa/mm", "4.26 kPa/(mm.s)", "47.92 kPa.s/mm", "1.125 s"):
+        assert value in shown
+    narrow = call("process", run_folder, "--out", tmp_path / "a").output
+    monkeypatch.setenv("COLUMNS", "300")
+    wide = call("process", run_folder, "--out", tmp_path / "b").output
+    numbers = re.findall(r"[\d.]+ ± [\d.]+", wide)
+    assert len(numbers) > 5
+    assert sorted(re.findall(r"[\d.]+ ± [\d.]+", narrow)) == sorted(numbers)
+    monkeypatch.setenv("COLUMNS", columns)
+    assert "600 kPa" in call("check", "contraction-relaxation", *MOCK).output
+    assert "8/8" in call("runs", "list", run_folder.parent).output
+
+
 def test_tune_says_what_cannot_be():
     out = call(
         "tune", "--ku", "7.1 bar/cm", "--tu", "9 s", "--dead-time", "40 ms", "--lag", "0.22 s", "--lag", "0.25 s"

@@ -1,0 +1,86 @@
+"""Tables of text for a terminal of any width: numbers are never cut or broken; computes nothing.
+
+Where a table is wider than the terminal its heads and texts are wrapped; where that is not enough it is printed in
+several parts, each beginning with the key columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+GAP = "  "
+TEXT = 12
+"""A text is not squeezed into less than this."""
+
+
+def print_grid(
+    console: Console, heads: Sequence[str], rows: Sequence[Sequence[str]], texts: Collection[str] = (), keys: int = 1
+) -> None:
+    """Print `rows` under `heads`; columns in `texts` are left-justified and may be wrapped, the others hold numbers.
+
+    The first `keys` columns stand in every part of a table that must be parted.
+    """
+    from rich.text import Text
+
+    columns = [[head, *(row[index] for row in rows)] for index, head in enumerate(heads)]
+    least = [_least(cells, text=head in texts) for head, cells in zip(heads, columns, strict=True)]
+    whole = [max(map(len, cells)) for cells in columns]
+    for number, part in enumerate(_parts(least, min(keys, len(heads)), console.width)):
+        widths = _widths([least[i] for i in part], [whole[i] for i in part], console.width)
+        if number:
+            console.print()
+        for line in range(len(rows) + 1):
+            cells = [
+                [text if heads[i] in texts else text.rjust(width) for text in _broken(columns[i][line], width)]
+                for i, width in zip(part, widths, strict=True)
+            ]
+            for at in range(max(map(len, cells))):
+                texts_of_line = [cell[at] if at < len(cell) else "" for cell in cells]
+                padded = (text.ljust(width) for text, width in zip(texts_of_line, widths, strict=True))
+                style = "bold" if line == 0 else ""
+                console.print(Text(GAP.join(padded).rstrip(), style=style), soft_wrap=True)
+
+
+def _least(cells: Sequence[str], *, text: bool) -> int:
+    """The narrowest that a column may become: a number stays in one piece, words and heads break at blanks."""
+    head = max((len(word) for word in cells[0].split()), default=0)
+    widths = [len(cell) if any(sign.isdigit() for sign in cell) else _word(cell) for cell in cells[1:]]
+    longest = max([head, *widths])
+    return min(longest, max(TEXT, head)) if text else longest
+
+
+def _word(cell: str) -> int:
+    return max((len(word) for word in cell.split()), default=0)
+
+
+def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
+    """Indices of the columns of each part; a part has one column beside the keys, even where that is too wide."""
+    first = list(range(keys))
+    parts: list[list[int]] = [list(first)]
+    for index in range(keys, len(least)):
+        part = [*parts[-1], index]
+        if len(parts[-1]) > keys and sum(least[i] for i in part) + len(GAP) * (len(part) - 1) > width:
+            parts.append([*first, index])
+        else:
+            parts[-1] = part
+    return parts
+
+
+def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
+    """The widths: as least, and what is left over in order to those that want more."""
+    left = width - sum(least) - len(GAP) * (len(least) - 1)
+    widths = []
+    for low, high in zip(least, whole, strict=True):
+        more = max(0, min(high - low, left))
+        left -= more
+        widths.append(low + more)
+    return widths
+
+
+def _broken(cell: str, width: int) -> list[str]:
+    return wrap(cell, max(width, 1)) or [""] if len(cell) > width else [cell]
