@@ -28,17 +28,15 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
     rows = [vars(row) if not isinstance(row, dict) else row for row in catalogue(folder)]
 
     def human() -> None:
-        from rich.table import Table
+        from pmabench.report.terminal import print_grid
 
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        names = ["id", "status", "trials", "duration", "specimen"]
-        for name in names:
-            table.add_column(name, overflow="fold")
+        table = []
         for row in rows:
             trials = f"{row['trials_finished']}/{row['trials_planned']}"
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
-            table.add_row(row["id"], row["status"], trials, length, row["specimen"])
-        ui.console(columns=200).print(table)
+            table.append([row["id"], row["status"], trials, length, row["specimen"]])
+        texts = ("id", "status", "specimen")
+        print_grid(ui.console(columns=200), ["id", "status", "trials", "duration", "specimen"], table, texts)
 
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
     return None
