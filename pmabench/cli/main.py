@@ -27,6 +27,7 @@ COMMANDS = {
     "report": ("report", "Write the characterisation report as one HTML file."),
     "tune": ("tune", "Controller settings from an ultimate gain and period."),
     "runs": ("runs", "List, show and verify recorded runs."),
+    "note": ("note", "Append a note, a file or an exclusion to a recorded run."),
     "schema": ("schema", "Print the JSON Schema of a kind of file."),
 }
 """Command -> its module in this package and the line that `--help` shows."""

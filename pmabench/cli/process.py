@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.base.errors import invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -26,20 +26,30 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
     """Fit the coefficients of one or more RUNS, kind by kind, each with its 95 % interval."""
     from pmabench.analysis.reduce import verdicts
 
-    loaded = load_runs(without_analyses(ui, runs))
+    given = without_analyses(ui, runs)
+    loaded = load_runs(given)
     analyses = analyse(loaded)
-    folder = out or _beside(Path(loaded[0].path).resolve().parent) / "analyses" / loaded[0].id
+    first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
+    folder = out or _beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
     failed = verdicts(loaded, analyses)
-    data = {
+    data: dict[str, Any] = {
         "schema": "pmabench.process/1",
         "folders": [str(path) for path in folders],
         "analyses": [analysis.to_dict() for analysis in analyses],
         "verdicts": failed,
+        "excluded": [
+            {"run": run.id, "trial": note.exclude, "because": note.because, "operator": note.operator}
+            for run in loaded
+            for note in run.notes
+            if note.exclude is not None
+        ],
     }
 
     def human() -> None:
         print_analyses(ui, analyses)
+        for entry in data["excluded"]:
+            click.echo("{run}: trial {trial} is left out by {operator}: {because}".format(**entry))
         for verdict in failed:
             click.echo(f"NOT ACCEPTED: {verdict}")
         click.echo("\n".join(str(path) for path in folders))
@@ -70,18 +80,10 @@ def _holds_analyses(path: Path) -> bool:
 
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
-    """Every run, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.reader import open_run
+    """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
+    from pmabench.store.chain import open_chains
 
-    loaded, problems = [], list[Problem]()
-    for path in paths:
-        try:
-            loaded.append(open_run(path))
-        except InvalidFile as error:
-            problems.extend(error.problems)
-    if problems:
-        raise InvalidFile(problems)
-    return loaded
+    return open_chains(paths)
 
 
 def analyse(runs: Sequence[RunData]) -> list[Analysis]:

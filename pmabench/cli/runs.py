@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.store.records import RunData
 
 
 @click.group(name="runs")
@@ -47,6 +50,7 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
+    from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
 
     data = open_run(run)
@@ -59,10 +63,20 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "manifest": dict(data.manifest),
         "channels": {name: vars(channel) for name, channel in data.channels.items()},
         "trials": [
-            {"index": t.index, "point": dict(t.point), "repeat": t.repeat, "status": t.status, "rows": len(t.t)}
+            {
+                "index": t.index,
+                "point": dict(t.point),
+                "repeat": t.repeat,
+                "attempt": t.attempt,
+                "status": t.status,
+                "rows": len(t.t),
+            }
             for t in data.trials
         ],
         "events": len(data.events),
+        "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
+        "interpolated": dict(data.interpolated),
+        "notes": [vars(note) for note in data.notes],
     }
 
     def human() -> None:
@@ -78,9 +92,33 @@ def show_run(ui: Ui, run: Path) -> int | None:
         vents = [event for event in data.events if event.kind == "vent"]
         if vents:
             click.echo(f"  {'vent':12} {vents[-1].data.get('result')}")
+        _print_rest(data)
 
-    ui.result(summary, human)
+    ui.result(plain(summary), human)
     return None
+
+
+def _print_rest(data: RunData) -> None:
+    """What only some runs have: a vent by the guard, clocks of their own, notes."""
+    guard = data.manifest.get("guard") or {}
+    if guard:
+        vent = guard.get("vent")
+        result = vent.get("result") if isinstance(vent, dict) else None
+        click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not told'}")
+        click.echo(f"  {'':12} {guard.get('cause', '')}".rstrip())
+    for name, clock in data.clocks.items():
+        if clock.how != "stated equal":
+            told = f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
+            click.echo(f"  {'clock':12} {name}: {told} ({clock.how})")
+    for name, how in data.interpolated.items():
+        click.echo(f"  {name:18} {how}")
+    for note in data.notes:
+        said = [note.text] if note.text else []
+        if note.exclude is not None:
+            said.append(f"trial {note.exclude} is left out: {note.because}")
+        said += [f"[{file}]" for file in note.files]
+        line = f"  note {note.number:<7} {note.utc[:16]} {note.operator}: {'; '.join(said)}"
+        click.echo("".join(sign if sign.isprintable() else " " for sign in line))
 
 
 @command.command(name="verify")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -16,6 +17,8 @@ from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 
 GROUP = 500_000
 """Rows of a row group."""
+ARRIVALS = "arrivals"
+"""Metadata of the file: two lists, the clock of the device and of the host [ns], for the last sample of batches."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,10 @@ def archive(live: Path, target: Path) -> Archived:
         with pa.memory_map(str(live)) as source:
             reader = LiveReader(source.read_buffer())
             digests = _write(part, reader)
+            arrivals = reader.arrivals
             with part.open("r+b") as file:
                 os.fsync(file.fileno())
-            if digests != [_digest(table) for table in _row_groups(part)]:
+            if digests != [_digest(table) for table in _row_groups(part)] or _arrivals_of(part) != arrivals:
                 raise ValueError("what was read back is not what was written")
             kept = Archived(reader.rows, reader.fault, reader.torn)
         part.replace(target)
@@ -70,7 +74,15 @@ def _write(part: Path, reader: LiveReader) -> list[bytes]:
         for table in _tables(reader, schema):
             writer.write_table(table, row_group_size=GROUP)
             digests.append(_digest(table))
+        if reader.arrivals:
+            writer.add_key_value_metadata({ARRIVALS: json.dumps(list(zip(*reader.arrivals, strict=True)))})
     return digests
+
+
+def _arrivals_of(source: Any) -> list[tuple[int, int]]:
+    with pq.ParquetFile(source) as file:
+        device, host = json.loads((file.metadata.metadata or {}).get(ARRIVALS.encode(), b"[[], []]"))
+        return [(int(a), int(b)) for a, b in zip(device, host, strict=True)]
 
 
 def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
@@ -103,12 +115,15 @@ def _row_groups(path: Path) -> Iterator[Any]:
             yield file.read_row_group(index)
 
 
-def read_archive(source: Any) -> tuple[Any, dict[str, Any]]:
-    """The table of a Parquet stream (path or buffer) and what its schema says; ValueError where it is damaged."""
+def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]]]:
+    """The table of a Parquet stream (a buffer), what its schema says, and its arrivals; ValueError where it is damaged.
+
+    Arrivals: clock of the device and of the host [ns] for the last sample of each batch that tells it.
+    """
     try:
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
             about = about_stream(file.schema_arrow)
-            return file.read(use_threads=False), about
+            return file.read(use_threads=False), about, _arrivals_of(source)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
 

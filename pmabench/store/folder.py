@@ -28,6 +28,10 @@ PLAN = "plan.json"
 SEAL = "seal.json"
 README = "README.txt"
 STREAMS = "streams"
+GUARD = "guard.json"
+"""How the guard process vented the bench after the program that recorded had died; not in every run."""
+NOTES, NOTES_HEAD = "notes", "notes.json"
+"""What is said of a run afterwards: beside the sealed part, with hashes of its own."""
 
 STATUSES = ("finished", "failed", "aborted", "tripped", "error")
 """How a run can end by its own account; `interrupted` is what readers say of one whose writer died."""
@@ -152,6 +156,13 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
         found += [Path(base) / name for name in [*names, *linked]]
     for path in sorted(found):
         yield path.relative_to(folder).as_posix(), path
+
+
+def sealed_part(folder: Path) -> Iterator[tuple[str, Path]]:
+    """As `files_of`, without the notes, which may come at any time."""
+    for name, path in files_of(folder):
+        if name != NOTES_HEAD and name != f".{NOTES_HEAD}.part" and not name.startswith(f"{NOTES}/"):
+            yield name, path
 
 
 def sha256_of(path: Path) -> str:

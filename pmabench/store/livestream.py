@@ -1,7 +1,8 @@
 """Samples on disk while they are taken: an Arrow stream whose batches carry seq, crc32 and an end mark; no run folder.
 
-A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", and the bytes of each column
-in order. `rows` counts all rows up to and including the batch; the first batch is empty and the last has `end` 1.
+A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", `host_ns` where it is told,
+and the bytes of each column in order. `rows` counts all rows up to and including the batch; the first batch is empty
+and the last has `end` 1. `host_ns` is when the last sample of the batch came in, on the clock of the host.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class LiveStream:
         self.last_ns: int | None = None
         self._schema = arrow_schema(about)
         self._types = {field.name: field.type.to_pandas_dtype() for field in self._schema}
-        self._pending: deque[dict[str, NDArray[Any]]] = deque()
+        self._pending: deque[tuple[dict[str, NDArray[Any]], int | None]] = deque()
         self._since = 0.0
         self._lock = threading.Lock()
         self._block = b""
@@ -119,8 +120,11 @@ class LiveStream:
         self.file = AppendFile(path).open()
         self.drain()
 
-    def put(self, time_ns: Any, columns: Mapping[str, Any], flags: Any) -> None:
-        """Take a copy of samples; all of length n, one entry per column. Raises RecordError where they do not fit."""
+    def put(self, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None) -> None:
+        """Take a copy of samples; all of length n, one entry per column. Raises RecordError where they do not fit.
+
+        `host_ns`: when they came in, on the host's monotonic clock since the start of the run [ns].
+        """
         given = {TIME: time_ns, **columns, FLAGS: flags}
         if given.keys() != self._types.keys():
             odd = ", ".join(sorted(given.keys() ^ self._types.keys()))
@@ -131,7 +135,7 @@ class LiveStream:
         if len(kept[TIME]):
             if not self._pending:
                 self._since = time.monotonic()
-            self._pending.append(kept)
+            self._pending.append((kept, None if host_ns is None else int(host_ns)))
 
     def _where(self) -> str:
         return f"stream {self.about['stream']}"
@@ -154,20 +158,22 @@ class LiveStream:
             while self._block or self._pending:
                 if not self._block:
                     parts = [self._pending.popleft() for _ in range(len(self._pending))]
-                    self._build({name: np.concatenate([part[name] for part in parts]) for name in self._types})
+                    columns = {name: np.concatenate([part[name] for part, _ in parts]) for name in self._types}
+                    self._build(columns, host_ns=parts[-1][1])
                 self.file.write(self._block)
                 self._block = b""
 
-    def _build(self, columns: Mapping[str, NDArray[Any]], end: int = 0) -> None:
+    def _build(self, columns: Mapping[str, NDArray[Any]], end: int = 0, host_ns: int | None = None) -> None:
         count = len(columns[TIME])
         # `pa.array` would import pandas
         arrays = [pa.Array.from_buffers(f.type, count, [None, pa.py_buffer(columns[f.name])]) for f in self._schema]
         batch = pa.RecordBatch.from_arrays(arrays, schema=self._schema)
         rows = self.rows + count
-        crc = zlib.crc32(b"%d %d %d" % (self._seq, rows, end), self._head)
+        host = {} if host_ns is None else {"host_ns": str(host_ns)}
+        crc = zlib.crc32(b"%d %d %d" % (self._seq, rows, end) + host.get("host_ns", "").encode(), self._head)
         for column in columns.values():
             crc = zlib.crc32(column.data, crc)
-        notes = {"seq": str(self._seq), "rows": str(rows), "end": str(end), "crc32": f"{crc:08x}"}
+        notes = {"seq": str(self._seq), "rows": str(rows), "end": str(end), **host, "crc32": f"{crc:08x}"}
         self._arrow.write_batch(batch, custom_metadata=notes)
         self._block = self._sink.take()
         self._seq, self.rows = self._seq + 1, rows
@@ -225,6 +231,8 @@ class LiveReader:
         self.ended = False
         self.fault = ""
         self.torn = False
+        self.arrivals: list[tuple[int, int]] = []
+        """Clock of the device and of the host [ns] for the last sample of each batch that tells it."""
         self._data = data
         try:
             self._source = pa.BufferReader(data)
@@ -249,10 +257,12 @@ class LiveReader:
                 batch, notes = self._reader.read_next_batch_with_custom_metadata()
                 batch.validate(full=True)
                 rows, end = self.rows + batch.num_rows, notes[b"end"]
-                crc = zlib.crc32(b"%d %d %s" % (seq, rows, end), head)
+                host = notes.get(b"host_ns", b"")
+                crc = zlib.crc32(b"%d %d %s" % (seq, rows, end) + host, head)
                 for column in batch.columns:
                     crc = zlib.crc32(raw_bytes(column), crc)
                 whole = notes[b"crc32"] == b"%08x" % crc
+                pair = [(batch.column(0)[-1].as_py(), int(host))] if whole and host and batch.num_rows else []
             except StopIteration:
                 self.fault = f"stops after batch {seq - 1} without its end mark"
                 self.torn = False
@@ -273,6 +283,7 @@ class LiveReader:
                 self.fault = f"batch {seq} is altered: its crc32 does not fit"
                 return
             seq, self.rows, self.ended = seq + 1, rows, end == b"1"
+            self.arrivals += pair
             self.batches, self.position = seq, self._source.tell()
             yield batch
         rest = self._data[self._source.tell() :].to_pybytes()

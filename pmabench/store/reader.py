@@ -1,7 +1,7 @@
 """Opens a run folder, closed or not, as plain records in SI; never writes into it.
 
-Samples of a trial come from the stream that has `pressure` (else from the first); channels of other streams are added
-where those have the same time stamps, and are otherwise to be had from `read_stream` only.
+All streams stand on the time of the run, each by its own clock. Samples of a trial come at the times of the stream that
+has `displacement` (else `pressure`, else of the first); `timebase` puts the channels of other streams there.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
 from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
+from pmabench.store.clocks import fit_clock
 from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
-from pmabench.store.records import Array, ChannelInfo, Event, Flags, RunData
-from pmabench.store.trials import cut_trials
+from pmabench.store.notes import read_notes
+from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
+from pmabench.store.timebase import onto
+from pmabench.store.trials import cut_trials, exclude
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-def open_run(path: Path | str) -> RunData:
-    """Load a run with all its trials.
+def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
+    """Load a run with all its trials; notes exclude some of them unless `honour_notes` is False.
 
     Files of a closed run are checked against its seal; of a dead or running one, whole batches and events are read.
     Raises InvalidFile for what is no run, is damaged, was changed, or was written by a newer pmabench.
@@ -41,19 +44,27 @@ def open_run(path: Path | str) -> RunData:
     journal = folder.journal()
     events = events_of(journal)
     streams = [folder.stream(name, events) for name in folder.stream_names()]
-    main = next((s for s in streams if "pressure" in s.channels), streams[0] if streams else Samples.none())
-    channels, infos = dict(main.channels), dict(main.infos)
+    main = _base(streams)
+    channels, flags, infos = dict(main.channels), main.flags, dict(main.infos)
+    interpolated: dict[str, str] = {}
     for other in streams:
         infos = {**other.infos, **infos}
-        if other is not main and np.array_equal(other.time_ns, main.time_ns):
-            channels = {**other.channels, **channels}
+        wanted = {name: values for name, values in other.channels.items() if name not in channels}
+        if other is not main and wanted:
+            moved, flags, how = onto(main.t, flags, other.t, other.flags, wanted, other.rate)
+            channels |= moved
+            told = f"{how} the stream {other.name} ({other.rate:g} Hz), on the times of {main.name} ({main.rate:g} Hz)"
+            interpolated |= dict.fromkeys(wanted, told) if how else {}
     until = np.inf
-    if folder.seal is None or not main.whole:
-        until = float(main.t[-1]) + 2.0 / main.rate if len(main.t) and main.rate > 0 else -np.inf
+    if folder.seal is None or not all(stream.whole for stream in streams):
+        until = min((s.t[-1] + 2.0 / s.rate if len(s.t) and s.rate > 0 else -np.inf for s in streams), default=-np.inf)
     try:
-        trials = cut_trials(folder.manifest["id"], events, main.t, channels, main.flags, until)
+        trials = cut_trials(folder.manifest["id"], events, main.t, channels, flags, until)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise invalid(folder.path / files.EVENTS, f"tells trials in a way that cannot be read ({error})") from error
+    notes = read_notes(folder.path)
+    if honour_notes:
+        trials = exclude(trials, {note.exclude for note in notes if note.exclude is not None})
     return RunData(
         id=str(folder.manifest["id"]),
         path=str(path),
@@ -66,7 +77,19 @@ def open_run(path: Path | str) -> RunData:
         channels=infos,
         rate=main.rate,
         trials=trials,
+        notes=notes,
+        clocks={stream.name: stream.clock for stream in streams},
+        interpolated=interpolated,
     )
+
+
+def _base(streams: list[Samples]) -> Samples:
+    """The stream that gives the times of the samples."""
+    for channel in ("displacement", "pressure"):
+        for stream in streams:
+            if channel in stream.channels:
+                return stream
+    return streams[0] if streams else Samples.none("")
 
 
 def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataFrame:
@@ -103,6 +126,7 @@ def events_of(journal: Journal) -> tuple[Event, ...]:
 class Samples:
     """One stream, loaded; arrays of shape (n,)."""
 
+    name: str
     rate: float
     time_ns: NDArray[np.int64]
     t: Array
@@ -112,11 +136,13 @@ class Samples:
     infos: Mapping[str, ChannelInfo]
     flags: Flags
     whole: bool
+    clock: ClockInfo
 
     @classmethod
-    def none(cls) -> Samples:
+    def none(cls, name: str) -> Samples:
         """No sample of no channel."""
-        return cls(0.0, np.empty(0, np.int64), np.empty(0), {}, {}, {}, {}, np.empty(0, np.uint16), False)
+        none = np.empty(0, np.int64)
+        return cls(name, 0.0, none, np.empty(0), {}, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
 
 
 class RunFiles:
@@ -155,10 +181,24 @@ class RunFiles:
 
     def described(self, journal: Journal) -> dict[str, Any]:
         """The manifest with how the run ended."""
+        guard = self.guard()
+        told = {**self.manifest, **({"guard": guard} if guard else {})}
         if self.seal is None:
-            return {**self.manifest, "why": journal.fault or "it was never closed"}
-        told = ("why", "end", "closed_utc", "trials_finished", "duration", "streams")
-        return {**self.manifest, **{key: self.seal.get(key) for key in told}}
+            return {**told, "why": journal.fault or "it was never closed"}
+        kept = ("why", "end", "closed_utc", "trials_finished", "duration", "streams")
+        return {**told, **{key: self.seal.get(key) for key in kept}}
+
+    def guard(self) -> dict[str, Any]:
+        """How the guard process vented the bench after the program had died; empty where it had not to."""
+        if not (self.path / files.GUARD).exists():
+            return {}
+        try:
+            told = json.loads(self.read(files.GUARD))
+        except ValueError as error:
+            if self.seal is None:  # it may be just being written
+                return {}
+            raise invalid(self.path / files.GUARD, "is not JSON") from error
+        return told if isinstance(told, dict) else {}
 
     def stream_names(self) -> list[str]:
         """Names of the streams, sorted."""
@@ -169,51 +209,59 @@ class RunFiles:
         """A stream in SI; of an unsealed run as far as its batches are whole."""
         parquet, live = (f"{files.STREAMS}/{name}{suffix}" for suffix in (".parquet", ".arrows"))
         sealed = self.seal is not None
+        told = (self.seal or {}).get("streams", {}).get(name, {})
         use_live = (self.path / live).exists() and not (sealed and (self.path / parquet).exists())
         raw = pa.py_buffer(self.read(live if use_live else parquet))
         try:
             if use_live:
                 reader = LiveReader(raw)
                 table, about = pa.Table.from_batches(list(reader), reader.schema), reader.about
-                whole = not reader.fault
+                arrivals, whole = reader.arrivals, not reader.fault
             else:
-                table, about = read_archive(pa.BufferReader(raw))
-                whole = sealed and not (self.seal or {})["streams"].get(name, {}).get("fault")
-            return _in_si(table, about, [e.data for e in events if e.kind == "clock"], whole)
+                table, about, arrivals = read_archive(pa.BufferReader(raw))
+                whole = sealed and not told.get("fault")
+            return _in_si(table, about, _clock(name, events, arrivals), whole)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if use_live and not sealed:
-                return Samples.none()
+            if use_live and (not sealed or told.get("rows", 0) is None):
+                return Samples.none(name)
             raise invalid(self.path / (live if use_live else parquet), str(error)) from error
 
 
-def _in_si(table: Any, about: Mapping[str, Any], clocks: list[Mapping[str, Any]], whole: bool) -> Samples:
-    """Device time becomes seconds of the run with the last `clock` event of the stream: (1 + drift) t + offset."""
+def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]) -> ClockInfo:
+    """The last `clock` event of the stream holds, else the fit to the arrivals; without both the clocks are equal."""
+    told = [event.data for event in events if event.kind == "clock" and event.data.get("stream") == name]
+    if told:
+        offset, drift, uncertainty = (float(told[-1].get(key) or 0.0) for key in ("offset", "drift", "uncertainty"))
+        return ClockInfo(0, offset, drift, uncertainty, "clock event")
+    return fit_clock(*zip(*arrivals, strict=True)) if arrivals else ClockInfo()
+
+
+def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
+    """Device time becomes time of the run, raw values become SI."""
     columns = {name: table.column(name).combine_chunks().to_numpy() for name in table.column_names}
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
-    t = time_ns / 1e9
-    for clock in clocks:
-        if clock.get("stream") == about["stream"]:
-            t = time_ns / 1e9 * (1.0 + float(clock.get("drift") or 0.0)) + float(clock.get("offset") or 0.0)
-    infos = {column["name"]: _info(column) for column in about["columns"]}
+    infos = {column["name"]: _info(column, about["stream"]) for column in about["columns"]}
     with np.errstate(all="ignore"):  # an imported file may hold any bits
         channels = {name: values * infos[name].slope for name, values in columns.items()}
         for name, values in channels.items():
             values += infos[name].offset
     return Samples(
+        name=str(about["stream"]),
         rate=float(about.get("rate") or 0.0),
         time_ns=time_ns,
-        t=t,
+        t=clock.time(time_ns),
         raw=columns,
         raw_units={column["name"]: str(column.get("raw_unit", "")) for column in about["columns"]},
         channels=channels,
         infos=infos,
         flags=flags,
         whole=whole,
+        clock=clock,
     )
 
 
-def _info(column: Mapping[str, Any]) -> ChannelInfo:
+def _info(column: Mapping[str, Any], stream: str) -> ChannelInfo:
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
     return ChannelInfo(
@@ -228,6 +276,7 @@ def _info(column: Mapping[str, Any]) -> ChannelInfo:
         gain_uncertainty=float(calibration.get("gain_uncertainty") or 0.0),
         sensor_lag=float(calibration.get("sensor_lag") or 0.0),
         calibration=str(calibration.get("id") or ""),
+        stream=stream,
     )
 
 

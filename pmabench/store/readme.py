@@ -7,11 +7,15 @@ manifest.json      what, when, with which versions; who operated; hashes of the 
 plan.json, *.yaml  the plan and the files that it was compiled from, as they were
 events.jsonl       one JSON object per line: commands, trials, findings, the end
 streams/           samples: NAME.parquet (closed run) or NAME.arrows (running or interrupted), NAME.json (columns)
+guard.json         only where the program died: how the bench was vented after that
 seal.json          status, and sha256 of every file; a run without it did not end by itself
+notes/             what was noted since, also which trials are left out of fits and why; with hashes of its own
 
 Samples are stored as the device gave them; SI = slope * raw + offset, with the scale of each column in NAME.json.
 time_ns is the device's clock in nanoseconds; flags tell per sample what is wrong (0: nothing; 1 gap before,
-2 late, 4 overrange, 8 stale, 16 time jump, 32 dropout, 64 slack, 128 suspect; bits add up).
+2 late, 4 overrange, 8 stale, 16 time jump, 32 dropout, 64 slack, 128 suspect; bits add up). Where host_ns is told
+(when the last sample of a batch came in, on the host's clock; in a closed run the metadata "arrivals" of the Parquet
+file, pairs of device and host clock), streams of several devices have clocks that differ in offset and drift.
 
 Closed run, Python with pandas and pyarrow, from inside this folder:
 
@@ -33,7 +37,8 @@ Running or interrupted run, Python with pyarrow; stops at the last whole batch, 
         while end == b"0":
             batch, note = reader.read_next_batch_with_custom_metadata()
             batch.validate(full=True)
-            crc = zlib.crc32(b"%d %s %s" % (len(batches), note[b"rows"], note[b"end"]), head)
+            told = b"%d %s %s%s" % (len(batches), note[b"rows"], note[b"end"], note.get(b"host_ns", b""))
+            crc = zlib.crc32(told, head)
             for column in batch.columns: crc = zlib.crc32(column.to_numpy(), crc)
             if crc != int(note[b"crc32"], 16): raise ValueError("its crc32 does not fit")
             batches.append(batch); end = note[b"end"]

@@ -8,10 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pmabench.store.notes import Note
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint16]
@@ -74,7 +77,8 @@ class TrialData:
     """One trial with its samples.
 
     `channels` maps `pressure` [Pa], `displacement` [m, contraction positive], `force` [N], `pressure_command` [Pa],
-    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s].
+    `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. A value that another stream
+    has not told near a time is NaN there, and the sample is flagged GAP.
     """
 
     run: str
@@ -83,13 +87,15 @@ class TrialData:
     repeat: int
     reference: bool
     status: str
-    """`finished` or what ended it; `excluded` where a note excludes it."""
+    """`finished` or what ended it; `excluded` where a note excludes it, `superseded` where it was done again."""
     t: Array
     channels: Mapping[str, Array]
     flags: Flags
     commands: tuple[Command, ...]
     found: Mapping[str, Mapping[str, Any]]
     """Results of searches, keyed by the phase of the seek."""
+    attempt: int = 1
+    """From 1; more where the trial was begun again."""
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -112,11 +118,39 @@ class ChannelInfo:
     gain_uncertainty: float = 0.0
     sensor_lag: float = 0.0
     calibration: str = ""
+    stream: str = ""
+
+
+@dataclass(frozen=True)
+class ClockInfo:
+    """A stream's own clock against the time of the run: t = at + (1 + drift) (device - reference)."""
+
+    reference_ns: int = 0
+    """A reading of the device's clock [ns]."""
+    at: float = 0.0
+    """Time of the run at that reading [s]."""
+    drift: float = 0.0
+    """How much faster the time of the run goes than the device's clock [1]."""
+    uncertainty: float = 0.0
+    """Half width of the 95 % interval of t over the whole stream [s], delays that never change not counted."""
+    how: str = "stated equal"
+    """`stated equal`, `clock event`, or `host arrivals`: fitted to when the samples came in."""
+
+    @property
+    def offset(self) -> float:
+        """Time of the run minus the device's clock, at the reference [s]."""
+        return self.at - self.reference_ns / 1e9
+
+    def time(self, device_ns: NDArray[np.int64]) -> Array:
+        """Time of the run [s] at readings of the device's clock, shape (n,)."""
+        if (self.reference_ns, self.at, self.drift) == (0, 0.0, 0.0):
+            return np.asarray(device_ns / 1e9)
+        return np.asarray((device_ns - self.reference_ns) / 1e9 * (1.0 + self.drift) + self.at)
 
 
 @dataclass(frozen=True)
 class RunData:
-    """A closed run, loaded."""
+    """A run, loaded."""
 
     id: str
     path: str
@@ -129,3 +163,15 @@ class RunData:
     channels: Mapping[str, ChannelInfo]
     rate: float
     trials: tuple[TrialData, ...]
+    notes: tuple[Note, ...] = ()
+    clocks: Mapping[str, ClockInfo] = field(default_factory=dict)
+    """By stream."""
+    interpolated: Mapping[str, str] = field(default_factory=dict)
+    """Channels of other streams that were put on the time base of the trials, each with a sentence that says how."""
+
+    def skew(self, one: str, other: str) -> float:
+        """Bound of the time skew between two channels that comes from the clocks of their streams [s], 95 %."""
+        streams = {self.channels[name].stream for name in (one, other)}
+        if len(streams) == 1:
+            return 0.0
+        return sum(self.clocks[stream].uncertainty for stream in streams)

@@ -12,7 +12,7 @@ from typing import Any
 from pmabench.base.errors import RecordError
 from pmabench.store import folder as files
 from pmabench.store.archive import archive, span_of
-from pmabench.store.folder import cannot_write, files_of, plain, read_manifest, read_seal, sealed_json, sha256_of
+from pmabench.store.folder import cannot_write, plain, read_manifest, read_seal, sealed_json, sealed_part, sha256_of
 from pmabench.store.journal import decode, summary
 
 
@@ -34,7 +34,7 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
         status, why = "error", f"{cannot_write(folder, streams.failure)}; before that: {status} {why}".rstrip()
-    for _name, path in files_of(folder):
+    for _name, path in sealed_part(folder):
         if path.name.startswith(".") and path.name.endswith(".part"):
             path.unlink()
     manifest = read_manifest(folder)
@@ -52,12 +52,12 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
         "streams": streams.described,
         "files": {
             name: {"sha256": sha256_of(path), "bytes": path.stat().st_size}
-            for name, path in files_of(folder)
+            for name, path in sealed_part(folder)
             if name != files.SEAL
         },
     }
     files.write_whole(folder / files.SEAL, sealed_json(content))
-    for _name, path in files_of(folder):
+    for _name, path in sealed_part(folder):
         with suppress(OSError):
             path.chmod(0o444)
     if streams.failure is not None:

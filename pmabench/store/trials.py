@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from pmabench.store.records import Array, Command, Event, Flags, TrialData
 
+ENDED = ("finished", "failed", "excluded")
+"""Statuses of a trial that was carried through."""
 _SLACK = 1e-6
 """Events and samples closer than this [s] are at the same time."""
 _COMMAND = ("output", "type", "value", "before", "phase", "trial")
@@ -61,9 +63,27 @@ def cut_trials(
                 flags=flags[part],
                 commands=tuple(cut.commands),
                 found=cut.found,
+                attempt=int(cut.data.get("attempt") or 1),
             )
         )
-    return tuple(trials)
+    return supersede(trials)
+
+
+def supersede(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
+    """Of the attempts at one trial that came to an end the last stands; those before it are `superseded`."""
+    last = {trial.index: number for number, trial in enumerate(trials) if trial.status in ENDED}
+    return tuple(
+        replace(trial, status="superseded") if trial.status in ENDED and number != last[trial.index] else trial
+        for number, trial in enumerate(trials)
+    )
+
+
+def exclude(trials: Sequence[TrialData], excluded: Collection[int]) -> tuple[TrialData, ...]:
+    """The trials, with the status `excluded` where a note leaves out one that came to an end."""
+    return tuple(
+        replace(trial, status="excluded") if trial.index in excluded and trial.status in ENDED else trial
+        for trial in trials
+    )
 
 
 def trial_spans(events: Sequence[Event]) -> list[tuple[float, float]]:

@@ -13,9 +13,10 @@ from pmabench.base.errors import InvalidFile
 from pmabench.store import folder as files
 from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.folder import files_of, read_manifest, read_seal, sha256_of, status_of
+from pmabench.store.folder import files_of, read_manifest, read_seal, sealed_part, sha256_of, status_of
 from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import LiveReader
+from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
 from pmabench.store.records import Flag
 from pmabench.store.trials import trial_spans
@@ -54,6 +55,7 @@ def verify(path: Path | str) -> list[Finding]:
         found += _snapshots(folder, manifest)
     found += _events(folder, seal)
     found += _streams(folder, seal)
+    found += [Finding(name, what) for name, what in check_notes(folder)]
     if not found and "imported" not in manifest:
         found += _time(folder)
     return found
@@ -69,7 +71,7 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
 
 def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> list[Finding]:
     found, seen = [], set()
-    for name, path in files_of(folder):
+    for name, path in sealed_part(folder):
         seen.add(name)
         if path.is_symlink():
             found.append(Finding(name, "is a link, which no run contains"))

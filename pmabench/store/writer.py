@@ -115,17 +115,24 @@ class RunWriter:
             self._streams = {**self._streams, name: stream}
 
     def append(
-        self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
+        self,
+        stream: str,
+        time_ns: NDArray[np.int64],
+        columns: Mapping[str, Any],
+        flags: NDArray[np.uint16],
+        host_ns: int | None = None,
     ) -> None:
         """Take samples of a stream: device clock [ns], raw values by column and flags, all of shape (n,).
 
+        `host_ns` is when they came in, on the host's monotonic clock [ns since the start of the run]; without it the
+        two clocks are taken as equal, or as a `clock` event says.
         They are copied, and on disk within a quarter of a second. When it raises because of an earlier failure to
         write, they are kept all the same, and tried once more by `close`.
         """
         if stream not in self._streams or self._closed:
             raise RecordError(f"stream {stream} is not open")
         live = self._streams[stream]
-        live.put(time_ns, columns, flags)
+        live.put(time_ns, columns, flags, host_ns)
         if self._failure is None and live.waiting() > STALLED:
             self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {STALLED:g} s"))
         self._check()

@@ -127,19 +127,19 @@ def test_a_trial_under_way_when_the_writer_died_is_interrupted(tmp_path):
     assert (trial.status, trial.index, len(trial.t)) == ("interrupted", 3, 70)
 
 
-def test_streams_with_the_same_time_stamps_are_joined_and_others_are_not(tmp_path):
+def test_streams_with_the_same_time_stamps_are_joined_with_the_flags_of_both(tmp_path):
     writer = begin(tmp_path)
-    for name, channel in (("gauge", "supply"), ("late", "temperature")):
-        writer.open_stream(name, [dict(COLUMNS[2], name=channel)], 500.0)
+    writer.open_stream("gauge", [dict(COLUMNS[2], name="supply")], 500.0)
     record(writer)
     time_ns, raw, flags = block(0, 2000)
+    flags[1500] = 32
     writer.append("gauge", time_ns, {"supply": raw["force"]}, flags)
-    writer.append("late", time_ns + 1, {"temperature": raw["force"]}, flags)
-    folder = writer.close("finished")
-    trial = open_run(folder).trials[1]
+    run = open_run(writer.close("finished"))
+    trial = run.trials[1]
     assert set(trial.channels) == {"pressure", "displacement", "force", "supply"}
     assert trial.channels["supply"].tolist() == trial.channels["force"].tolist()
-    assert read_stream(folder, "late").columns.tolist() == ["t", "temperature", "flags"]
+    assert trial.flags.tolist() == flags[1000:].tolist()
+    assert (run.interpolated, run.skew("supply", "force")) == ({}, 0.0)
 
 
 def test_a_clock_event_turns_device_time_into_time_of_the_run(tmp_path):
@@ -147,8 +147,10 @@ def test_a_clock_event_turns_device_time_into_time_of_the_run(tmp_path):
     time_ns, raw, flags = block(0, 3)
     writer.append("daq", time_ns + 10**15, raw, flags)
     writer.event("clock", 1.0, stream="daq", offset=-1e6 * (1 + 5e-5) + 2.0, drift=5e-5, uncertainty=1e-4)
-    t = read_stream(writer.close("finished"))["t"]
-    assert np.allclose(t, 2.0 + np.arange(3) * 0.002 * (1 + 5e-5), atol=1e-9)
+    folder = writer.close("finished")
+    assert np.allclose(read_stream(folder)["t"], 2.0 + np.arange(3) * 0.002 * (1 + 5e-5), atol=1e-9)
+    clock = open_run(folder).clocks["daq"]
+    assert (clock.how, clock.drift, clock.uncertainty) == ("clock event", 5e-5, 1e-4)
 
 
 def test_streams_are_tables_in_si_or_raw(tmp_path):

@@ -1,0 +1,38 @@
+"""`pmabench note`: words, pictures and exclusions beside a run; nothing that was recorded is touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+
+@click.command(name="note")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("text", default="")
+@click.option("--attach", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="A copy is kept.")
+@click.option("--exclude", type=click.IntRange(min=0), metavar="TRIAL", help="Leave a trial out of fits.")
+@click.option("--because", default="", metavar="TEXT", help="Why it is left out.")
+@click.option("--operator", default="", help="Who says so; the login name if not given.")
+@common
+def command(
+    ui: Ui, run: Path, text: str, attach: tuple[Path, ...], exclude: int | None, because: str, operator: str
+) -> int | None:
+    """Append a note to RUN, open or closed: TEXT, files, or a trial that is left out of fits and why."""
+    from pmabench.store.notes import add_note
+
+    note = add_note(run, text, attach=attach, exclude=exclude, because=because, operator=operator or _user())
+    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": vars(note)}
+    ui.result(data, lambda: click.echo(f"note {note.number} of {run}"))
+    return None
+
+
+def _user() -> str:
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"

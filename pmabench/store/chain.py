@@ -1,0 +1,155 @@
+"""Runs that continue one another, taken as one: each names the one before by its id and the hash of its seal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, Problem, RecordError, invalid
+from pmabench.store import folder as files
+from pmabench.store.folder import read_manifest, read_seal, sha256_of, status_of
+from pmabench.store.reader import open_run
+from pmabench.store.records import RunData
+from pmabench.store.seal import close_interrupted
+from pmabench.store.trials import exclude, supersede
+
+
+def continued(folder: Path) -> dict[str, Any]:
+    """The entry `continues` for the manifest of a run that goes on after `folder`: `run`, `sha256`, `trials_done`.
+
+    A run whose writer died is closed as interrupted first. Raises RecordError where it is still being written.
+    """
+    manifest = read_manifest(folder)
+    if read_seal(folder) is None:
+        if status_of(manifest, None) == "running":
+            raise RecordError(f"{folder} is still being recorded; end it before another run continues it")
+        close_interrupted(folder)
+    return {
+        "run": manifest["id"],
+        "sha256": sha256_of(folder / files.SEAL),
+        "trials_done": finished_trials(folder),
+    }
+
+
+def finished_trials(folder: Path) -> list[int]:
+    """Indices of the trials that are finished over the chain that ends with `folder`, each once, in order of time.
+
+    A trial that a note excludes was finished all the same. Raises InvalidFile where a link does not fit.
+    """
+    return _finished(_load(folder))
+
+
+def _finished(runs: Sequence[RunData]) -> list[int]:
+    return [trial.index for run in runs for trial in run.trials if trial.status == "finished"]
+
+
+def open_chain(folder: Path) -> tuple[RunData, ...]:
+    """The run and all runs that it continues, the first one first; a run that continues none stands alone.
+
+    Of the attempts at one trial over all runs that came to an end the last stands, the others are `superseded`.
+    Raises InvalidFile where a run of the chain is missing, was changed, or does not fit.
+    """
+    return tuple(
+        replace(run, trials=exclude(run.trials, {note.exclude for note in run.notes if note.exclude is not None}))
+        for run in _load(folder)
+    )
+
+
+def open_chains(paths: Sequence[Path]) -> list[RunData]:
+    """The chains that end with `paths`, each run once; raises InvalidFile with what is wrong with each path.
+
+    A path that another one continues belongs to that one's chain. Two runs that continue the same one are refused:
+    its trials would count twice.
+    """
+    chains, problems = [], list[Problem]()
+    for path in paths:
+        try:
+            chains.append(open_chain(path))
+        except InvalidFile as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InvalidFile(dict.fromkeys(problems))
+    earlier = {_place(run): chain[-1] for chain in chains for run in chain[:-1]}
+    taken: dict[Path, RunData] = {}
+    for chain in chains:
+        if _place(chain[-1]) in earlier:
+            continue
+        for run in chain:
+            other = earlier.get(_place(run))
+            if other is not None and other.path != chain[-1].path and _place(other) not in earlier:
+                what = f"and {other.path} both continue {run.id}: give one of the two"
+                raise invalid(chain[-1].path, what)
+            taken.setdefault(_place(run), run)
+    return list(taken.values())
+
+
+def _place(run: RunData) -> Path:
+    return Path(run.path).resolve()
+
+
+def _load(folder: Path) -> tuple[RunData, ...]:
+    """The chain with what superseded what, and no exclusions."""
+    runs = [open_run(folder, honour_notes=False)]
+    while (link := runs[0].manifest.get("continues")) is not None:
+        path = Path(runs[0].path)
+        before = _linked(path, link)
+        if before.resolve() in {_place(run) for run in runs}:
+            raise invalid(path, "continues a run that continues it")
+        runs.insert(0, open_run(before, honour_notes=False))
+    for number in range(1, len(runs)):
+        _fits(runs[:number], runs[number])
+    return _superseded(runs)
+
+
+def _linked(path: Path, link: Any) -> Path:
+    """The folder of the run that `path` continues, closed and unchanged since."""
+    try:
+        name, digest = str(link["run"]), str(link["sha256"])
+    except (TypeError, KeyError) as error:
+        raise invalid(
+            path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
+        ) from error
+    for folder in _beside(path, name):
+        if not (folder / files.SEAL).is_file() or sha256_of(folder / files.SEAL) != digest:
+            raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
+        return folder
+    raise invalid(path, f"continues {name}, which does not lie beside it; put that run's folder there")
+
+
+def _beside(path: Path, name: str) -> Iterator[Path]:
+    """Folders beside `path` that hold the run `name`: the one of that name first, then one that was renamed."""
+    parent = path.resolve().parent
+    named = [parent / name] if Path(name).name == name else []
+    for folder in [*named, *sorted(parent.iterdir())]:
+        with suppress(InvalidFile):
+            if (folder / files.MANIFEST).is_file() and read_manifest(folder)["id"] == name:
+                yield folder
+
+
+def _fits(before: Sequence[RunData], run: RunData) -> None:
+    last, path = before[-1], Path(run.path) / files.MANIFEST
+    for what, then, now in (
+        ("kind", last.kind, run.kind),
+        ("simulated", last.simulated, run.simulated),
+        ("rate", last.rate, run.rate),
+    ):
+        if then != now and (what != "rate" or (then and now)):
+            raise invalid(path, f"does not fit the run that it continues: {what} is {now}, there {then}")
+    told = run.manifest["continues"].get("trials_done")
+    done = sorted(_finished(_superseded(before)))
+    if told is not None and sorted(told) != done:
+        raise invalid(path, f"says that trials {told} were done before; the runs that it continues finished {done}")
+    points = {trial.index: (trial.point, trial.repeat) for earlier in before for trial in earlier.trials}
+    for trial in run.trials:
+        if trial.index in points and points[trial.index] != (trial.point, trial.repeat):
+            raise invalid(
+                path, f"does not fit: its trial {trial.index} is another one than in the run that it continues"
+            )
+
+
+def _superseded(runs: Sequence[RunData]) -> tuple[RunData, ...]:
+    trials = iter(supersede([trial for run in runs for trial in run.trials]))
+    return tuple(replace(run, trials=tuple(next(trials) for _ in run.trials)) for run in runs)

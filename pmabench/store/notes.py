@@ -1,0 +1,309 @@
+"""Notes beside a run: words, files and exclusions, appended one by one as a chain of hashes; the sealed part stays.
+
+A note is a folder `notes/0001` with `note.json` and copies of its files; it appears whole, by one rename. It carries
+the sha256 of the note before (the first: of the manifest) and of each file. `notes.json` says how many there are and
+the sha256 of the last, so that a note missing at the end is found too. Standard library only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import secrets
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, UsageError, invalid
+from pmabench.store import folder as files
+from pmabench.store.folder import cannot_write, open_json, read_file, read_manifest, sealed_json, sync_folder
+
+NOTE_SCHEMA = "pmabench.note/1"
+HEAD_SCHEMA = "pmabench.notes/1"
+_NOTE = "note.json"
+_PART = ".part-"
+_LONGEST = 100_000
+_PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+
+
+@dataclass(frozen=True)
+class Note:
+    """What somebody said of a run after the fact."""
+
+    number: int
+    """From 1."""
+    utc: str
+    operator: str
+    text: str
+    exclude: int | None
+    """Index of a trial that is kept out of fits."""
+    because: str
+    files: tuple[str, ...]
+    """Attached files, as names inside the run folder."""
+
+
+def add_note(
+    run: Path,
+    text: str = "",
+    *,
+    attach: Sequence[Path] = (),
+    exclude: int | None = None,
+    because: str = "",
+    operator: str = "",
+) -> Note:
+    """Append a note to a run, open or closed; it is there whole and synced when this returns, else not at all.
+
+    Raises UsageError for a note that says nothing or an exclusion without reason, InvalidFile for what is no run, has
+    no such trial, or whose notes were changed, RecordError where it cannot be written.
+    """
+    if not (text.strip() or attach or exclude is not None):
+        raise UsageError("the note says nothing: give a TEXT, --attach FILE, or --exclude TRIAL --because TEXT")
+    if (exclude is not None) != bool(because.strip()):
+        raise UsageError("--exclude TRIAL and --because TEXT go together: the record says why a trial is left out")
+    if len(text) + len(because) > _LONGEST:
+        raise UsageError(f"the note is longer than {_LONGEST} characters; attach it as a file")
+    manifest = read_manifest(run)
+    if exclude is not None:
+        _check_trial(run, exclude)
+    for source in attach:
+        if not source.is_file():
+            raise invalid(source, "cannot be attached: it is no file")
+    try:
+        with _alone(run):
+            return _append(run, manifest, text.strip(), attach, exclude, because.strip(), operator)
+    except OSError as error:
+        raise cannot_write(run / files.NOTES, error) from error
+
+
+def _append(
+    run: Path,
+    manifest: Mapping[str, Any],
+    text: str,
+    attach: Sequence[Path],
+    exclude: int | None,
+    because: str,
+    operator: str,
+) -> Note:
+    known, faults, last = _look(run)
+    if faults:
+        raise InvalidFile(problem for name, what in faults for problem in invalid(run / name, what).problems)
+    folder = run / files.NOTES
+    folder.mkdir(exist_ok=True)
+    for left in folder.glob(f"{_PART}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    _write_head(run, manifest, len(known), last)  # it may be missing, or one behind where a writer died
+    number = len(known) + 1
+    part = folder / f"{_PART}{secrets.token_hex(4)}"
+    part.mkdir()
+    try:
+        copied = [_copy(source, part, name) for source, name in zip(attach, _names(attach), strict=True)]
+        content = {
+            "schema": NOTE_SCHEMA,
+            "run": manifest["id"],
+            "number": number,
+            "before": last,
+            "utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "operator": operator,
+            "text": text,
+            "exclude": exclude,
+            "because": because,
+            "files": copied,
+        }
+        raw = sealed_json(content)
+        files.write_whole(part / _NOTE, raw)
+        for path in part.iterdir():
+            path.chmod(0o444)
+        part.rename(folder / f"{number:04d}")
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    sync_folder(folder)
+    sync_folder(run)
+    _write_head(run, manifest, number, hashlib.sha256(raw).hexdigest())
+    return _note(content)
+
+
+def _check_trial(run: Path, trial: int) -> None:
+    from pmabench.store.journal import decode
+
+    events = run / files.EVENTS
+    lines = decode(events.read_bytes()).lines if events.is_file() else ()
+    begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
+    if trial not in begun:
+        told = f"trials {begun[0]} to {begun[-1]}" if begun else "no trial yet"
+        raise invalid(run, f"has no trial {trial} to exclude; it has {told} (`pmabench runs show` lists them)")
+
+
+def _names(attach: Sequence[Path]) -> list[str]:
+    """A legal name for each attached file, each once."""
+    taken = {_NOTE}
+    names = []
+    for source in attach:
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "-", source.stem)[:60].strip("-") or "file"
+        suffix = re.sub(r"[^A-Za-z0-9.]+", "", source.suffix)[:12]
+        name, count = f"{stem}{suffix}", 1
+        while name.casefold() in taken:
+            count += 1
+            name = f"{stem}-{count}{suffix}"
+        taken.add(name.casefold())
+        names.append(name)
+    return names
+
+
+def _copy(source: Path, part: Path, name: str) -> dict[str, Any]:
+    digest, size = hashlib.sha256(), 0
+    with source.open("rb") as given, (part / name).open("xb") as kept:
+        while piece := given.read(1 << 20):
+            digest.update(piece)
+            size += kept.write(piece)
+        kept.flush()
+        os.fsync(kept.fileno())
+    return {"name": name, "given": source.name, "sha256": digest.hexdigest(), "bytes": size}
+
+
+def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -> None:
+    head = {"schema": HEAD_SCHEMA, "run": manifest["id"], "notes": count, "last": last}
+    files.write_whole(run / files.NOTES_HEAD, sealed_json(head))
+
+
+@contextmanager
+def _alone(run: Path) -> Iterator[None]:
+    """One note at a time, where the system has locks on folders."""
+    if sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    fd = os.open(run, os.O_RDONLY)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(fd)
+
+
+def read_notes(run: Path) -> tuple[Note, ...]:
+    """The notes of a run in order; raises InvalidFile where one was changed, removed or moved."""
+    notes, faults, _last = _look(run)
+    if faults:
+        name, what = faults[0]
+        raise invalid(run / name, f"{what}; `pmabench runs verify` tells more")
+    return notes
+
+
+def check_notes(run: Path) -> list[tuple[str, str]]:
+    """File and sentence of everything that is wrong with the notes of a run."""
+    return _look(run)[1]
+
+
+def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
+    """The notes that are as they were written, what is wrong, and the sha256 of the last note."""
+    notes: list[Note] = []
+    faults: list[tuple[str, str]] = []
+    try:
+        last = hashlib.sha256(read_file(run, files.MANIFEST)).hexdigest()
+    except InvalidFile:
+        last = ""
+    chain = [last]
+    for number, name in enumerate(_folders(run, faults), start=1):
+        place = f"{files.NOTES}/{name}"
+        if name != f"{number:04d}":
+            faults.append((place, f"comes where note {number:04d} should be: a note was removed or renamed"))
+            return tuple(notes), faults, last
+        try:
+            raw = read_file(run, f"{place}/{_NOTE}")
+            content = open_json(raw, run / place / _NOTE)
+            note = _note(content)
+        except (InvalidFile, KeyError, TypeError, ValueError) as error:
+            what = error.problems[0].message if isinstance(error, InvalidFile) else "is no note"
+            faults.append((f"{place}/{_NOTE}", what))
+            return tuple(notes), faults, last
+        if note.number != number or content.get("before") != last:
+            faults.append((f"{place}/{_NOTE}", "does not follow the note before it: notes were changed or moved"))
+            return tuple(notes), faults, last
+        faults += _attached(run / place, place, content["files"])
+        notes.append(note)
+        last = hashlib.sha256(raw).hexdigest()
+        chain.append(last)
+    return tuple(notes), faults + _head(run, chain), last
+
+
+def _folders(run: Path, faults: list[tuple[str, str]]) -> list[str]:
+    folder = run / files.NOTES
+    if folder.is_symlink():
+        faults.append((files.NOTES, "is a link, which no run contains"))
+        return []
+    names = []
+    with suppress(FileNotFoundError):
+        for path in sorted(folder.iterdir()):
+            if path.is_symlink() or not path.is_dir() or not re.fullmatch(r"\d{4,}", path.name):
+                if not path.name.startswith(_PART):
+                    faults.append((f"{files.NOTES}/{path.name}", "was put among the notes; it is none"))
+                continue
+            names.append(path.name)
+    return sorted(names, key=lambda name: (len(name), name))
+
+
+def _attached(folder: Path, place: str, told: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    faults = []
+    for entry in told:
+        path = folder / str(entry["name"])
+        if not path.is_file() or path.is_symlink():
+            faults.append((f"{place}/{entry['name']}", "is missing"))
+            continue
+        try:
+            changed = files.sha256_of(path) != entry["sha256"]
+        except OSError as error:
+            faults.append((f"{place}/{entry['name']}", f"cannot be read: {error.strerror}"))
+            continue
+        if changed:
+            faults.append((f"{place}/{entry['name']}", "was changed: its sha256 does not fit"))
+    known = {_NOTE, *(str(entry["name"]) for entry in told)}
+    faults += [
+        (f"{place}/{path.name}", "was added to the note") for path in sorted(folder.iterdir()) if path.name not in known
+    ]
+    return faults
+
+
+def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
+    """`chain`: sha256 of the manifest and of each note. A note that was written last may not be in the head yet."""
+    if not (run / files.NOTES_HEAD).exists():
+        return [] if len(chain) == 1 else [(files.NOTES_HEAD, f"is missing; there are {len(chain) - 1} notes")]
+    try:
+        head = open_json(read_file(run, files.NOTES_HEAD), run / files.NOTES_HEAD)
+        count, last = int(head["notes"]), head["last"]
+    except (InvalidFile, KeyError, TypeError, ValueError) as error:
+        return [(files.NOTES_HEAD, error.problems[0].message if isinstance(error, InvalidFile) else "is damaged")]
+    if count > len(chain) - 1:
+        return [(files.NOTES_HEAD, f"tells of {count} notes; there are {len(chain) - 1}: notes were removed")]
+    if len(chain) - 1 > count + 1 or last != chain[count]:
+        return [(files.NOTES_HEAD, "does not fit the notes: notes or the manifest were changed")]
+    return []
+
+
+def _note(content: Mapping[str, Any]) -> Note:
+    if content["schema"] != NOTE_SCHEMA:
+        raise ValueError(f"the schema is not {NOTE_SCHEMA}")
+    exclude = content["exclude"]
+    number = int(content["number"])
+    return Note(
+        number=number,
+        utc=str(content["utc"]),
+        operator=str(content["operator"]),
+        text=str(content["text"]),
+        exclude=None if exclude is None else int(exclude),
+        because=str(content["because"]),
+        files=tuple(f"{files.NOTES}/{number:04d}/{_legal(entry['name'])}" for entry in content["files"]),
+    )
+
+
+def _legal(name: Any) -> str:
+    if not isinstance(name, str) or not _PLAIN.fullmatch(name):
+        raise ValueError("an attached file has a name that leads elsewhere")
+    return name

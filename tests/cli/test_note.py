@@ -1,0 +1,62 @@
+"""`pmabench note` and what other commands say of it, as a user meets them."""
+
+import json
+
+from tests.cli.test_cli import call
+from tests.store.runs import begin, closed, die, record
+
+
+def test_a_note_is_taken_shown_and_verified(tmp_path):
+    folder = closed(tmp_path)
+    picture = tmp_path / "rig.jpg"
+    picture.write_bytes(b"\xff\xd8 not a picture, but bytes")
+    assert call("note", folder, "hose replaced", "--operator", "A. Meyer").stdout == f"note 1 of {folder}\n"
+    call("note", folder, "--attach", picture, "--exclude", 0, "--because", "the table was hit", "--operator", "B. Ito")
+    text = call("runs", "show", folder).stdout
+    assert "A. Meyer: hose replaced" in text
+    assert "B. Ito: trial 0 is left out: the table was hit; [notes/0002/rig.jpg]" in text
+    shown = json.loads(call("runs", "show", folder, "--json").stdout)
+    assert [note["number"] for note in shown["notes"]] == [1, 2]
+    assert [trial["status"] for trial in shown["trials"]] == ["excluded", "failed"]
+    assert "whole" in call("runs", "verify", folder).stdout
+    (folder / "notes" / "0002" / "rig.jpg").unlink()
+    assert "notes/0002/rig.jpg: is missing" in call("runs", "verify", folder, code=3).stdout
+
+
+def test_a_note_that_cannot_be_taken_exits_with_a_sentence(tmp_path):
+    folder = closed(tmp_path, rows=20)
+    assert "says nothing" in call("note", folder, code=2).output
+    assert "go together" in call("note", folder, "--exclude", 0, code=2).output
+    assert "has no trial 9" in call("note", folder, "--exclude", 9, "--because", "x", code=3).output
+    assert "is not a run folder" in call("note", tmp_path, "x", code=3).output
+
+
+def test_a_run_that_the_guard_vented_says_so(tmp_path):
+    writer = begin(tmp_path)
+    record(writer)
+    die(writer)
+    guard = {"vent": {"result": "confirmed", "actions": []}, "cause": "the engine died (signal 9)", "t": 4.1}
+    (writer.folder / "guard.json").write_text(json.dumps(guard))
+    text = call("runs", "show", writer.folder).stdout
+    assert "the bench was vented after the program died: confirmed" in text
+    assert "the engine died (signal 9)" in text
+
+
+def test_process_lists_what_notes_leave_out(tmp_path):
+    small = ["--set", "sweep.matrix.load=[6 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 300 kPa, 400 kPa]"]
+    bench = ["--bench", "mock", "--specimen", "mas-20-250-paper0", "--yes"]
+    told = call("run", "contraction-relaxation", *bench, *small, "--out", tmp_path / "runs", "--json").stdout
+    folder = json.loads(told)["run"]
+    before = json.loads(call("process", folder, "--out", tmp_path / "before", "--json", code=6).stdout)
+    call("note", folder, "--exclude", 1, "--because", "the table was hit", "--operator", "B. Ito")
+    after = json.loads(call("process", folder, "--out", tmp_path / "after", "--json", code=6).stdout)
+    assert before["excluded"] == []
+    (entry,) = after["excluded"]
+    assert (entry["trial"], entry["because"], entry["operator"]) == (1, "the table was hit", "B. Ito")
+    dropped = after["analyses"][0]["dropped"]
+    assert [(d["trial"].rpartition("/")[2], d["reason"]) for d in dropped] == [("1", "the trial is excluded")]
+    assert before["analyses"][0]["dropped"] == []
+    assert (
+        "trial 1 is left out by B. Ito: the table was hit"
+        in call("process", folder, "--out", tmp_path / "a", code=6).stdout
+    )
