@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor
@@ -11,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, LimitTripped, RecordError
-from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Device, Stream
-from pmabench.engine.watch import Trip, Watch
+from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
+from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Stream
+from pmabench.engine.commanded import Commanded
+from pmabench.engine.watch import ENDS, Trip, Watch
 from pmabench.store.records import Flag
 
 Array = NDArray[np.float64]
 
-GAP, OVERRANGE, SLACK = (np.uint16(flag) for flag in (Flag.GAP, Flag.OVERRANGE, Flag.SLACK))
+GAP, LATE, OVERRANGE, SLACK = (np.uint16(flag) for flag in (Flag.GAP, Flag.LATE, Flag.OVERRANGE, Flag.SLACK))
 
 VIRTUAL_BLOCK = 1.0
 REAL_BLOCK = 0.05
 SILENCE = 1.0
 """A stream that gives nothing for so long [s] has failed."""
+HUNG = 2.0
+"""An executor that asks for no sample for so long [s] has failed; real time only."""
 
 
 class Recorder(Protocol):
@@ -110,7 +114,7 @@ class Acquisition:
     def __init__(
         self,
         bench: CompiledBench,
-        devices: Mapping[str, Device],
+        devices: Mapping[str, object],
         clock: Clock,
         rate: float,
         record: Sequence[str],
@@ -120,11 +124,23 @@ class Acquisition:
         self.rate = rate
         self._recording = False
         self.latest: dict[str, float] = {}
-        self.counts = {"rows": 0, "gaps": 0, "overrange": 0, "slack": 0}
+        self.counts = {"rows": 0, "gaps": 0, "late": 0, "overrange": 0, "slack": 0}
         self.extremes: dict[str, tuple[float, float]] = {}
         self.check: Callable[[], None] = lambda: None
         self._recorder = recorder
-        self._watch: Watch | None = Watch(bench.trips)
+        self.commanded = Commanded()
+        self.on_trip: Callable[[str], None] = lambda _why: None
+        """Begins the safe state, from whatever thread finds the crossing."""
+        self.holding: set[str] = set()
+        """Limits with the action `hold` that are crossed now."""
+        self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
+        self._tripped: PmaError | None = None
+        self._lock = threading.RLock()
+        self._stop: Stop | None = None
+        self._stopped: float | None = None
+        self._collected = self._asked = 0.0
+        self._supervisor: threading.Thread | None = None
+        self._ending = threading.Event()
         self._slack_below = bench.slack_below
         self._block = REAL_BLOCK if bench.realtime else VIRTUAL_BLOCK
         self._sources: list[_Source] = []
@@ -138,9 +154,19 @@ class Acquisition:
         for source in self._sources:
             source.rate = source.stream.start(self.rate)
             source.heard = self.clock.now()
+        self._collected = self._asked = self.clock.now()
+
+    def supervise(self) -> None:
+        """From now on a thread looks at the samples whenever nobody else does: an executor that hangs hides nothing."""
+        self._supervisor = threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True)
+        self._supervisor.start()
 
     def stop(self) -> None:
         """End sampling; harmless when repeated."""
+        self._ending.set()
+        if self._supervisor is not None:
+            self._supervisor.join()
+            self._supervisor = None
         self.record(on=False)
         for source in self._sources:
             source.stream.stop()
@@ -152,15 +178,17 @@ class Acquisition:
 
     def record(self, *, on: bool) -> None:
         """Record samples from now on, or no longer."""
-        for source in self._sources:
-            self._flush(source)
-        self._recording = on
+        with self._lock:
+            for source in self._sources:
+                self._flush(source)
+            self._recording = on
 
     def begin_safe_state(self) -> None:
         """No more trips, and a record that fails stops nothing any more: nothing may cancel the safe state."""
         self.check = lambda: None
-        self._watch = None
-        self._recorder = Forgiving(self._recorder)
+        with self._lock:
+            self._watch = None
+            self._recorder = Forgiving(self._recorder)
 
     @property
     def lost(self) -> RecordError | None:
@@ -176,71 +204,139 @@ class Acquisition:
 
         Raises LimitTripped when a measured limit is crossed; time then stands at that sample where it can.
         """
-        while True:
-            self.check()
-            self.clock.wait_until(min(self.clock.now() + self._block, deadline))
-            stopped = self._collect(stop)
-            if stopped is not None:
-                return stopped
-            if self.clock.now() >= deadline - 1e-9:
-                return None
+        with self._lock:
+            self._stop, self._stopped = stop, None
+        try:
+            while True:
+                self.check()
+                self._asked = self.clock.now()
+                self.clock.wait_until(min(self._asked + self._block, deadline))
+                self._collect()
+                if self._stopped is not None:
+                    return self._stopped
+                if self.clock.now() >= deadline - 1e-9:
+                    return None
+        finally:
+            with self._lock:
+                self._stop = None
 
     def sample(self) -> tuple[float, Mapping[str, float]]:
         """Wait for the next sample of all channels; its time [s] and the values [SI]."""
         period = 1.0 / self.rate
-        self.clock.wait_until((floor(self.clock.now() / period + 1e-6) + 1.0) * period)
+        self._asked = self.clock.now()
+        self.clock.wait_until((floor(self._asked / period + 1e-6) + 1.0) * period)
         self.check()
-        for source in self._sources:
-            block = source.stream.collect()
-            if len(block.time) == 1 and source.last is not None:
-                self._single(source, block)
-            else:
-                self._take(source, block, None)
+        with self._lock:
+            self._collected = self.clock.now()
+            for source in self._sources:
+                block = source.stream.collect()
+                if len(block.time) == 1 and source.last is not None:
+                    self._single(source, block)
+                else:
+                    self._take(source, block)
+            self._raise_trip()
         return self.clock.now(), self.latest
 
     def measure(self) -> Mapping[str, float]:
         """A tenth of a second of samples; the latest of them [SI], nothing older. For confirming the safe state."""
         self.latest.clear()
         self.clock.wait_until(self.clock.now() + max(0.1, 1.5 / self.rate))
-        self._collect(None)
+        self._collect()
         return self.latest
 
-    def _collect(self, stop: Stop | None) -> float | None:
-        stopped: float | None = None
-        for source in self._sources:
-            at = self._take(source, source.stream.collect(), stop)
-            stopped = at if stopped is None else stopped
-        return stopped
+    def _collect(self) -> None:
+        with self._lock:
+            self._collected = self.clock.now()
+            for source in self._sources:
+                self._take(source, source.stream.collect())
+            if self._watch is not None:
+                self._act(self._watch.silent(self.clock.now()))
+            self._raise_trip()
 
-    def _take(self, source: _Source, block: Block, stop: Stop | None) -> float | None:
-        """Scale, watch, flag and record a block; the time at which `stop` ended it. Raises Tripped."""
+    def _raise_trip(self) -> None:
+        """A crossing that another thread has found ends the run here too."""
+        if self._tripped is not None and self._watch is not None:
+            raise self._tripped
+
+    def _supervise(self) -> None:
+        """The thread: looks when nobody else did for longer than a block, and at whether the executor lives."""
+        while not self._ending.wait(self._block / 2):
+            now = self.clock.now()
+            if now - self._collected <= 1.2 * self._block:
+                continue
+            try:
+                if now - self._asked > HUNG and self._watch is not None:
+                    raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
+                self._collect()
+            except PmaError as error:
+                if self._tripped is None:
+                    self._tripped = error
+                    self.on_trip(str(error))
+
+    def _take(self, source: _Source, block: Block) -> None:
+        """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
         time_ns = np.asarray(block.time, dtype=np.int64)
         count = len(time_ns)
         if count == 0:
             if self.clock.now() - source.heard > SILENCE + 1.5 / self.rate:
                 raise DeviceError(source.name, f"has sent no sample for {SILENCE:g} s")
-            return None
+            return
         source.heard = self.clock.now()
         raw = {name: np.asarray(block.columns[name]) for name in source.channels}
         t = np.asarray(time_ns * 1e-9, dtype=np.float64)
         values = {name: source.channels[name].scale.to_si(raw[name]) for name in raw}
-        stopped: float | None = None
-        trip = self._watch.look(t, values) if self._watch is not None else None
-        index = trip.index if trip is not None else None
-        at = stop(Samples(t, values)) if stop is not None else None
-        if at is not None and (index is None or at < index):
-            index, stopped = at, float(t[at])
-        if index is not None and index < count - 1 and self.clock.back_to(float(t[index])):
-            trip = trip if trip is not None and trip.index <= index else None  # later ones did not happen
-            source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
-            count = index + 1
+        at = self._stop(Samples(t, values)) if self._stop is not None and self._stopped is None else None
+        if at is not None:
+            self._stopped = float(t[at])
+            if self._rewound(source, t, at):
+                count = at + 1
+        trips = self._look(t[:count], {name: column[:count] for name, column in values.items()})
+        ends = next((trip for trip in trips if trip.limit.action in ENDS), None)
+        if ends is not None and ends.index < count - 1 and self._rewound(source, t, ends.index):
+            count = ends.index + 1
+        if count < len(time_ns):
             time_ns = time_ns[:count]
             raw = {name: column[:count] for name, column in raw.items()}
             values = {name: column[:count] for name, column in values.items()}
-        self._keep(source, time_ns, raw, values)
-        if trip is not None:
-            raise Tripped(trip)
-        return stopped
+        self._keep(source, time_ns, raw, values, block.host)
+        self._act(trips)
+
+    def _rewound(self, source: _Source, t: Array, index: int) -> bool:
+        """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""
+        if index >= len(t) - 1 or not self.clock.back_to(float(t[index])):
+            return False
+        source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
+        return True
+
+    def _look(self, t: Array, values: Mapping[str, Array]) -> list[Trip]:
+        return self._watch.look(t, values) if self._watch is not None else []
+
+    def _act(self, trips: Sequence[Trip]) -> None:
+        """Do what the limits say: note a warning, hold, or end the run."""
+        for trip in trips:
+            if trip.limit.action in ENDS:
+                self._tripped = Tripped(trip)
+                if trip.limit.action == "vent":
+                    self.on_trip(str(trip))
+                self._recorder.event(
+                    "trip",
+                    trip.t,
+                    reason=str(trip),
+                    limit=trip.limit.kind,
+                    channel=trip.limit.channel,
+                    value=trip.value,
+                    low=trip.limit.low,
+                    high=trip.limit.high,
+                    action=trip.limit.action,
+                    source=trip.limit.source,
+                    reacted_in=self.clock.now() - trip.t,
+                )
+                raise self._tripped
+            name = f"{trip.limit.kind} {trip.limit.channel}"
+            if trip.limit.action == "hold":
+                (self.holding.discard if trip.over else self.holding.add)(name)
+            what = f"{'over' if trip.over else trip.limit.action}"
+            self._recorder.event("warning", trip.t, reason=str(trip), limit=name, action=what, value=trip.value)
 
     def _single(self, source: _Source, block: Block) -> None:
         """As `_take` for one sample, in plain numbers: a loop closed at 500 Hz has 2 ms for everything."""
@@ -270,9 +366,8 @@ class Acquisition:
             source.rows.append((time_ns, columns, flags))
             if len(source.rows) >= self.rate * self._block:
                 self._flush(source)
-        trip = self._watch.look_once(time_ns * 1e-9, self.latest) if self._watch is not None else None
-        if trip is not None:
-            raise Tripped(trip)
+        if self._watch is not None:
+            self._act(self._watch.look_once(time_ns * 1e-9, self.latest))
 
     def _flush(self, source: _Source) -> None:
         """Hand single samples to the recorder."""
@@ -287,15 +382,24 @@ class Acquisition:
             )
 
     def _keep(
-        self, source: _Source, time_ns: NDArray[np.int64], raw: Mapping[str, Any], values: Mapping[str, Array]
+        self,
+        source: _Source,
+        time_ns: NDArray[np.int64],
+        raw: Mapping[str, Any],
+        values: Mapping[str, Array],
+        host: int,
     ) -> None:
         flags = np.zeros(len(time_ns), dtype=np.uint16)
         if len(time_ns) > 1 or source.last is not None:
             before = time_ns[0] if source.last is None else source.last
-            gaps = np.diff(time_ns, prepend=before) > 1.5e9 / source.rate
-            if gaps.any():
-                flags[gaps] |= GAP
-                self.counts["gaps"] += int(gaps.sum())
+            steps = np.diff(time_ns, prepend=before)
+            apart = steps > 1.5e9 / source.rate
+            if apart.any():
+                late = apart & (np.append(steps[1:], steps[-1]) < 0.75e9 / source.rate)  # the next one was in time
+                flags[apart & ~late] |= GAP
+                flags[late] |= LATE
+                self.counts["gaps"] += int((apart & ~late).sum())
+                self.counts["late"] += int(late.sum())
         source.last = int(time_ns[-1])
         for name, value in values.items():
             channel = source.channels[name]

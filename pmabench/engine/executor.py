@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import PmaError, VerdictFailed
+from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench, Load
 from pmabench.engine.acquire import Acquisition, Recorder, Samples
+from pmabench.engine.commanded import Commander, Commands
 from pmabench.engine.operator import Operator
 from pmabench.engine.seek import run_seek
-from pmabench.guard.guard import Guard
 from pmabench.protocol.plan import (
     HANDS_OUT,
     VENTED_WITHIN,
@@ -52,18 +52,38 @@ class TrialFailed(VerdictFailed):
     """A step reached its limit and the plan says that the trial has failed then."""
 
 
+class Bench(Commands, Protocol):
+    """What the executor needs of the guard, wherever that lives."""
+
+    def place(self, load: Load) -> None:
+        """Hands put a load on."""
+        ...
+
+    def valves(self, *, closed: bool) -> None:
+        """Close every valve, or open them."""
+        ...
+
+
+LONGEST_HOLD = 60.0
+"""A limit that holds the bench for longer ends the run [s]."""
+
+
 @dataclass
 class Executor:
-    """Runs one plan once."""
+    """Runs the steps of one plan, all of them or those that are left."""
 
     plan: Plan
     bench: CompiledBench
-    guard: Guard
+    guard: Bench
     acquisition: Acquisition
     recorder: Recorder
     operator: Operator
     clock: Clock
     progress: Callable[[Progress], None] = lambda _progress: None
+    steps: Sequence[Step] | None = None
+    """The steps to run, where not all of the plan's."""
+    attempts: dict[int, int] = field(default_factory=dict)
+    """How often each trial was begun, also in the runs that this one continues."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
 
@@ -71,6 +91,8 @@ class Executor:
         self._trial: int | None = None
         self._trial_status = "finished"
         self._value: dict[str, float] = {}
+        self._pause = self._repeat = False
+        self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
         self._act: dict[type[Step], Callable[[Any], None]] = {
             Set: self._set,
             Ramp: self._ramp,
@@ -84,15 +106,63 @@ class Executor:
 
     def run(self) -> None:
         """All steps in order; raises whatever ends the run before its time."""
-        left = sum(step.longest() for step in self.plan.steps)
-        for number, step in enumerate(self.plan.steps):
+        steps = self.plan.steps if self.steps is None else self.steps
+        left = sum(step.longest() for step in steps)
+        number = begun = 0
+        while number < len(steps):
+            step = steps[number]
             self.progress(
-                Progress(
-                    number, len(self.plan.steps), self._trial, len(self.plan.trials), self.clock.now(), left, step.phase
-                )
+                Progress(number, len(steps), self._trial, len(self.plan.trials), self.clock.now(), left, step.phase)
             )
+            if self._trial is None and self._pause:
+                self._stay_at_low_pressure()
+            if isinstance(step, Record) and step.on and step.trial is not None:
+                begun = number
             self._act[type(step)](step)
             left -= step.longest()
+            number += 1
+            if self._repeat and isinstance(step, Record) and not step.on:
+                self._repeat = False
+                left += sum(again.longest() for again in steps[begun:number])
+                number = begun
+
+    def heed(self) -> None:
+        """Take what the operator has typed: notes at once, pause and repeat at the end of the trial, vent now."""
+        for what, text in self.operator.poll():
+            if what == "note":
+                self._event("note", text=text, trial=self._trial)
+            elif text == "p":
+                self._pause = not self._pause
+                self._event("key", key="pause", on=self._pause)
+            elif text == "r" and (self._trial is not None or self.attempts):
+                self._repeat = self._trial is not None
+                self._event("key", key="repeat", on=self._repeat)
+            elif text == "v":
+                raise Interrupted("the operator (key v)", 130)
+
+    def _stay_at_low_pressure(self) -> None:
+        """Between trials: the pressure at its safe value until the operator goes on."""
+        outputs = {output.name: output for output in self.bench.outputs}
+        before, output = self._value.get("pressure"), outputs.get("pressure")
+        step = Set("pause", "pressure", output.safe if output is not None else 0.0)
+        self._event("pause", pressure=before)
+        if output is not None and before is not None:
+            self._set(step)
+        while self._pause:
+            self.acquisition.pass_time(0.1)
+        self._event("goes-on")
+        if output is not None and before is not None:
+            self._set(Set("pause", "pressure", before))
+
+    def _wait_while_held(self) -> None:
+        """Nothing new is commanded while a limit says `hold`."""
+        until = self.clock.now() + LONGEST_HOLD
+        while self.acquisition.holding:
+            if self.clock.now() > until:
+                raise LimitTripped(
+                    f"held for {LONGEST_HOLD:g} s, and still outside: {', '.join(sorted(self.acquisition.holding))}"
+                )
+            self.acquisition.pass_time(0.05)
 
     def _event(self, kind: str, **data: Any) -> None:
         self.recorder.event(kind, self.clock.now(), **data)
@@ -107,11 +177,11 @@ class Executor:
         before = self._value.get(step.output, 0.0)
         sent = self.guard.value_sent(step.output, step.value)
         self._command(step, step.output, "set", step.value, before, sent=sent)
-        self.guard.set(step.output, step.value)
+        self._commander.set(step.output, step.value)
 
     def _ramp(self, step: Ramp) -> None:
         self._command(step, step.output, "ramp", step.to, step.origin, rate=step.rate)
-        self.guard.ramp(step.output, step.origin, step.to, step.rate)
+        self._commander.ramp(step.output, step.origin, step.to, step.rate)
         self.acquisition.pass_time(step.longest())
 
     def _follow(self, step: Follow) -> None:
@@ -125,7 +195,7 @@ class Executor:
             frequency=step.frequency,
             cycles=step.cycles,
         )
-        self.guard.sine(step.output, step.mean, step.amplitude, step.frequency, step.cycles)
+        self._commander.sine(step.output, step.mean, step.amplitude, step.frequency, step.cycles)
         self.acquisition.pass_time(step.longest())
 
     def _hold(self, step: Hold) -> None:
@@ -136,12 +206,14 @@ class Executor:
             self._trial, self._trial_status = step.trial, "finished"
             if step.trial is not None:
                 trial = self.plan.trials[step.trial]
+                self.attempts[trial.index] = self.attempts.get(trial.index, 0) + 1
                 self._event(
                     "trial-begin",
                     trial=trial.index,
                     point=dict(trial.point),
                     repeat=trial.repeat,
                     reference=trial.reference,
+                    attempt=self.attempts[trial.index],
                 )
             self.acquisition.record(on=True)
             return
@@ -200,31 +272,48 @@ class Executor:
 
     def _ask(self, step: Ask) -> None:
         if step.demands == "vented":
-            below = self.bench.hands_below
-            wait = WaitUntil(step.phase, "pressure", "below", below, 0.1, VENTED_WITHIN, "flag")
-            before = self.clock.now()
-            self._wait_until(wait)
-            if self.acquisition.latest.get("pressure", float("inf")) >= below:
-                raise PmaError(
-                    f"hands are not let in: the measured pressure stayed above {show(below, 'pressure')} "
-                    f"for {self.clock.now() - before:.1f} s"
-                )
-        elif self.acquisition.latest.get("pressure", float("inf")) > self.bench.hands_at_pressure:
-            most = show(self.bench.hands_at_pressure, "pressure")
-            raise PmaError(f"hands are not let in: the measured pressure is above this bench's {most} for hands")
+            below, what = self.bench.hands_below, "stayed above"
+            self._wait_until(WaitUntil(step.phase, "pressure", "below", below, 0.1, VENTED_WITHIN, "flag"))
+            self.guard.valves(closed=False)
+        else:
+            below, what = self._hands_at_pressure(), "is above this bench's"
+        self._refuse_hands_above(below, what)
         self._event("prompt", text=step.text, phase=step.phase, demands=step.demands)
-        answer = self.operator.ask(step.text, self.acquisition.latest)
+
+        def wait() -> None:
+            self.acquisition.pass_time(0.1)
+            self._refuse_hands_above(below, "rose above")
+
+        answer = self.operator.ask(step.text, self.acquisition.latest, wait)
         self._event("answer", text=step.text, answer=answer, pressure=self.acquisition.latest.get("pressure"))
         if step.load is not None:
             self.guard.place(Load(*step.load))
             self._event("load", force=step.load[0], mass=step.load[1])
         self.acquisition.pass_time(HANDS_OUT)
+        if step.demands == "vented":
+            self.guard.valves(closed=True)
+
+    def _hands_at_pressure(self) -> float:
+        """Highest measured pressure for hands at pressure [Pa]: the bench's, and what its channel cannot tell."""
+        most = self.bench.hands_at_pressure
+        channel = next((c for c in self.bench.channels if c.name == "pressure"), None)
+        if channel is None or most == 0.0:
+            return most
+        return most * (1 + channel.calibration.gain_uncertainty) + channel.calibration.offset_uncertainty
+
+    def _refuse_hands_above(self, below: float, what: str) -> None:
+        measured = self.acquisition.latest.get("pressure", float("inf"))
+        if not measured <= below:
+            raise PmaError(
+                f"hands are not let in: the measured pressure {show(measured, 'pressure')} "
+                f"{what} {show(below, 'pressure')}"
+            )
 
     def _seek(self, step: Seek) -> None:
         def log(how: str, value: float, before: float, **data: Any) -> None:
             self._command(step, step.output, how, value, before, **data)
 
-        result = run_seek(step, self.guard, self.acquisition, self.clock, log)
+        result = run_seek(step, self._commander, self.acquisition, self.clock, log)
         self._value[step.output] = result.get("command", self._value.get(step.output, 0.0))
         self._event("found", phase=step.phase, law=step.law, trial=self._trial, result=result)
         if not result.get("found", False):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from pmabench.base.errors import Interrupted, PmaError
@@ -17,27 +17,39 @@ class NoOperator(PmaError):
 class Operator(Protocol):
     """Answers a prompt; returns what was answered, for the record."""
 
-    def ask(self, text: str, measured: Mapping[str, float]) -> str:
-        """Show the text and the live values; return when it is done."""
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
+        """Show the text and the live values; return when it is done. `wait` lets a block of bench time pass."""
+        ...
+
+    def poll(self) -> Sequence[tuple[str, str]]:
+        """What the operator did since the last call: `("note", text)`, `("key", "p")` ...; never waits."""
         ...
 
 
-class ConfirmedBeforehand:
+class _WithoutKeys:
+    """Has no keys to press."""
+
+    def poll(self) -> Sequence[tuple[str, str]]:
+        """Nothing."""
+        return ()
+
+
+class ConfirmedBeforehand(_WithoutKeys):
     """`--yes`: every prompt counts as answered, and the record says so."""
 
-    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Answered without a person."""
         return "confirmed beforehand (--yes)"
 
 
-class AtTerminal:
-    """A person: sees the measured pressure, and types `clear` when hands are out."""
+class AtTerminal(_WithoutKeys):
+    """A person at a bench in virtual time, which waits: sees the pressure, types `clear` when hands are out."""
 
     def __init__(self, read: Callable[[str], str], write: Callable[[str], None]) -> None:
         self._read = read
         self._write = write
 
-    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Ask until the word is `clear`; nothing else counts."""
         pressure = measured.get("pressure")
         shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
@@ -51,9 +63,9 @@ class AtTerminal:
                 return "clear"
 
 
-class Nobody:
+class Nobody(_WithoutKeys):
     """Neither a terminal nor `--yes`."""
 
-    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Refused."""
         raise NoOperator(f"hands are needed ({text}) and there is no terminal; with --yes prompts count as answered")

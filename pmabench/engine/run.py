@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import getpass
-import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench import __version__
-from pmabench.base.clock import Clock, RealClock, VirtualClock
-from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError, VerdictFailed
+from pmabench.base.clock import RealClock, VirtualClock
+from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench
-from pmabench.engine.acquire import Acquisition, Forgiving, NoRecord, Recorder
+from pmabench.engine.acquire import Acquisition, Forgiving, NoRecord, Recorder, Tripped
+from pmabench.engine.ending import exit_code, sentence, status_of
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
+from pmabench.engine.own import OwnDevices
+from pmabench.engine.proof import prove
 from pmabench.engine.signals import Signals
 from pmabench.guard.guard import Guard, Vent
-from pmabench.protocol.plan import Plan
+from pmabench.guard.remote import RemoteGuard
+from pmabench.protocol.plan import Plan, Step
 from pmabench.store.naming import run_name
 
 if TYPE_CHECKING:
@@ -45,19 +49,37 @@ class Outcome:
     """Events of a run that was only tried."""
 
 
-class _Waiting:
+class Waiting:
     """An operator who can be interrupted while the program waits for the answer."""
 
     def __init__(self, operator: Operator, signals: Signals) -> None:
         self._operator, self._signals = operator, signals
+        self.poll = operator.poll
 
-    def ask(self, text: str, measured: Mapping[str, float]) -> str:
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """As the operator answers."""
         self._signals.waiting = True
+
+        def waited() -> None:
+            self._signals.waiting = False
+            wait()
+            self._signals.waiting = True
+
         try:
-            return self._operator.ask(text, measured)
+            return self._operator.ask(text, measured, waited)
         finally:
             self._signals.waiting = False
+
+
+@dataclass(frozen=True)
+class Continues:
+    """The run that a new one goes on from, by `pmabench run --resume`."""
+
+    manifest: Mapping[str, Any]
+    """What the new manifest says of it."""
+    steps: tuple[Step, ...]
+    """What is left to do."""
+    attempts: Mapping[int, int]
 
 
 def run_plan(
@@ -70,40 +92,58 @@ def run_plan(
     operator_name: str = "",
     deviations: Sequence[str] = (),
     progress: Callable[[Progress], None] = lambda _progress: None,
+    continues: Continues | None = None,
+    begun: Callable[[Path], None] = lambda _folder: None,
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
-    Raises DeviceError, LimitRefused or RecordError only where it failed before anything was commanded.
+    `begun` is told the folder before anything is commanded. Raises DeviceError, LimitRefused or RecordError only where
+    it failed before anything was commanded.
     """
-    clock: Clock = RealClock() if mounted.bench.realtime else VirtualClock()
-    guard = Guard(mounted.bench, clock)
+    bench = mounted.bench
+    clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
+    guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
+    own = OwnDevices(bench, clock) if bench.realtime else None
     guard.open()
     try:
-        simulated = any(identity.simulated for identity in guard.identities.values())
-        if not mounted.bench.realtime and not all(identity.simulated for identity in guard.identities.values()):
-            raise DeviceError(mounted.bench.name, '"time: virtual" is for simulated devices only')
-        bench = replace(mounted.bench, simulated=simulated)
+        if own is not None:
+            own.open()
+        identities = {**guard.identities, **(own.identities if own is not None else {})}
+        if not bench.realtime and not all(identity.simulated for identity in identities.values()):
+            raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
+        bench = replace(bench, simulated=any(identity.simulated for identity in identities.values()))
         recorder: Recorder = NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            writer = _new_folder(plan, mounted, bench, guard, out, protocol_text, operator_name, deviations)
+            about: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
+            about |= {"deviations": list(deviations), "operator": operator_name or _user()}
+            if continues is not None:
+                about["continues"] = dict(continues.manifest)
+            writer = _new_folder(plan, mounted, bench, out, protocol_text, about)
             recorder = writer
+            begun(writer.folder)
         with Signals() as signals:
-            return _guarded(plan, bench, guard, clock, recorder, writer, _Waiting(operator, signals), signals, progress)
+            streams = {**guard.devices, **(own.streams if own is not None else {})}
+            acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
+            executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
+            if continues is not None:
+                executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
+            run = _Run(executor, guard, own, signals, writer)
+            return run.execute()
     finally:
         guard.close()
+        if own is not None:
+            own.close()
 
 
 def _new_folder(
     plan: Plan,
     mounted: Mounted,
     bench: CompiledBench,
-    guard: Guard,
     out: Path,
     protocol_text: str,
-    operator_name: str,
-    deviations: Sequence[str],
+    about: Mapping[str, Any],
 ) -> RunWriter:
     from pmabench.store.writer import RunWriter
 
@@ -116,17 +156,15 @@ def _new_folder(
         "source": plan.source,
         "simulated": bench.simulated,
         "started_utc": started.isoformat(timespec="milliseconds"),
-        "operator": operator_name or _user(),
         "bench": bench.name,
         "specimen": specimen.model_dump(mode="json", by_alias=True, exclude={"expected"}),
-        "devices": guard.describe(),
         "plan_sha256": plan.sha256,
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
         "lacks": list(mounted.lacks),
         "hazards": list(plan.hazards),
-        "deviations": list(deviations),
         "pmabench": __version__,
+        **about,
     }
     snapshots = {name: text.encode() for name, text in mounted.documents.items()}
     snapshots |= {
@@ -149,108 +187,122 @@ def _user() -> str:
         return "unknown"
 
 
-def _guarded(
-    plan: Plan,
-    bench: CompiledBench,
-    guard: Guard,
-    clock: Clock,
-    recorder: Recorder,
-    writer: RunWriter | None,
-    operator: Operator,
-    signals: Signals,
-    progress: Callable[[Progress], None],
-) -> Outcome:
-    acquisition = Acquisition(bench, guard.devices, clock, plan.rate, plan.record, recorder)
-    acquisition.check = signals.check
-    executor = Executor(plan, bench, guard, acquisition, recorder, operator, clock, progress)
-    cause: BaseException | None = None
-    try:
-        acquisition.start()
-        recorder.event("armed", clock.now(), bench=bench.name)
-        guard.arm()
-        acquisition.pass_time(0.1)
-        executor.run()
-        if executor.failed:
-            failed = ", ".join(str(index) for index in executor.failed)
-            cause = VerdictFailed(f"{len(executor.failed)} of {len(plan.trials)} trials failed: {failed}")
-    except BaseException as error:  # every way out leads through the safe state below
-        cause = error
-    signals.shut()
-    acquisition.begin_safe_state()
-    vent = guard.safe_state(acquisition.measure, tripped=isinstance(cause, LimitTripped))
-    ending = Forgiving(recorder)
-    executor.recorder = ending
-    executor.end_trial("interrupted")
-    if isinstance(cause, LimitTripped):
-        ending.event("trip", clock.now(), reason=str(cause))
-    elif cause is not None:
-        ending.event("ended-early", clock.now(), reason=_sentence(cause))
-    ending.event("vent", clock.now(), result=vent.result, actions=list(vent.actions))
-    lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
-    try:
-        acquisition.stop()
-    except Exception as error:  # the run is over and vented; what is left is to say so
-        cause = cause or error
-    status, why = _status(cause)
-    if not vent.confirmed and bench.safe_state:
-        why = f"{why}; safe state {vent.result}".lstrip("; ")
-    folder = writer.folder if writer is not None else None
-    if writer is not None:
+class _Run:
+    """One execution of a plan, from arming to the sealed folder."""
+
+    def __init__(
+        self,
+        executor: Executor,
+        guard: Guard | RemoteGuard,
+        own: OwnDevices | None,
+        signals: Signals,
+        writer: RunWriter | None,
+    ) -> None:
+        self.executor, self.guard, self.own, self.signals, self.writer = executor, guard, own, signals, writer
+        self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
+
+    def execute(self) -> Outcome:
+        """Run it; every way out leads through the safe state."""
+        acquisition, executor = self.acquisition, self.executor
+        acquisition.check = self._check
+        acquisition.on_trip = lambda why: self.guard.begin_safe(tripped=True, why=why)
+        cause: BaseException | None = None
         try:
-            writer.close(
+            acquisition.start()
+            executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
+            self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
+            acquisition.pass_time(0.1)
+            if self.bench.realtime:
+                acquisition.supervise()
+            prove(self.bench, self.guard, acquisition, executor.recorder)
+            executor.run()
+            if executor.failed:
+                failed = ", ".join(str(index) for index in executor.failed)
+                cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
+        except BaseException as error:  # every way out leads through the safe state below
+            cause = error
+        gently = isinstance(cause, Interrupted) and self.signals.gently
+        if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
+            self._controlled_stop()
+        return self._end(cause)
+
+    def _check(self) -> None:
+        self.signals.check()
+        self.executor.heed()
+
+    def _controlled_stop(self) -> None:
+        """Take the pressure down at the bench's rate first; whatever comes meanwhile ends that at once."""
+        output = next((o for o in self.bench.outputs if o.name == "pressure"), None)
+        stands = self.acquisition.commanded.at("pressure", self.clock.now())
+        if output is None or stands is None or not self.bench.stop_rate or stands <= output.safe:
+            return
+        self.signals.news()
+        self.acquisition.check = self.signals.check
+        with suppress(BaseException):  # another signal, a trip, a lost device: the safe state follows now
+            self.executor.recorder.event("controlled-stop", self.clock.now(), origin=stands, rate=self.bench.stop_rate)
+            self.guard.ramp("pressure", stands, output.safe, self.bench.stop_rate)
+            self.acquisition.pass_time((stands - output.safe) / self.bench.stop_rate)
+
+    def _measure(self) -> Mapping[str, float]:
+        """Newest values for the safe state; more signals shorten its waits."""
+        if self.signals.news():
+            self.guard.begin_safe(hurry=True)
+        values = self.acquisition.measure()
+        if isinstance(self.guard, RemoteGuard) and self.own is not None:
+            self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
+        return values
+
+    def _end(self, cause: BaseException | None) -> Outcome:
+        acquisition, executor = self.acquisition, self.executor
+        self.signals.news()
+        self.signals.shut()
+        acquisition.begin_safe_state()
+        why = str(cause) if cause is not None else "end of the run"
+        vent = self.guard.safe_state(self._measure, tripped=isinstance(cause, LimitTripped), why=why)
+        ending = Forgiving(executor.recorder)
+        recorder, executor.recorder = executor.recorder, ending
+        executor.end_trial("interrupted")
+        if isinstance(cause, LimitTripped) and not isinstance(cause, Tripped):
+            ending.event("trip", self.clock.now(), reason=str(cause))
+        elif cause is not None and not isinstance(cause, Tripped):
+            ending.event("ended-early", self.clock.now(), reason=sentence(cause))
+        ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
+        lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
+        try:
+            acquisition.stop()
+        except Exception as error:  # the run is over and vented; what is left is to say so
+            cause = cause or error
+        status, why = status_of(cause)
+        if not vent.confirmed and self.bench.safe_state:
+            why = f"{why}; safe state {vent.result}".lstrip("; ")
+        lost = self._close(status, why, vent) or lost
+        if lost is not None and not isinstance(cause, RecordError):
+            status, why = "error", str(lost)
+        return Outcome(
+            status,
+            why,
+            exit_code(cause, lost, vent),
+            vent,
+            self.writer.folder if self.writer is not None else None,
+            self.clock.now(),
+            acquisition.counts["rows"],
+            tuple(executor.failed),
+            dict(acquisition.extremes),
+            tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
+        )
+
+    def _close(self, status: str, why: str, vent: Vent) -> RecordError | None:
+        if self.writer is None:
+            return None
+        try:
+            self.writer.close(
                 status,
                 why,
                 vent={"result": vent.result, "actions": list(vent.actions)},
-                counts=dict(acquisition.counts),
-                trials_failed=list(executor.failed),
-                bench_seconds=clock.now(),
+                counts=dict(self.acquisition.counts),
+                trials_failed=list(self.executor.failed),
+                bench_seconds=self.clock.now(),
             )
         except RecordError as error:
-            lost = lost or error
-    if lost is not None and not isinstance(cause, RecordError):
-        status, why = "error", str(lost)
-    return Outcome(
-        status,
-        why,
-        exit_code(cause, lost, vent),
-        vent,
-        folder,
-        clock.now(),
-        acquisition.counts["rows"],
-        tuple(executor.failed),
-        dict(acquisition.extremes),
-        tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
-    )
-
-
-def _sentence(cause: BaseException) -> str:
-    if isinstance(cause, PmaError):
-        return str(cause)
-    return "".join(traceback.format_exception(cause))
-
-
-def _status(cause: BaseException | None) -> tuple[str, str]:
-    if cause is None:
-        return "finished", ""
-    if isinstance(cause, Interrupted):
-        return "aborted", str(cause)
-    if isinstance(cause, LimitTripped):
-        return "tripped", str(cause)
-    if isinstance(cause, VerdictFailed):
-        return "failed", str(cause)
-    if isinstance(cause, PmaError):
-        return "error", str(cause)
-    return "error", f"{type(cause).__name__}: {cause}"
-
-
-def exit_code(cause: BaseException | None, lost: RecordError | None, vent: Vent) -> int:
-    """When causes meet the worst wins: vent not confirmed, record lost, device, interrupted, verdict."""
-    if vent.result == "failed" or isinstance(cause, LimitTripped):
-        return 5
-    if lost is not None:
-        return 7
-    if not vent.confirmed:
-        return 5
-    if cause is None:
-        return 0
-    return cause.exit_code if isinstance(cause, PmaError) else 1
+            return error
+        return None

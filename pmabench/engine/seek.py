@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from pmabench.base.clock import Clock
 from pmabench.engine.acquire import Acquisition
-from pmabench.guard.guard import Guard
+from pmabench.engine.commanded import Commander
 from pmabench.protocol.plan import Seek
 
 SAMPLED = {
@@ -38,7 +38,7 @@ class SampledLaw(Protocol):
 class Moves:
     """What a scripted law may do: ramp its output inside the step's range, and let time pass until a crossing."""
 
-    def __init__(self, step: Seek, guard: Guard, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
+    def __init__(self, step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
         self.step = step
         self.acquisition = acquisition
         self.clock = clock
@@ -73,7 +73,7 @@ class Moves:
 
 
 def run_seek(
-    step: Seek, guard: Guard, acquisition: Acquisition, clock: Clock, log: Callable[..., None]
+    step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]
 ) -> dict[str, Any]:
     """Run the step's law to its end; its result has `found` True or False and, when False, `reason`."""
     if step.law in SCRIPTED:

@@ -15,13 +15,14 @@ class Signals:
     """While entered, SIGINT, SIGTERM and SIGHUP become an `Interrupted` at the next `check`.
 
     While `waiting` (for a person to type) they are raised at once. After `shut` they are only counted: the safe state
-    has begun and nothing cancels it.
+    has begun and nothing cancels it; more signals only shorten its waits.
     """
 
     def __init__(self) -> None:
         self.pending: list[int] = []
         self.waiting = False
         self._shut = False
+        self._heeded = 0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
@@ -49,10 +50,20 @@ class Signals:
             self.check()
 
     def check(self) -> None:
-        """Raise what has been noted."""
-        if self.pending and not self._shut:
-            number = self.pending[0]
+        """Raise what has been noted and not been heeded."""
+        if len(self.pending) > self._heeded and not self._shut:
+            number = self.pending[-1]
             raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
+
+    def news(self) -> bool:
+        """Whether a signal has come since the last call; it counts as heeded then."""
+        before, self._heeded = self._heeded, len(self.pending)
+        return self._heeded > before
+
+    @property
+    def gently(self) -> bool:
+        """Whether all that came is one Ctrl-C: a controlled stop before the safe state."""
+        return self.pending == [signal.SIGINT]
 
     def shut(self) -> None:
         """From now on signals are only counted."""

@@ -96,6 +96,8 @@ class Guard:
         self._valves = {valve.name: valve for valve in bench.valves}
         self._safe: SafeState | None = None
         self._tripped = False
+        self.run = self.why = ""
+        """For which run folder it is armed, and what began the safe state."""
         self._stands: dict[str, float] = {}
         """Where each output was sent last [SI]."""
 
@@ -126,8 +128,9 @@ class Guard:
 
     # -- arming -------------------------------------------------------------------------------------------------
 
-    def arm(self) -> None:
-        """Refuse a bench that cannot be made safe; watchdogs on, every output safe, valves energised: set up."""
+    def arm(self, run: str = "") -> None:
+        """Refuse a bench that cannot be made safe; watchdogs on, every output safe, valves closed: set up for `run`."""
+        self.run = run
         refuse_unsafe_bench(self.bench)
         for output in self._outputs.values():
             if not isinstance(self.devices.get(output.device), SetPoint):
@@ -301,8 +304,9 @@ class Guard:
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
-    def begin_safe(self, *, tripped: bool = False, hurry: bool = False) -> None:
+    def begin_safe(self, *, tripped: bool = False, hurry: bool = False, why: str = "") -> None:
         """Begin the declared safe state; when it is under way or over, only send its commands again."""
+        self.why = self.why or why
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
             self.state = State.STOPPING
@@ -321,9 +325,9 @@ class Guard:
         self.state = State.TRIPPED if self._tripped else State.SAFE
         return self._safe.vent
 
-    def safe_state(self, measure: Measure, *, tripped: bool = False) -> Vent:
+    def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:
         """Run the safe state to its end. `measure` may fail: then the vent is `commanded`, not `confirmed`."""
-        self.begin_safe(tripped=tripped)
+        self.begin_safe(tripped=tripped, why=why)
         vent = self.step_safe({})
         while vent is None:
             try:

@@ -63,7 +63,6 @@ class Service:
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
         self._kept: dict[str, list[Block]] = {}
-        self._run = ""
         self._served = self._told_to_end = False
 
     def serve(self) -> None:
@@ -149,10 +148,9 @@ class Service:
 
     def do_arm(self, peer: _Peer, run: str) -> None:
         """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
-        self._run = run
         self.station.write("bench", json.loads(self.guard.bench.to_json()))
         self.station.note("armed", run=run, why="")
-        self.guard.arm()
+        self.guard.arm(run)
 
     def do_release(self, peer: _Peer) -> None:
         """The bench is proven."""
@@ -210,7 +208,7 @@ class Service:
 
     def do_status(self, peer: _Peer) -> dict[str, Any]:
         """What goes on."""
-        return {"run": self._run}
+        return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
         """The engine is done."""
@@ -262,11 +260,11 @@ class Service:
         self._vent = vent
         why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
         latched = self.guard.state is State.TRIPPED or not vent.confirmed
-        self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self._run)
-        if self._engine is None and self._run:
+        self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)
+        if self._engine is None and self.guard.run:
             about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
             with suppress(OSError):
-                Path(self._run, "guard.json").write_text(json.dumps(about), encoding="utf-8")
+                Path(self.guard.run, "guard.json").write_text(json.dumps(about), encoding="utf-8")
         for peer in self._peers:
             if peer.waits:
                 with suppress(OSError):

@@ -12,7 +12,6 @@ import time
 from array import array
 from collections.abc import Mapping
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from pmabench.base import errors
@@ -125,9 +124,9 @@ class RemoteGuard:
             raise _raised(answer["error"])
         return answer, payload
 
-    def arm(self, run: Path | None = None) -> None:
-        """As `Guard.arm`; the guard then knows the folder of the run."""
-        self.ask("arm", within=OPENS_WITHIN, run=str(run.resolve()) if run is not None else "")
+    def arm(self, run: str = "") -> None:
+        """As `Guard.arm`."""
+        self.ask("arm", within=OPENS_WITHIN, run=run)
 
     def release(self) -> None:
         """As `Guard.release`."""

@@ -92,7 +92,7 @@ def test_a_second_ctrl_c_in_the_vent_changes_nothing(monkeypatch):
 def test_a_measured_value_that_is_none_trips_and_vents(kind):
     outcome = execute(one_trial(*STEPS[kind]), mounted(faults={"nan_at": 5.0}))
     assert (outcome.status, outcome.exit_code) == ("tripped", 5)
-    assert kinds(outcome)[-2:] == ["trip", "vent"]
+    assert [kind for kind in kinds(outcome)[-3:] if kind != "trial-end"][-2:] == ["trip", "vent"]
 
 
 @pytest.mark.parametrize("kind", STEPS)
@@ -254,7 +254,7 @@ def test_real_time_runs_the_same_plan(monkeypatch):
     made = plan(Record("t", True, 0), Set("t", "pressure", 2e5), Hold("t", 0.5), Record("t", False, 0))
     outcome = execute(made, bench)
     assert outcome.status == "finished"
-    assert abs(outcome.rows - 250) <= 2
+    assert 240 <= outcome.rows <= 300  # half a second at 500 Hz; the machine may be busy
     assert outcome.vent.confirmed
 
 

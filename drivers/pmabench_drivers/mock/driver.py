@@ -6,7 +6,7 @@ import math
 import threading
 from typing import TYPE_CHECKING
 
-from pmabench.base.clock import Clock, VirtualClock
+from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, Options, read_options
@@ -37,9 +37,8 @@ class MockBench:
 
     def _read_options(self) -> Options:
         options, name = read_options(self._device.name, self._device.options), self._device.name
-        late = (options.faults.dead_at, options.faults.mute_at)
-        if late != (None, None) or options.clock_ppm or options.clock_offset:
-            raise DeviceError(name, "faults dead_at, mute_at and options clock_* need the driver mock-realtime")
+        if (options.faults.dead_at, options.faults.mute_at) != (None, None):
+            raise DeviceError(name, "the faults dead_at and mute_at need the driver mock-realtime")
         return options
 
     def open(self) -> Identity:
@@ -47,7 +46,7 @@ class MockBench:
         from pmabench_drivers.mock.simulation import MEMORY, Simulation
 
         try:
-            memory = MEMORY if isinstance(self._clock, VirtualClock) else 0.0
+            memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
             self._opened = Simulation(self._device, self._options, self._now(), memory)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error)) from error
