@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 
 
@@ -20,6 +21,8 @@ def command(ui: Ui, sources: tuple[Path, ...], output: Path, title: str | None) 
     from pmabench.report.analysis_folder import read_analysis, runs_of
     from pmabench.report.html import write_report
 
+    if output.is_fifo():
+        raise UsageError(f"{output} is a pipe; give the name of a file")
     folders = [source for source in sources if (source / "analysis.json").is_file()]
     others = [source for source in sources if source not in folders]
     runs = load_runs(without_analyses(ui, others) if others else [])

@@ -1,0 +1,82 @@
+"""A campaign ends with the worst exit code of its runs, and stops after the first that the next must not follow."""
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli import run as run_module
+from pmabench.cli.campaign import severity
+from pmabench.cli.main import main
+
+LIFTS = "{sweep.matrix.load: [6 kg], sweep.repeat.count: 1, prepare.precondition.cycles: 0}"
+NEVER = LIFTS.replace("{", "{trial.search.up_to: 60 kPa, ")
+TRIPS = """schema: pmabench.bench/1
+include: mock.yaml
+name: trips at 10 mm
+limits: {contraction: {trip: 4 %}}
+"""
+
+
+def campaign(tmp_path, *runs):
+    lines = [f"  - {{protocol: static-load, bench: {bench}, set: {changes}}}" for bench, changes in runs]
+    head = "schema: pmabench.campaign/1\nname: c\nspecimen: mas-20-250-paper0\nbenches: {weights: mock}\nruns:\n"
+    path = tmp_path / "c.yaml"
+    path.write_text(head + "\n".join(lines) + "\n")
+    return path
+
+
+def run(path, out):
+    return CliRunner().invoke(main, ["campaign", str(path), "--yes", "--out", str(out), "--json"])
+
+
+@pytest.mark.parametrize(
+    ("codes", "done", "worst"),
+    [
+        ([0, 0, 0], 3, 0),
+        ([0, 6, 0], 3, 6),
+        ([6, 0, 4, 0], 3, 4),
+        ([0, 5, 0], 2, 5),
+        ([6, 130, 0], 2, 130),
+        ([6, 143, 0], 2, 143),
+        ([7, 0], 1, 7),
+        ([1, 0], 1, 1),
+    ],
+)
+def test_it_goes_on_after_a_failed_verdict_only(tmp_path, monkeypatch, codes, done, worst):
+    left = iter(codes)
+
+    def execute(*_args, **_kwargs):
+        code = next(left)
+        return SimpleNamespace(folder=tmp_path, status="x", why="y", exit_code=code, vent=None, bench_seconds=1.0, rows=1,
+                               trials_failed=())  # fmt: skip
+
+    monkeypatch.setattr(run_module, "execute", execute)
+    result = run(campaign(tmp_path, *[("mock", LIFTS)] * len(codes)), tmp_path / "o")
+    assert result.exit_code == worst
+    assert [run["exit_code"] for run in json.loads(result.stdout)["runs"]] == codes[:done]
+
+
+def test_the_worst_is_a_vent_not_confirmed_or_a_trip_then_a_lost_record_then_a_device():
+    ranked = sorted([0, 6, 129, 143, 130, 4, 7, 5], key=severity)
+    assert ranked[0] == 0
+    assert ranked[1] == 6
+    assert ranked[-3:] == [4, 7, 5]
+    assert severity(99) > severity(5)
+
+
+def test_on_the_bench_a_failed_search_is_passed_over_and_a_trip_ends_it(tmp_path):
+    fixtures = run_module.__file__.rsplit("/pmabench/", 1)[0] + "/fixtures/benches"
+    bench = tmp_path / "trips.yaml"
+    bench.write_text(TRIPS.replace("mock.yaml", "here.yaml"))
+    shutil.copy(f"{fixtures}/mock.yaml", tmp_path / "here.yaml")
+    (tmp_path / "calibrations").symlink_to(f"{fixtures}/calibrations")
+    high = LIFTS.replace("{", "{trial.search.moved: 20 mm, ")
+    path = campaign(tmp_path, ("mock", NEVER), ("mock", LIFTS), ("trips.yaml", high), ("mock", LIFTS))
+    result = run(path, tmp_path / "o")
+    outcomes = [(run["status"], run["exit_code"]) for run in json.loads(result.stdout)["runs"]]
+    assert outcomes == [("failed", 6), ("finished", 0), ("tripped", 5)]
+    assert result.exit_code == 5
+    assert "the campaign ends here: tripped" in result.stderr
