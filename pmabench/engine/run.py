@@ -94,8 +94,12 @@ def run_plan(
     progress: Callable[[Progress], None] = lambda _progress: None,
     continues: Continues | None = None,
     begun: Callable[[Path], None] = lambda _folder: None,
+    procedure: Callable[[Executor], None] = Executor.run,
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
+
+    `procedure` is what is done on the armed bench: the plan's steps, or something guided (session, calibration, jog)
+    that uses the same executor's guard, acquisition, operator and recorder, under the same watch and the same ending.
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
     `begun` is told the folder before anything is commanded. Raises DeviceError, LimitRefused or RecordError only where
@@ -129,8 +133,7 @@ def run_plan(
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             if continues is not None:
                 executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
-            run = _Run(executor, guard, own, signals, writer)
-            return run.execute()
+            return _Run(executor, guard, own, signals, writer, procedure).execute()
     finally:
         guard.close()
         if own is not None:
@@ -197,8 +200,10 @@ class _Run:
         own: OwnDevices | None,
         signals: Signals,
         writer: RunWriter | None,
+        procedure: Callable[[Executor], None],
     ) -> None:
         self.executor, self.guard, self.own, self.signals, self.writer = executor, guard, own, signals, writer
+        self.procedure = procedure
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
 
     def execute(self) -> Outcome:
@@ -215,7 +220,7 @@ class _Run:
             if self.bench.realtime:
                 acquisition.supervise()
             prove(self.bench, self.guard, acquisition, executor.recorder)
-            executor.run()
+            self.procedure(executor)
             if executor.failed:
                 failed = ", ".join(str(index) for index in executor.failed)
                 cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
