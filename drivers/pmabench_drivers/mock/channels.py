@@ -54,20 +54,19 @@ class Channel:
 
 
 class Damage:
-    """What is done to blocks that the channels gave: wrong readings, lost samples, a clock that runs wrong.
+    """What is done to blocks that the channels gave: wrong readings, lost samples.
 
     `stuck` is the value that the stuck pressure channel repeats [device units]; None while it does not.
     """
 
-    def __init__(self, channels: Sequence[Channel], clock_ppm: float, clock_offset: float) -> None:
+    def __init__(self, channels: Sequence[Channel]) -> None:
         self._channels = channels
         self._by_input = {channel.record.input: channel for channel in channels}
-        self._rate, self._offset_ns = 1e-6 * clock_ppm, round(clock_offset * 1e9)
         self.stuck: float | None = None
 
     def done(self, block: Block, faults: Faults, errors: Mapping[str, SensorError]) -> Block:
         """The block as it arrives; `faults` and `errors` are those of this moment."""
-        if faults == NO_FAULTS and not errors and not self._rate and not self._offset_ns:
+        if faults == NO_FAULTS and not errors:
             return block
         time = np.asarray(block.time, dtype=np.int64)
         columns = {name: np.array(column) for name, column in block.columns.items()}
@@ -85,8 +84,6 @@ class Damage:
         if faults.gap_at is not None:
             kept = (seconds < faults.gap_at) | (seconds >= faults.gap_at + GAP)
             time, columns = time[kept], {name: column[kept] for name, column in columns.items()}
-        if self._rate or self._offset_ns:
-            time = time + np.rint(self._rate * time).astype(np.int64) + self._offset_ns
         return as_block(time, columns)
 
     def _errors(

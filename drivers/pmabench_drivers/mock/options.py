@@ -97,10 +97,6 @@ class Options:
     """Its highest speed [m/s]."""
     actuator_force: float = 1500.0
     """The force at which it stalls [N]."""
-    clock_ppm: float = 0.0
-    """How much faster than bench time the device's clock runs [ppm]; real time only."""
-    clock_offset: float = 0.0
-    """What the device's clock shows at bench time 0 [s]; real time only."""
     faults: Faults = field(default_factory=Faults)
     errors: Mapping[str, SensorError] = field(default_factory=dict)
     """Errors of channel inputs, by input."""
@@ -118,6 +114,10 @@ class Service:
     """It vents and ends after so long without a client [s]."""
     log: str = ""
     """File to which it appends what was commanded, as JSON lines; none by default."""
+    clock_ppm: float = 0.0
+    """How much faster than bench time the device's clock runs [ppm]."""
+    clock_offset: float = 0.0
+    """What the device's clock shows at bench time 0 [s]."""
 
 
 TEXT = {"plant", "preset", "free_end", "b_relax", "reads", "end", "log"}

@@ -81,7 +81,7 @@ class Simulation:
         self._channels = [
             Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
         ]
-        self._damage = Damage(self._channels, options.clock_ppm, options.clock_offset)
+        self._damage = Damage(self._channels)
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
         self._pending: deque[Block] = deque(maxlen=BUFFER)

@@ -1,0 +1,248 @@
+"""The driver `mock-realtime`: the device interface in front of the plant's own process; standard library only."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from array import array
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pmabench.base.clock import Clock, RealClock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
+from pmabench_drivers.mock.options import read_options, split_service
+from pmabench_drivers.mock.wire import Link, Message, parse_address
+
+Answer = TypeVar("Answer")
+PATIENCE = 0.18
+"""How long an answer is waited for [s]: a little less than the caller waits for a call."""
+START_WITHIN = 5.0
+"""How long a new process may take until it answers [s]."""
+
+
+class MockClient:
+    """A bench whose simulated plant lives in real time in a process of its own (`pmabench_drivers.mock.server`).
+
+    Channels, outputs, dump valve, digital input and options are those of the driver `mock`
+    (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
+    `127.0.0.1:PORT`; `open` starts the process where nobody listens there, unless `start` is false. It has a watchdog
+    and a second way to its outputs. Needs a clock in real time. An answer that does not come in time ends the
+    connection, so that it can never be taken for a later one; the next call makes a new one.
+    """
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        if not isinstance(clock, RealClock):
+            raise DeviceError(device.name, 'the driver mock-realtime needs a bench with "time: real"')
+        self._service, plant = split_service(device.name, device.options)
+        read_options(device.name, plant)
+        if self._service.log:
+            log = str(Path(self._service.log).absolute())
+            device = replace(device, options={**device.options, "log": log})
+        self._device, self._clock = device, clock
+        self._address = parse_address(device.name, device.address)
+        self._outputs = {output.output: output for output in device.outputs}
+        self._valves = {valve.output for valve in device.valves}
+        self._link: Link | None = None
+        self._is_open = False
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect to the plant, which is started first where nobody listens; nothing is commanded."""
+        self.close()
+        try:
+            link, identity = self._connect("client", time.monotonic() + PATIENCE)
+        except ConnectionRefusedError as refused:
+            if not self._service.start:
+                where = ":".join(map(str, self._address))
+                raise DeviceError(self._device.name, f"nobody listens at {where}") from refused
+            self._start_process()
+            link, identity = self._try(lambda: self._connect("client", time.monotonic() + 1.0))
+        except (OSError, ValueError) as error:
+            raise self._failure(error) from error
+        self._link, self._is_open = link, True
+        return identity
+
+    def close(self) -> None:
+        """Let go of the plant, which stays as it is; harmless when repeated."""
+        self._is_open = False
+        self._drop()
+
+    def _drop(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _connect(self, role: str, by: float) -> tuple[Link, Identity]:
+        link = Link(self._device.name, self._address, max(by - time.monotonic(), 1e-3))
+        try:
+            zero = self._clock.start if isinstance(self._clock, RealClock) else 0.0
+            answer, _ = link.ask("hello", by, role=role, pid=os.getpid(), zero=zero, device=asdict(self._device))
+        except BaseException:
+            link.close()
+            raise
+        return link, Identity(**answer["identity"])
+
+    def _start_process(self) -> None:
+        """Start the server in a session of its own; it returns when the plant is there or says why it is not."""
+        import subprocess
+
+        command = [sys.executable, "-m", "pmabench_drivers.mock.server", "--address", self._device.address, "--detach"]
+        with subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        ) as process:
+            try:
+                _, said = process.communicate(json.dumps(asdict(self._device)).encode(), START_WITHIN)
+            except subprocess.TimeoutExpired as error:
+                process.kill()
+                raise DeviceError(self._device.name, f"its process did not start in {START_WITHIN:g} s") from error
+        told = said.decode(errors="replace").strip()
+        if told and "cannot serve at" not in told:  # somebody else may have started it at the same moment
+            raise DeviceError(self._device.name, told.splitlines()[-1].removeprefix(f"{self._device.name}: "))
+
+    # -- questions ------------------------------------------------------------------------------------------------
+
+    def _ask(self, do: str, **fields: Any) -> Message:
+        if not self._is_open:
+            raise DeviceError(self._device.name, "is not open")
+        by = time.monotonic() + PATIENCE
+
+        def ask() -> Message:
+            if self._link is None:
+                self._link, _ = self._connect("client", by)
+            return self._link.ask(do, by, **fields)
+
+        try:
+            return self._try(ask)
+        except DeviceError as error:
+            if error.__cause__ is not None:
+                self._drop()
+            raise
+
+    def _try(self, act: Callable[[], Answer]) -> Answer:
+        """What `act` gives; a link that fails is told as a DeviceError whose cause is what happened."""
+        try:
+            return act()
+        except (OSError, ValueError) as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: Exception) -> DeviceError:
+        if isinstance(error, TimeoutError):
+            return DeviceError(self._device.name, f"did not answer within {PATIENCE:g} s")
+        if isinstance(error, OSError):
+            return DeviceError(self._device.name, f"link lost ({error.strerror or error})")
+        return DeviceError(self._device.name, f"answered what cannot be read ({error})")
+
+    def _value(self, do: str, **fields: Any) -> Any:
+        return self._ask(do, **fields)[0].get("value")
+
+    # -- stream ---------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
+        return float(self._value("start", rate=rate))
+
+    def collect(self) -> Block:
+        """All samples due by now that were not collected yet."""
+        answer, payload = self._ask("collect")
+        host = round(self._clock.now() * 1e9)
+        size = 8 * int(answer["rows"])
+        parts = [payload[first : first + size] for first in range(0, len(payload), size)] if size else []
+        moments = array("q", parts[0] if parts else b"")
+        columns = [array("d", part) for part in parts[1:]] or [array("d")] * len(answer["columns"])
+        if sys.byteorder == "big":
+            moments.byteswap()
+            for column in columns:
+                column.byteswap()
+        return Block(moments, dict(zip(answer["columns"], columns, strict=True)), host)
+
+    def stop(self) -> None:
+        """End sampling; harmless when repeated."""
+        if self._is_open:
+            self._ask("stop")
+
+    # -- outputs --------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Command a value [device units] at once; never retried."""
+        self._check(output, value)
+        self._ask("write", output=output, value=value)
+
+    def read_back(self, output: str) -> float:
+        """The set-point held now [device units]."""
+        self._check(output)
+        return float(self._value("read_back", output=output))
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Follow a ramp or a sine from its start on, or from now on if that has passed."""
+        self._check(output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
+        self._ask("follow", output=output, segment=asdict(segment))
+
+    def halt(self, output: str) -> None:
+        """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
+        self._check(output)
+        self._ask("halt", output=output)
+
+    def place(self, load: Load) -> None:
+        """The free end carries `load` from now on; without effect where an actuator holds it."""
+        self._ask("place", force=load.force, mass=load.mass)
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise the dump valve, which closes it, or not; never retried."""
+        self._ask("switch", output=output, on=on)
+
+    def is_on(self, output: str) -> bool:
+        """Whether the dump valve is energised."""
+        return bool(self._value("is_on", output=output))
+
+    def level(self, name: str) -> bool:
+        """Whether the digital input is high."""
+        return bool(self._value("level", name=name))
+
+    def _check(self, output: str, *values: float) -> OutputRecord:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        for value in values:
+            if not math.isfinite(value):
+                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
+        return record
+
+    # -- watchdog and second way ----------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Arm it; the time that the device will wait [s], in steps of 10 ms."""
+        return float(self._value("arm", seconds=seconds))
+
+    def feed_watchdog(self) -> None:
+        """Any question feeds it, this one does nothing else; DeviceError where it has vented already."""
+        self._ask("feed")
+
+    def disarm_watchdog(self) -> None:
+        """End it; outputs stay as they are."""
+        self._ask("disarm")
+
+    def rescue(self, output: str, value: float) -> None:
+        """Command `value` [device units; 0 and 1 for the valve] over a connection of its own; no retry."""
+        if output not in self._valves:
+            self._check(output, value)
+        by = time.monotonic() + PATIENCE
+
+        def act() -> None:
+            link, _ = self._connect("rescue", by)
+            try:
+                link.ask("rescue", by, output=output, value=value)
+            finally:
+                link.close()
+
+        self._try(act)

@@ -1,0 +1,286 @@
+"""What the plant's own process does when it is asked: questions, device watchdog, log; knows no socket."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import DeviceRecord, Identity, Load, OutputRecord, Segment
+from pmabench_drivers.mock.driver import MockBench
+from pmabench_drivers.mock.options import Faults, Options, fault_name, read_options, sensor_error, split_service
+from pmabench_drivers.mock.simulation import Simulation
+
+EMPTY = 1e3
+"""Gauge pressure under which the muscle counts as empty [Pa]."""
+WATCHDOG = (0.05, 60.0)
+"""What the watchdog can be armed to [s]; in steps of 10 ms."""
+
+
+@dataclass
+class Asker:
+    """A connection: its number, what it is for (`client`, `rescue`, `control`), whose it is, its bench time 0 [s]."""
+
+    number: int
+    role: str = ""
+    pid: int = 0
+    zero: float = 0.0
+
+
+class Log:
+    """The record of what was commanded: one JSON object per line, on its way to the disk when the call returns."""
+
+    def __init__(self, path: str) -> None:
+        self._file = -1
+        if path:
+            try:
+                self._file = os.open(Path(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            except OSError as error:
+                raise DeviceError("mock", f"cannot write its log {path}: {error.strerror}") from error
+
+    def write(self, do: str, **data: Any) -> None:
+        """A line with the moment `t` [s, CLOCK_MONOTONIC]."""
+        if self._file >= 0:
+            os.write(self._file, json.dumps({"t": time.monotonic(), "do": do, **data}).encode() + b"\n")
+
+    def close(self) -> None:
+        """No more lines; harmless when repeated."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+class _Bench(MockBench):
+    """The mock at the moment of the question under way; the faults of its link are the server's."""
+
+    moment = 0.0
+
+    def _read_options(self) -> Options:
+        return read_options(self._device.name, split_service(self._device.name, self._device.options)[1])
+
+    def _now(self) -> float:
+        return self.moment
+
+    def _check_link(self, now: float) -> None:
+        pass
+
+    def simulation(self) -> Simulation:
+        """The simulation, brought to the moment."""
+        return self._simulation()
+
+
+class Served:
+    """One plant in real time from the moment `clock.start` on.
+
+    `advance` brings it to the present; what is asked then happens at that moment.
+    """
+
+    def __init__(self, device: DeviceRecord, clock: RealClock) -> None:
+        self.device, self.clock = device, clock
+        self.service = split_service(device.name, device.options)[0]
+        self._bench = _Bench(device, clock)
+        self.identity: Identity = self._bench.open()
+        self.log = Log(self.service.log)
+        self._outputs = {output.output: output for output in device.outputs}
+        self._questions: dict[str, Callable[[Asker, Mapping[str, Any]], Any]] = {
+            "write": self._write,
+            "read_back": lambda _, q: self._bench.read_back(str(q["output"])),
+            "follow": self._follow,
+            "halt": self._halt,
+            "switch": self._switch,
+            "is_on": lambda _, q: self._bench.is_on(str(q["output"])),
+            "level": lambda _, q: self._bench.level(str(q["name"])),
+            "place": self._place,
+            "start": lambda _, q: self._bench.start(float(q["rate"])),
+            "stop": lambda _, q: self._bench.stop(),
+            "rescue": self._rescue,
+            "arm": self._arm,
+            "feed": self._feed,
+            "disarm": self._disarm,
+        }
+        self._heard = 0.0
+        self._watchdog = 0.0
+        self._bitten: float | None = None
+
+    # -- time -----------------------------------------------------------------------------------------------------
+
+    def advance(self, now: float) -> None:
+        """Let the plant and the watchdog come to the moment `now` [s, CLOCK_MONOTONIC]."""
+        self._bench.moment = max(self._bench.moment, round(now - self.clock.start, 9))
+        self._bench.simulation()
+        if self._watchdog and now - self._heard > self._watchdog:
+            self.vent("watchdog", silent=now - self._heard)
+            self._watchdog, self._bitten = 0.0, now
+
+    def vent(self, why: str, **data: Any) -> None:
+        """What the device does by itself: valves not energised, set-points to their safe values."""
+        for valve in self.device.valves:
+            self._bench.switch(valve.output, on=False)
+        for output in self.device.outputs:
+            self._bench.write(output.output, float(output.scale.to_raw(output.safe)))
+        self.log.write(why, **data, pressure=self.pressure)
+
+    @property
+    def faults(self) -> Faults:
+        """The faults of this moment."""
+        return self._bench.simulation().faults
+
+    @property
+    def now(self) -> float:
+        """The moment that the plant has come to, on its own time, in which faults are dated [s]."""
+        return self._bench.moment
+
+    @property
+    def pressure(self) -> float:
+        """What is really in the muscle [Pa]."""
+        return self._bench.simulation().pressure
+
+    # -- questions ------------------------------------------------------------------------------------------------
+
+    def hear(self, now: float) -> None:
+        """Somebody has asked something, which keeps the watchdog quiet."""
+        self._heard = now
+
+    def answer(self, asker: Asker, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        """What a client asked for; raises DeviceError for what is refused."""
+        do = str(question.get("do"))
+        if do == "collect":
+            return self._collect(asker)
+        if do not in self._questions:
+            raise DeviceError(self.device.name, f'no command "{do}"{did_you_mean(do, self._questions)}')
+        return {"value": self._questions[do](asker, question)}, b""
+
+    def _collect(self, asker: Asker) -> tuple[dict[str, Any], bytes]:
+        block = self._bench.collect()
+        shift = round((self.clock.start - asker.zero) * 1e9)
+        moment = np.asarray(block.time, dtype="<i8") + shift
+        if self.service.clock_ppm or self.service.clock_offset:
+            drift = np.rint(1e-6 * self.service.clock_ppm * moment).astype("<i8")
+            moment = moment + drift + round(self.service.clock_offset * 1e9)
+        columns = [np.asarray(column, dtype="<f8").tobytes() for column in block.columns.values()]
+        head = {"rows": len(block.time), "columns": list(block.columns)}
+        return head, b"".join([moment.astype("<i8").tobytes(), *columns])
+
+    def _write(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        output, value = self._output(question), float(question["value"])
+        safe = float(output.scale.to_raw(output.safe))
+        if abs(value - safe) > max(output.resolution, 1e-9 * abs(safe)):
+            self._refuse_bitten()
+        self._bench.write(output.output, value)
+        held = float(output.scale.to_si(self._bench.read_back(output.output)))
+        self._note(asker, "write", output=output.output, si=float(output.scale.to_si(value)), held=held)
+
+    def _follow(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        self._refuse_bitten()
+        output = self._output(question)
+        given = {**question["segment"]}
+        given["start"] = float(given["start"]) + asker.zero - self.clock.start
+        segment = Segment(**given)
+        self._bench.follow(output.output, segment)
+        scale = output.scale
+        self._note(
+            asker,
+            "follow",
+            output=output.output,
+            kind=segment.kind,
+            start=segment.start + self.clock.start,
+            origin=float(scale.to_si(segment.origin)),
+            target=float(scale.to_si(segment.target)) if segment.kind == "ramp" else None,
+            rate=segment.rate * scale.slope,
+            amplitude=segment.amplitude * scale.slope,
+            frequency=segment.frequency,
+            cycles=segment.cycles,
+        )
+
+    def _halt(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        output = self._output(question)
+        self._bench.halt(output.output)
+        held = float(output.scale.to_si(self._bench.read_back(output.output)))
+        self._note(asker, "halt", output=output.output, held=held)
+
+    def _switch(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        output, on = str(question["output"]), bool(question["on"])
+        if on:
+            self._refuse_bitten()
+        self._bench.switch(output, on=on)
+        self._note(asker, "switch", output=output, on=on)
+
+    def _rescue(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        if question["output"] in self._outputs:
+            self._write(asker, question)
+        else:
+            self._switch(asker, {"output": question["output"], "on": float(question["value"]) >= 0.5})
+
+    def _place(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        load = Load(float(question["force"]), float(question["mass"]))
+        self._bench.place(load)
+        self._note(asker, "place", force=load.force, mass=load.mass)
+
+    def _output(self, question: Mapping[str, Any]) -> OutputRecord:
+        name = str(question["output"])
+        if name not in self._outputs:
+            raise DeviceError(self.device.name, f'no output "{name}"{did_you_mean(name, self._outputs)}')
+        return self._outputs[name]
+
+    def _note(self, asker: Asker, do: str, **data: Any) -> None:
+        who = {"from": asker.number, "role": asker.role, "pid": asker.pid}
+        self.log.write(do, **data, pressure=self.pressure, **who)
+
+    # -- watchdog -------------------------------------------------------------------------------------------------
+
+    def _arm(self, asker: Asker, question: Mapping[str, Any]) -> float:
+        low, high = WATCHDOG
+        wanted = float(question["seconds"])
+        if not low <= wanted <= high:
+            raise DeviceError(self.device.name, f"its watchdog takes {low:g} s to {high:g} s, not {wanted:g} s")
+        self._watchdog, self._bitten = round(wanted, 2), None
+        self._note(asker, "arm", seconds=self._watchdog)
+        return self._watchdog
+
+    def _feed(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        self._refuse_bitten()
+
+    def _disarm(self, asker: Asker, question: Mapping[str, Any]) -> None:
+        self._watchdog, self._bitten = 0.0, None
+        self._note(asker, "disarm")
+
+    def _refuse_bitten(self) -> None:
+        if self._bitten is not None:
+            ago = time.monotonic() - self._bitten
+            raise DeviceError(self.device.name, f"its watchdog has vented {ago:.3g} s ago; arm it again first")
+
+    # -- for tests ------------------------------------------------------------------------------------------------
+
+    def inject(self, question: Mapping[str, Any]) -> None:
+        """`{"fault": "burst", "after": 0.5}`, over again with `"after": null`; `{"errors": {input: {...} or null}}`."""
+        simulation, name = self._bench.simulation(), self.device.name
+        if "fault" in question:
+            fault = fault_name(name, str(question["fault"]))
+            after = question.get("after", 0.0)
+            simulation.fail(fault, None if after is None else simulation.time + float(after))
+            self.log.write("fault", fault=fault.removesuffix("_at"), after=after)
+        for channel, error in question.get("errors", {}).items():
+            simulation.disturb(channel, None if error is None else sensor_error(name, channel, error))
+            self.log.write("fault", errors={channel: error})
+
+    def state(self) -> dict[str, Any]:
+        """How the plant stands, in SI, whatever is wrong with its link and sensors."""
+        simulation = self._bench.simulation()
+        faults = {item.name: getattr(simulation.faults, item.name) for item in fields(Faults)}
+        return {
+            "t": time.monotonic(),
+            "pressure": simulation.pressure,
+            "setpoints": {name: simulation.setpoint(name) for name in self._outputs},
+            "energised": simulation.energised,
+            "watchdog": self._watchdog,
+            "bitten": self._bitten,
+            "faults": {name: at for name, at in faults.items() if at is not None},
+        }
