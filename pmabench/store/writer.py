@@ -1,7 +1,8 @@
 """Writes one run: the folder before anything moves, samples and events while it runs, the seal at its end.
 
-Samples wait in memory for at most a twentieth of a second of wall clock; a thread of the writer hands them to the
-operating system and syncs them. It must not know plans, what trials mean, or SI values.
+Samples wait in memory for at most a twentieth of a second of wall clock; a thread hands them to the operating system,
+and another one syncs them, so that a slow disk holds up nothing. The writer must not know plans, what trials mean, or
+SI values.
 """
 
 from __future__ import annotations
@@ -60,10 +61,16 @@ class RunWriter:
         self._streams: dict[str, LiveStream] = {}
         self._lock = threading.Lock()
         self._failure: RecordError | None = None
+        self._told = False
         self._closed = False
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._pump, name="pmabench-record", daemon=True)
-        self._thread.start()
+        self._syncing: float | None = None
+        self._threads = [
+            threading.Thread(target=task, name=f"pmabench-{name}", daemon=True)
+            for name, task in (("record", self._pump), ("sync", self._sync))
+        ]
+        for thread in self._threads:
+            thread.start()
         atexit.register(self._halt)
 
     @classmethod
@@ -133,7 +140,9 @@ class RunWriter:
             raise RecordError(f"stream {stream} is not open")
         live = self._streams[stream]
         live.put(time_ns, columns, flags, host_ns)
-        if self._failure is None and live.waiting() > STALLED:
+        syncing = self._syncing
+        hung = live.waiting() > STALLED or (syncing is not None and time.monotonic() - syncing > STALLED)
+        if self._failure is None and hung:
             self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {STALLED:g} s"))
         self._check()
 
@@ -169,31 +178,39 @@ class RunWriter:
 
     def _check(self) -> None:
         if self._failure is not None:
+            self._told = True
             raise self._failure
 
     def _pump(self) -> None:
-        """The thread: hands samples over, and syncs."""
-        synced = time.monotonic()
+        """A thread: hands samples over; never waits for the disk itself."""
         while not self._stop.wait(FLUSH_EVERY):
-            path = self._events.path
-            try:
-                streams = list(self._streams.values())
-                for stream in streams:
-                    path = stream.file.path
-                    stream.drain()
-                if time.monotonic() - synced >= SYNC_EVERY:
-                    for file in (*(stream.file for stream in streams), self._events):
-                        path = file.path
-                        file.sync()
-                    synced = time.monotonic()
-            except Exception as error:  # whatever it is: the run is not being recorded, and its engine must know
-                self._failure = self._failure or cannot_write(path, error)
+            if not self._dare([(stream.file.path, stream.drain) for stream in list(self._streams.values())]):
                 return
 
+    def _sync(self) -> None:
+        """A thread: lets what was handed over survive a power cut."""
+        while not self._stop.wait(SYNC_EVERY):
+            self._syncing = time.monotonic()
+            streams = [stream.file for stream in list(self._streams.values())]
+            if not self._dare([(file.path, file.sync) for file in (*streams, self._events)]):
+                return
+            self._syncing = None
+
+    def _dare(self, acts: Sequence[tuple[Path, Callable[[], None]]]) -> bool:
+        """Whether all could be done; whatever fails: the run is not being recorded, and its engine must know."""
+        for path, act in acts:
+            try:
+                act()
+            except Exception as error:
+                self._failure = self._failure or cannot_write(path, error)
+                return False
+        return True
+
     def _halt(self) -> None:
-        """End the thread and hand over what still waits; at the interpreter's end at the latest."""
+        """End the threads and hand over what still waits; at the interpreter's end at the latest."""
         self._stop.set()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
         atexit.unregister(self._halt)
         for stream in self._streams.values():
             with suppress(OSError):
@@ -210,7 +227,7 @@ class RunWriter:
         if status not in files.STATUSES:
             raise ValueError(f"status {status!r} is not one of {', '.join(files.STATUSES)}")
         self._halt()
-        failure = self._finish_streams()
+        failure = self._finish_streams() or (None if self._told else self._failure)
         if failure is not None:
             status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
@@ -218,8 +235,11 @@ class RunWriter:
         self._closed = True
         failure = failure or (self._failure if self._lines else None)
         try:
-            with suppress(OSError):
+            try:
                 self._events.sync()
+            except OSError as error:
+                failure = failure or cannot_write(self._events.path, error)
+                status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
             self._events.close()
             seal(self.folder, status, why, end)
         except (OSError, ValueError) as error:

@@ -1,10 +1,12 @@
 """The folder exists before anything moves; the record is whole, or the failure to write it is told (R1, R3, R8)."""
 
+import contextlib
 import errno
 import json
 import re
 import resource
 import stat
+import threading
 import time
 from datetime import UTC, datetime, timedelta, timezone
 
@@ -257,24 +259,69 @@ def test_events_that_cannot_be_written_are_kept_for_the_next_try(tmp_path):
     assert [event.kind for event in open_run(folder).events] == ["armed", "end"]
 
 
-def test_a_failed_sync_fails_the_run(tmp_path, monkeypatch):
-    def fail(_file):
-        raise OSError(errno.EIO, "Input/output error")
+def fail(_file):
+    raise OSError(errno.EIO, "Input/output error")
 
+
+def test_a_failed_sync_fails_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
-    monkeypatch.setattr(AppendFile, "sync", fail)
     writer = begin(tmp_path)
+    monkeypatch.setattr(AppendFile, "sync", fail)
     with pytest.raises(RecordError, match="Input/output error"):
         append_blocks(writer, 1000, 1)
     monkeypatch.undo()
     writer.close("error", "Input/output error")
 
 
-def test_a_disk_that_hangs_fails_the_run(tmp_path, monkeypatch):
+def test_a_failed_sync_that_nobody_was_told_of_fails_the_end(tmp_path, monkeypatch):
+    monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
+    writer = begin(tmp_path)
+    writer.append("daq", *block(0, 5))
+    monkeypatch.setattr(AppendFile, "sync", fail)
+    writer._threads[1].join(60)
+    monkeypatch.undo()
+    with pytest.raises(RecordError, match="Input/output error"):
+        writer.close("finished")
+    assert (open_run(writer.folder).status, verify(writer.folder)) == ("error", [])
+
+
+def test_events_that_cannot_be_synced_at_the_end_fail_the_run(tmp_path, monkeypatch):
+    writer = begin(tmp_path)
+    monkeypatch.setattr(writer._events, "sync", lambda: fail(None))
+    with pytest.raises(RecordError, match=r"events\.jsonl: Input/output error"):
+        writer.close("finished")
+    assert (open_run(writer.folder).status, verify(writer.folder)) == ("error", [])
+
+
+def test_a_slow_sync_holds_up_no_sample(tmp_path, monkeypatch):
+    released = threading.Event()
+    monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
+    monkeypatch.setattr(AppendFile, "sync", lambda _file: released.wait(60))
+    writer = begin(tmp_path)
+    writer.append("daq", *block(0, 25))
+    for _ in range(100):
+        time.sleep(FLUSH_EVERY)
+        if len(read_stream(writer.folder)) == 25:
+            break
+    assert len(read_stream(writer.folder)) == 25
+    monkeypatch.undo()
+    released.set()
+    die(writer)
+
+
+@pytest.mark.parametrize("part", ["write", "sync"])
+def test_a_disk_that_hangs_fails_the_run(tmp_path, monkeypatch, part):
+    released = threading.Event()
+    if part == "sync":
+        monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
+        monkeypatch.setattr(AppendFile, "sync", lambda _file: released.wait(60))
     writer = begin(tmp_path)
     monkeypatch.setattr("pmabench.store.writer.STALLED", 0.05)
-    with writer._streams["daq"]._lock, pytest.raises(RecordError, match="the disk took nothing"):
+    hang = writer._streams["daq"]._lock if part == "write" else contextlib.nullcontext()
+    with hang, pytest.raises(RecordError, match="the disk took nothing"):
         append_blocks(writer, 1000, 1)
+    monkeypatch.undo()
+    released.set()
     writer.close("error", "hung")
 
 
