@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, say
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -56,6 +56,6 @@ def run_campaign(
         outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes)
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
-            ui.note(f"the campaign ends here: {outcome.status}: {outcome.why}")
+            say(f"the campaign ends here: {outcome.status}: {outcome.why}")
             break
     return outcomes

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, say
 
 
 @click.command(name="demo")
@@ -25,7 +25,7 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     outcomes = run_campaign(ui, find_file("campaign", "demo"), out / "runs", operator_name="demo", yes=True, seed=seed)
     worst = max((outcome.exit_code for outcome in outcomes), key=severity)
     if worst:
-        ui.note("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))
+        say("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))
         return worst
     recorded = sum(outcome.rows for outcome in outcomes)
     runs = load_runs([outcome.folder for outcome in outcomes if outcome.folder is not None])

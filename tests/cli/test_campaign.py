@@ -80,3 +80,11 @@ def test_on_the_bench_a_failed_search_is_passed_over_and_a_trip_ends_it(tmp_path
     assert outcomes == [("failed", 6), ("finished", 0), ("tripped", 5)]
     assert result.exit_code == 5
     assert "the campaign ends here: tripped" in result.stderr
+
+
+def test_quiet_campaigns_print_folders_and_why_they_ended(tmp_path):
+    path = campaign(tmp_path, ("mock", NEVER), ("mock", LIFTS))
+    result = CliRunner().invoke(main, ["campaign", str(path), "--yes", "--out", str(tmp_path / "o"), "-q"])
+    assert result.exit_code == 6
+    assert result.stderr == ""
+    assert sorted(result.stdout.splitlines()) == sorted(str(folder) for folder in (tmp_path / "o").glob("2*"))

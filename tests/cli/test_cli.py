@@ -283,5 +283,15 @@ def test_quiet_is_results_and_errors_only(tmp_path):
     assert call("schema", "--all", "--out", tmp_path, "-q").output == ""
 
 
+def test_quiet_run_and_report_print_results_only(run_folder, tmp_path):
+    again = call("run", "contraction-relaxation", *MOCK, *SMALL[:2], "--set", "sweep.matrix.pressure=[200 kPa]", "--out",
+                 tmp_path, "--yes", "-q")  # fmt: skip
+    assert again.stderr == ""
+    assert again.stdout.splitlines()[-1] == str(next(tmp_path.glob("2*")))
+    report = call("report", run_folder, "-o", tmp_path / "r.html", "-q")
+    assert report.output == f"{tmp_path / 'r.html'}\n"
+    assert call("runs", "verify", run_folder, "-q").output == ""
+
+
 def test_schema_prints_json():
     assert json.loads(call("schema", "bench").stdout)["title"] == "BenchFile"
