@@ -9,8 +9,10 @@ from pmabench.base.errors import InvalidFile
 from pmabench.store.arrow import pa
 from pmabench.store.journal import decode
 from pmabench.store.livestream import LiveReader
+from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.verify import verify
+from tests.reliability.cases import cases
 from tests.store.runs import begin, block, closed, die, record, unclosed
 
 
@@ -36,12 +38,14 @@ def samples(raw):
     return believed, reader.ended, reader.fault
 
 
-def test_a_live_stream_cut_anywhere_gives_whole_batches_only(live):
+def test_a_live_stream_cut_anywhere_gives_whole_batches_only(live, record_property):
     raw, _ = live
     truth, ended, fault = samples(raw)
     assert (ended, fault) == (False, "stops after batch 14 without its end mark")
     assert len(truth) == (12 * 20 + 200) * (8 + 4 + 4 + 8 + 2)
-    for length in range(0, len(raw), 37):
+    lengths = range(0, len(raw), max(1, len(raw) // cases(400)))
+    record_property("cases", len(lengths))
+    for length in lengths:
         believed, ended, fault = samples(raw[:length])
         assert truth.startswith(believed)
         assert fault
@@ -118,21 +122,32 @@ def sealed(tmp_path_factory):
     return closed(tmp_path_factory.mktemp("sealed"))
 
 
-def test_verify_finds_every_changed_byte_in_every_kind_of_file(sealed):
+def test_verify_finds_every_changed_byte_in_every_kind_of_file(tmp_path, record_property):
+    writer = begin(tmp_path)
+    record(writer)
+    (writer.folder / "guard.json").write_text('{"vent": {"result": "confirmed", "actions": []}, "cause": "", "t": 1.0}')
+    folder = writer.close("finished")
+    picture = tmp_path / "rig.jpg"
+    picture.write_bytes(bytes(range(200)))
+    add_note(folder, "a note", attach=[picture], operator="N")
     rng = random.Random(10)
-    assert verify(sealed) == []
-    files = sorted(path for path in sealed.rglob("*") if path.is_file())
-    assert len(files) == 9
+    assert verify(folder) == []
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    assert len(files) == 13
+    each = -(-cases(130) // len(files))
+    record_property("cases", each * len(files))
     for path in files:
         raw = path.read_bytes()
-        for _ in range(40):
+        path.chmod(0o644)
+        for _ in range(each):
             damaged = bytearray(raw)
             damaged[rng.randrange(len(raw))] ^= rng.randrange(1, 256)
             path.write_bytes(damaged)
-            found = verify(sealed)
-            assert any(finding.file == path.relative_to(sealed).as_posix() for finding in found)
+            found = verify(folder)
+            assert path.relative_to(folder).as_posix() in {finding.file for finding in found}
+            assert all(len(str(finding).splitlines()) == 1 for finding in found)
         path.write_bytes(raw)
-    assert verify(sealed) == []
+    assert verify(folder) == []
 
 
 def test_a_changed_closed_run_is_refused_not_read(sealed):

@@ -11,9 +11,10 @@ from pmabench.store.catalogue import catalogue
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.seal import close_interrupted
 from pmabench.store.verify import verify
+from tests.reliability.cases import cases
 from tests.store.runs import block
 
-KILLS = 12
+KILLS = cases(100)
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +22,15 @@ def killed(tmp_path_factory):
     parent = tmp_path_factory.mktemp("killed")
     root = Path(__file__).parents[2]
     command = [sys.executable, "-m", "tests.store.killed_writer", str(parent), str(KILLS), "20261121"]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True, timeout=60 + KILLS)
     return parent, [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_every_survivor_opens_and_loses_at_most_a_quarter_of_a_second(killed):
+def test_every_survivor_opens_and_loses_at_most_a_quarter_of_a_second(killed, record_property):
     parent, told = killed
     assert len(told) == KILLS
+    record_property("cases", KILLS)
+    assert sum(run["sure"] > 0 for run in told) > KILLS / 3, "enough were killed late enough to have lost something"
     for run in told:
         kept = read_stream(parent / run["name"], raw=True)
         assert run["sure"] <= len(kept) <= run["most"], run
@@ -45,7 +48,7 @@ def test_every_survivor_is_listed_as_interrupted_and_can_be_closed(killed):
     rows = catalogue(parent)
     assert {row.status for row in rows} == {"interrupted"}
     assert len(rows) == KILLS
-    for run in told[:3]:
+    for run in told[:: max(1, KILLS // 20)]:
         folder = parent / run["name"]
         assert any("interrupted" in str(finding) for finding in verify(folder))
         before = read_stream(folder)

@@ -5,6 +5,7 @@ import textwrap
 import pytest
 
 from pmabench.store.reader import read_stream
+from tests.reliability.cases import cases
 from tests.store.runs import begin, block, closed, die
 
 CLOSED, LIVE = "Closed run, Python", "Running or interrupted run, Python"
@@ -32,12 +33,14 @@ def test_a_closed_run_in_pandas(tmp_path, monkeypatch):
         assert frame[name].tolist() == truth[name].tolist()
 
 
-def test_a_run_under_way_gives_whole_batches_at_every_moment(tmp_path, monkeypatch, capsys):
+def test_a_run_under_way_gives_whole_batches_at_every_moment(tmp_path, monkeypatch, capsys, record_property):
     writer = begin(tmp_path)
     monkeypatch.chdir(writer.folder)
     seen = []
-    for first in range(0, 1500, 5):
-        writer.append("daq", *block(first, 5))
+    rows = cases(100) * 15
+    record_property("cases", rows // 15)
+    for first in range(0, rows, 5):
+        writer.append("daq", *block(first, 5), first * 2_000_000)
         if first % 3 == 0:
             names = execute(writer.folder, LIVE)
             seen.append(names["table"].num_rows)
@@ -45,7 +48,7 @@ def test_a_run_under_way_gives_whole_batches_at_every_moment(tmp_path, monkeypat
             assert names["end"] == b"0"
     die(writer)
     assert seen == sorted(seen)
-    assert execute(writer.folder, LIVE)["table"].num_rows == 1500
+    assert execute(writer.folder, LIVE)["table"].num_rows == rows
 
 
 def test_a_finished_stream_says_that_it_has_ended(tmp_path, monkeypatch, capsys):
