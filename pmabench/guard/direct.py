@@ -19,13 +19,14 @@ RATE = 50.0
 def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
 
-    Devices that cannot be opened are left out: those that answer are vented. A bench that was armed stays latched.
+    Devices that cannot be opened are left out: those that answer are vented. A bench that was armed or tripped before,
+    or is not confirmed to be safe now, is latched.
     """
     guard = Guard(bench, RealClock(), threads=True, forgiving=True)
     guard.open()
     try:
         sampled = [name for name, device in guard.devices.items() if isinstance(device, Stream)]
-        guard.begin_safe(tripped=True)
+        guard.begin_safe()
         guard.step_safe({})
         for name in sampled:
             with suppress(PmaError):
@@ -39,9 +40,12 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
                     guard.collect(name)
             return guard.latest
 
-        vent = guard.safe_state(measure, tripped=True)
+        vent = guard.safe_state(measure)
     finally:
         guard.close()
+    latched = station.latched()
+    if not vent.confirmed:
+        why = f"{why}; safe state {vent.result}"
     with suppress(OSError):
-        station.note("tripped", why=why if vent.confirmed else f"{why}; safe state {vent.result}", vent=vars(vent))
+        station.note("tripped" if latched or not vent.confirmed else "safe", why=latched or why, vent=vars(vent))
     return vent

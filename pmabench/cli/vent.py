@@ -1,0 +1,193 @@
+"""`pmabench vent`: the safe state now, from any terminal, no questions; imports little, because it must be fast."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
+from pmabench.cli.common import Ui, common
+from pmabench.guard.station import Station, stations
+from pmabench.guard.wire import Messages, encode
+
+if TYPE_CHECKING:
+    pass
+
+ANSWERS_WITHIN = 0.1
+"""A guard that does not answer for so long [s] is gone round."""
+CONFIRMS_WITHIN = 60.0
+"""Longest time that the outcome is waited for [s]."""
+
+
+@dataclass(frozen=True)
+class Vented:
+    """What came of one bench."""
+
+    bench: str
+    way: str
+    result: str
+    actions: tuple[str, ...]
+    commanded_in: float
+    """Time from the key to the command, the start of Python not counted [s]."""
+
+
+@click.command(name="vent")
+@click.argument("bench", required=False)
+@click.option("--reset", is_flag=True, help="Clear the latch of a tripped bench after a confirmed vent.")
+@click.option("--operator", default="", help="Who resets it; with --reset.")
+@click.option("--because", default="", help="Why it may be used again; with --reset.")
+@common
+def command(ui: Ui, bench: str | None, operator: str, because: str, *, reset: bool) -> int:
+    """Drive BENCH to its safe state now, whatever its owner does; without BENCH, every bench that is in use."""
+    began = time.monotonic()
+    if reset and not (operator.strip() and because.strip()):
+        raise UsageError("a reset is recorded: say who and why, with --operator NAME --because TEXT")
+    if reset and bench is None:
+        raise UsageError("say which bench is to be reset")
+    found = list(_find(bench))
+    vented = [_vent(ui, station, saved, began) for station, saved in found]
+    worst = 0 if all(item.result == "confirmed" for item in vented) else 5
+    if reset and worst == 0:
+        for station, saved in found:
+            _reset(station, saved, operator.strip(), because.strip())
+    ui.result(
+        {
+            "schema": "pmabench.vent/1",
+            "benches": [{**vars(item), "actions": list(item.actions)} for item in vented],
+            "reset": reset and worst == 0,
+            "exit_code": worst,
+        },
+        lambda: _print(vented, reset=reset and worst == 0),
+    )
+    return worst
+
+
+def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
+    """The benches that are meant, each with its compiled bench as it was armed last (empty: never)."""
+    known = [(station, station.read("bench")) for station in stations()]
+    if bench is None:
+        used = [(s, saved) for s, saved in known if s.read("guard") or s.latched()]
+        if not used:
+            names = ", ".join(f'"{saved["name"]}"' for _, saved in known if saved)
+            raise UsageError(
+                f"no bench is in use{f'; known here: {names}' if names else ' and none was ever armed here'}"
+            )
+        yield from used
+        return
+    path = Path(bench)
+    here = str(path.resolve()) if path.suffix else ""
+    named = [
+        (station, saved)
+        for station, saved in known
+        if saved
+        and (
+            bench in {saved["name"], station.folder.name, Path(saved["path"]).stem}
+            or (here and here == str(Path(saved["path"]).resolve()))
+        )
+    ]
+    if named:
+        yield from named
+        return
+    yield _from_file(bench, [saved["name"] for _, saved in known if saved])
+
+
+def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
+    """A bench that was never armed here, from its file."""
+    from pmabench.bench.compile import mount_alone
+    from pmabench.files.shipped import find_file
+
+    try:
+        path = find_file(bench, "benches")
+    except PmaError as error:
+        raise UsageError(f'no bench "{bench}" was armed here, and no such file{did_you_mean(bench, known)}') from error
+    compiled = mount_alone(path).bench
+    return Station(compiled.name), json.loads(compiled.to_json())
+
+
+def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented:
+    guard = station.read("guard")
+    if guard:
+        told = _by_guard(ui, station, guard, began)
+        if told is not None:
+            return told
+    from pmabench.bench.records import CompiledBench
+    from pmabench.guard.direct import vent_directly
+
+    if not saved:
+        raise PmaError(f"{station.folder.name}: its guard does not answer and its compiled bench is not kept")
+    compiled = CompiledBench.from_json(json.dumps(saved))
+    if not compiled.realtime:
+        raise UsageError(f'"{compiled.name}" exists in virtual time only: there is nothing to vent')
+    commanded = time.monotonic() - began
+    vent = vent_directly(compiled, station, f"vent by {_who()}")
+    way = "the devices, opened here: the guard does not answer" if guard else "the devices, opened here"
+    return Vented(compiled.name, way, vent.result, vent.actions, commanded)
+
+
+def _by_guard(ui: Ui, station: Station, guard: dict[str, Any], began: float) -> Vented | None:
+    """Ask the guard; None where it does not answer in time."""
+    messages, commanded = Messages(), 0.0
+    name = station.folder.name
+    try:
+        with socket.create_connection(("127.0.0.1", guard["port"]), timeout=ANSWERS_WITHIN) as link:
+            link.sendall(encode({"do": "vent", "token": guard["token"], "who": _who()}))
+            while True:
+                for answer, _ in messages.feed(link.recv(1 << 16) or _closed()):
+                    if not commanded:
+                        commanded = time.monotonic() - began
+                        ui.note(f"{name}: vent commanded after {1e3 * commanded:.0f} ms")
+                        link.settimeout(CONFIRMS_WITHIN)
+                    if (vent := answer.get("vent")) is not None:
+                        return Vented(name, "its guard", vent["result"], tuple(vent["actions"]), commanded)
+    except (OSError, ValueError, KeyError):
+        if commanded:
+            return Vented(name, "its guard", "commanded", ("the guard has gone before it told the result",), commanded)
+        return None
+
+
+def _closed() -> bytes:
+    raise ConnectionResetError("closed")
+
+
+def _reset(station: Station, saved: dict[str, Any], operator: str, because: str) -> None:
+    """Clear the latch; refused while a run is going on."""
+    deadline = time.monotonic() + 2.0
+    while True:
+        try:
+            station.take()
+            break
+        except PmaError as error:
+            if time.monotonic() > deadline:
+                raise LimitRefused(f"vented, and not reset: {error}") from error
+            time.sleep(0.05)
+    was = station.latched()
+    station.note("safe", why="reset", operator=operator, because=because, was=was, bench=saved.get("name", ""))
+
+
+def _who() -> str:
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):
+        user = "unknown"
+    try:
+        return f"{user} at {os.ttyname(0)}"
+    except (OSError, AttributeError):
+        return user
+
+
+def _print(vented: list[Vented], *, reset: bool) -> None:
+    for item in vented:
+        click.echo(f"{item.bench}: {item.result}, by {item.way}")
+        for action in item.actions:
+            click.echo(f"  {action}")
+    if reset:
+        click.echo("reset: the bench may be used again")
