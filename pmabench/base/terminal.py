@@ -1,0 +1,107 @@
+"""The keyboard of a terminal, key by key, and the way back to how it was; the only place that knows termios.
+
+Ctrl-C stays what it is. Ctrl-Z and Ctrl-S do nothing meanwhile: a bench is not suspended by a slip of a finger.
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+import re
+import select
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from pmabench.base.errors import UsageError
+
+try:
+    import termios
+except ImportError:  # a system without them, for instance Windows
+    termios = None  # type: ignore[assignment]
+
+ESCAPE, ENTER, BACKSPACE = "\x1b", "\n", "\x7f"
+_SEQUENCE = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|O.|[^\x1b\[O])")
+"""What arrow and function keys, pasting and mice send."""
+
+Attributes = list[Any]
+
+
+def in_front(fd: int) -> bool:
+    """Whether `fd` is a terminal that this process may read and change: it is not in the background."""
+    try:
+        return os.isatty(fd) and os.tcgetpgrp(fd) == os.getpgrp()
+    except (OSError, AttributeError):
+        return False
+
+
+def attributes(fd: int) -> Attributes | None:
+    """How the terminal is set now, for `restore`; None where it is none."""
+    if termios is None:
+        return None
+    try:
+        return termios.tcgetattr(fd)
+    except (termios.error, OSError):
+        return None
+
+
+def restore(fd: int, before: Attributes | None) -> None:
+    """Set the terminal as it was; at once, from the background too, and quiet where it is gone."""
+    if termios is None or before is None:
+        return
+    masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+    try:
+        with suppress(termios.error, OSError):
+            termios.tcsetattr(fd, termios.TCSANOW, before)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+
+
+class Keyboard:
+    """Keys of a terminal in `key_by_key` mode."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+        self._decoder = codecs.getincrementaldecoder("utf-8")("ignore")
+
+    def read(self, timeout: float = 0.0) -> list[str]:
+        """Keys pressed, waiting at most `timeout` [s] for the first; `ENTER`, `BACKSPACE`, `ESCAPE` have names.
+
+        Keys that send sequences (arrows, function keys) are left out. Raises EOFError where the terminal is gone.
+        """
+        if not in_front(self.fd) or not select.select([self.fd], [], [], timeout)[0]:
+            return []
+        try:
+            raw = os.read(self.fd, 1024)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            raise EOFError("the terminal is gone") from error
+        if not raw:
+            raise EOFError("the terminal is gone")
+        text = _SEQUENCE.sub("", self._decoder.decode(raw)).replace("\r", ENTER).replace("\b", BACKSPACE)
+        return list(text)
+
+
+@contextmanager
+def key_by_key(fd: int) -> Iterator[Keyboard]:
+    """Read keys as they are pressed, without echo; the terminal is as before afterwards, whatever happens.
+
+    Raises UsageError where the system has no termios, or `fd` is not a terminal in the foreground.
+    """
+    if termios is None:
+        raise UsageError("keys cannot be read: this system has no termios; use --plain")
+    before = attributes(fd)
+    if before is None or not in_front(fd):
+        raise UsageError("keys cannot be read: the input is not a terminal in the foreground; use --plain")
+    changed: Attributes = [list(part) if isinstance(part, list) else part for part in before]
+    changed[0] &= ~(termios.IXON | termios.ICRNL)
+    changed[3] &= ~(termios.ICANON | termios.ECHO)
+    changed[6][termios.VSUSP] = b"\x00"
+    changed[6][termios.VMIN], changed[6][termios.VTIME] = 1, 0
+    try:
+        termios.tcsetattr(fd, termios.TCSANOW, changed)
+        yield Keyboard(fd)
+    finally:
+        restore(fd, before)

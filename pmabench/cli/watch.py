@@ -1,0 +1,89 @@
+"""`pmabench watch`: what a run is doing now, from its folder alone; nothing of the bench is touched."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.display.state import RunState
+
+
+@click.command(name="watch")
+@click.argument("run", default="runs", type=click.Path(path_type=Path))
+@click.option("--plain", is_flag=True, help="One line per event and trial; so it is where the output is no terminal.")
+@click.option("--wait", is_flag=True, help="Wait for a run that is not there yet.")
+@common
+def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
+    """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone."""
+    folder = _find(ui, run, wait=wait)
+    from pmabench.display.console import watch
+
+    try:
+        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json)
+    except BrokenPipeError:
+        return 0
+    if ui.json:
+        ui.result(_json(folder, state), lambda: None)
+    return None
+
+
+def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
+    """The run folder that is meant; raises InvalidFile where there is none."""
+    from pmabench.base.errors import invalid
+
+    told = False
+    while True:
+        if (place / "manifest.json").exists():
+            return place
+        runs = [(path.stat().st_mtime, path.parent) for path in place.glob("*/manifest.json")]
+        if runs:
+            return max(runs)[1]
+        if not wait:
+            why = "holds no run" if place.is_dir() else "there is no such run"
+            raise invalid(place, f"{why}; `pmabench runs list` shows those that are there, --wait waits for one")
+        if not told:
+            ui.note(f"no run in {place} yet; waiting for it, Ctrl-C ends")
+            told = True
+        time.sleep(0.25)
+
+
+def _json(folder: Path, state: RunState) -> dict[str, Any]:
+    """The documented object: how the run stands or ended, and each trial's line."""
+    return {
+        "schema": "pmabench.watch/1",
+        "run": str(folder),
+        "status": state.status,
+        "why": state.why,
+        "vent": state.vent,
+        "simulated": state.simulated,
+        "rows": state.rows,
+        "flagged": dict(state.counts),
+        "trials_planned": state.trials,
+        "trials": [
+            {
+                "trial": line.index,
+                "point": line.point,
+                "repeat": line.repeat,
+                "status": line.status,
+                "doubts": list(line.doubts),
+                "numbers": [
+                    {
+                        "symbol": n.symbol,
+                        "quantity": n.quantity,
+                        "value": n.value,
+                        "reference": n.reference,
+                        "reference_is": n.reference_is,
+                        "assumed": n.assumed,
+                    }
+                    for n in line.numbers
+                ],
+            }
+            for line in state.lines
+        ],
+    }

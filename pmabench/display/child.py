@@ -1,0 +1,153 @@
+"""The run's side of its display: starts the process, talks to it, and is never held up by it. Standard library only.
+
+    display = Display(writer.folder)
+    display.start()                                  # at once; the picture comes half a second later
+    ...
+    asked = display.ask("Put 6 kg on the free end.", words=("clear",))
+    while waiting:                                   # several times a second, as long as the run lasts
+        display.live({"pressure": 312.0})            # values [SI] while nothing is recorded
+        for message in display.poll():
+            if message.get("answer", {}).get("id") == asked:
+                ...                                  # message["answer"]["text"] is one of the words
+            if message.get("key") == "v":
+                ...                                  # "r" repeat this trial, "p" pause or go on, "v" vent now
+            if "note" in message:
+                ...                                  # a line that was typed
+        if not display.alive:
+            ...                                      # it died or was never possible: prompts cannot be answered there
+    display.close()
+
+Ctrl-C reaches the run itself, as without a display. What is printed to the terminal meanwhile spoils the picture until
+its next line changes: use `tell`.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from pmabench.base import terminal
+from pmabench.display.link import Link
+
+LEAVE = b"\x1b[0m\x1b[?25h\x1b[?1049l"
+"""Colours off, cursor on, back from the other screen."""
+
+
+class Display:
+    """A display process and the link to it. No method but `close` waits for anything."""
+
+    def __init__(self, folder: Path, *, color: bool = True) -> None:
+        self._command = [sys.executable, "-P", "-m", "pmabench.display", str(folder)]
+        self._command += [] if color else ["--no-color"]
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: Link | None = None
+        self._before: terminal.Attributes | None = None
+        self._asked: dict[str, Any] | None = None
+        self._sent = True
+        self._count = 0
+        self._lost = False
+
+    def start(self) -> None:
+        """Start the process; it draws on standard error and reads keys from standard input, where these are a terminal.
+
+        Raises OSError where no process can be started.
+        """
+        ours, theirs = socket.socketpair()
+        self._before = terminal.attributes(0)
+        try:
+            command = [*self._command, "--link", str(theirs.fileno())]
+            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdout=subprocess.DEVNULL)
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._link = Link(ours)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process is there to show and to answer."""
+        if self._process is None or self._link is None or self._process.poll() is not None or self._link.closed:
+            self._leave()
+            return False
+        return True
+
+    def ask(self, text: str, words: Sequence[str] = ("clear",)) -> int:
+        """Show a question until it is answered by one of the words; its number, which the answer carries."""
+        self._count += 1
+        self._asked = {"id": self._count, "text": text, "words": list(words)}
+        self._sent = False
+        self._push()
+        return self._count
+
+    def withdraw(self) -> None:
+        """Take the question away."""
+        self._asked, self._sent = None, False
+        self._push()
+
+    def tell(self, text: str) -> bool:
+        """A line for the log; False where it was dropped because the display does not read."""
+        return self._link.send({"tell": text}) if self._link is not None else False
+
+    def live(self, values: Mapping[str, float]) -> None:
+        """Values [SI] by channel while nothing is recorded; dropped where older ones still wait."""
+        if self._link is not None and not self._link.waiting:
+            self._link.send({"live": dict(values)})
+
+    def poll(self) -> list[dict[str, Any]]:
+        """What came: `answer` {id, text}, `key`, `note`. Answers to what is not asked are left out."""
+        if self._link is None:
+            return []
+        self._link.flush()
+        self._push()
+        return [message for message in self._link.receive() if self._counts(message)]
+
+    def _push(self) -> None:
+        if not self._sent and self._link is not None:
+            self._sent = self._link.send({"ask": self._asked})
+
+    def _counts(self, message: Mapping[str, Any]) -> bool:
+        """Whether a message is one that may come; a good answer ends its question."""
+        answer = message.get("answer")
+        if answer is None:
+            return isinstance(message.get("key"), str) or isinstance(message.get("note"), str)
+        asked = self._asked
+        if asked is None or not isinstance(answer, dict):
+            return False
+        if answer.get("id") != asked["id"] or answer.get("text") not in asked["words"]:
+            return False
+        self._asked = None
+        return True
+
+    def close(self, end: Mapping[str, Any] | None = None, within: float = 1.0) -> None:
+        """End the display and give the terminal back: politely, after `within` [s] by force. Harmless when repeated."""
+        process, link = self._process, self._link
+        if process is None or link is None:
+            return
+        link.send({"end": dict(end or {})})
+        for force in (None, process.terminate, process.kill):
+            if force is not None:
+                force()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(within)
+                break
+        link.close()
+        self._leave()
+
+    def _leave(self) -> None:
+        """After a display that could not tidy up: the terminal as it was. Once, and without waiting."""
+        process = self._process
+        if process is None or self._lost or process.poll() is None:
+            return
+        self._lost = True
+        terminal.restore(0, self._before)
+        if process.returncode != 0 and terminal.in_front(2) and select.select([], [2], [], 0)[1]:
+            with suppress(OSError):
+                os.write(2, LEAVE)

@@ -1,0 +1,345 @@
+"""The loop of the display: reads the run four times a second, draws, reads keys, talks to the run where it is linked.
+
+The terminal is as before on every way out. Whatever blocks here blocks nobody else.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import select
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, TextIO
+
+from rich.console import Console as Rich
+from rich.text import Text
+
+from pmabench.base import terminal
+from pmabench.base.errors import UsageError
+from pmabench.display.child import LEAVE
+from pmabench.display.link import Link
+from pmabench.display.plain import first_line, last_line, plain_line
+from pmabench.display.state import RunState
+from pmabench.display.view import Extra, Question, closing, screen
+
+PERIOD = 0.25
+"""A picture at most so often [s], but where a key was pressed."""
+LONGEST_NOTE = 500
+ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
+LINKED = "r repeat this trial   p pause or go on   n note   v vent now   Ctrl-C stop and vent"
+ALONE = "q quits; the run goes on"
+PRESSED = {"r": "repeat this trial", "p": "pause at low pressure, or go on", "v": "vent now", "q": "quit"}
+
+
+class Terminate(Exception):
+    """A signal ends the display."""
+
+
+def quiet_signals() -> None:
+    """As a child of the run: Ctrl-C is the run's; other ends are tidy; the background stops nobody."""
+
+    def ended(_number: int, _frame: object) -> None:
+        raise Terminate
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGTERM", "SIGHUP", "SIGQUIT"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), ended)
+    for name in ("SIGTTIN", "SIGTTOU", "SIGTSTP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
+class Painter:
+    """Draws lines on a terminal's other screen, only those that changed."""
+
+    def __init__(self, stream: TextIO, *, color: bool) -> None:
+        self._fd = stream.fileno()
+        self._ascii = "utf" not in (stream.encoding or "").lower()
+        self._color = color
+        self._drawn: list[str] = []
+        self._size = (0, 0)
+
+    def size(self) -> tuple[int, int]:
+        """Columns and rows now."""
+        try:
+            width, height = os.get_terminal_size(self._fd)
+        except OSError:
+            width, height = shutil.get_terminal_size()
+        return width or 80, height or 24
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """The other screen, and back."""
+        self._write(ENTER_SCREEN)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                self._write(LEAVE)
+
+    def draw(self, lines: Sequence[Text], size: tuple[int, int]) -> None:
+        """Bring the screen to these lines."""
+        told = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
+        before = self._drawn if size == self._size else []
+        out = "" if before else "\x1b[0m\x1b[2J"
+        for row, line in enumerate(told):
+            if row >= len(before) or before[row] != line:
+                out += f"\x1b[{row + 1};1H\x1b[2K{line}"
+        self._drawn, self._size = told, size
+        self._write(out.encode("ascii" if self._ascii else "utf-8", "replace"))
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[os.write(self._fd, rest) :]
+            except BlockingIOError:
+                select.select([], [self._fd], [], 1.0)
+
+
+_ASCII = {
+    "━": "=",
+    "─": "-",
+    "●": "O",
+    "╎": ":",
+    "┃": "|",
+    "…": "..",
+    "±": "+-",
+    "▏": "_",
+    "\N{REPLACEMENT CHARACTER}": "?",
+}
+
+
+def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool = False) -> list[str]:
+    """Lines with the codes of the sixteen colours; without `color` bold, dim and reverse are left."""
+    rich = Rich(
+        file=io.StringIO(),
+        force_terminal=True,
+        color_system="standard",
+        no_color=not color,
+        width=width,
+        legacy_windows=False,
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+    told = []
+    for line in lines:
+        with rich.capture() as captured:
+            rich.print(line, end="", no_wrap=True, overflow="crop", crop=True)
+        told.append(captured.get())
+    if ascii_only:
+        told = ["".join(_ASCII.get(c) or (_dots(c) if "\u2800" <= c <= "\u28ff" else c) for c in line) for line in told]
+    return told
+
+
+def _dots(character: str) -> str:
+    """A braille character as a sign that every terminal has, by where its dots are."""
+    code = ord(character) - 0x2800
+    return {(False, False): " ", (True, False): "'", (False, True): ".", (True, True): ":"}[
+        bool(code & 0x1B), bool(code & 0xE4)
+    ]
+
+
+class Console:
+    """Shows one run until it ends, until `q` where it is not linked, or until the link ends."""
+
+    def __init__(
+        self, folder: Path, stream: TextIO, *, link: Link | None = None, color: bool = True, plain: bool = False
+    ) -> None:
+        self.state = RunState(folder)
+        self._stream = stream
+        self._link = link
+        self._color = color
+        self._plain = plain
+        self._keys: terminal.Keyboard | None = None
+        self._parent = os.getppid()
+        self._asked: dict[str, Any] | None = None
+        self._typed = self._refused = ""
+        self._note: str | None = None
+        self._over = False
+        self._quiet = False
+
+    def run(self, *, quiet: bool = False) -> RunState:
+        """Show the run; what is known of it at the end. `quiet`: print nothing, only follow."""
+        self._quiet = quiet
+        if self._plain or quiet:
+            self._run_plain()
+            return self.state
+        painter = Painter(self._stream, color=self._color)
+        with ExitStack() as stack:
+            stack.enter_context(painter.open())
+            with suppress(UsageError):  # without keys it is a picture all the same
+                self._keys = stack.enter_context(terminal.key_by_key(0))
+            with suppress(EOFError):
+                self._run_drawn(painter)
+        self._close(painter.size()[0])
+        return self.state
+
+    def _run_drawn(self, painter: Painter) -> None:
+        while not self._over:
+            started = time.monotonic()
+            behind = self.state.poll()
+            self._listen()
+            size = painter.size()
+            painter.draw(screen(self.state, *size, self._extra()), size)
+            self._look_for_end(behind)
+            due = started + (0.0 if behind else PERIOD)
+            while not self._over and not self._pressed(max(0.0, due - time.monotonic())):
+                if time.monotonic() >= due:
+                    break
+
+    def _run_plain(self) -> None:
+        begun = False
+        while not self._over:
+            behind = self.state.poll()
+            self._listen()
+            if self.state.files.there and not begun:
+                begun = True
+                self._print(first_line(self.state))
+            fresh, self.state.fresh = self.state.fresh, []
+            for item in fresh:
+                self._print(plain_line(item, self.state.trials))
+            self._look_for_end(behind)
+            if not behind and not self._over:
+                self._wait(PERIOD)
+        if self._link is None:
+            self._print(last_line(self.state))
+
+    def _print(self, line: str) -> None:
+        if not self._quiet:
+            encoding = self._stream.encoding or "utf-8"
+            print(line.encode(encoding, "replace").decode(encoding), file=self._stream, flush=True)
+
+    def _close(self, width: int) -> None:
+        """What stays on the terminal: the last trials and, of a run that is watched, how it ended."""
+        lines = closing(self.state, width)
+        if self._link is None:
+            lines = [*lines, Text(last_line(self.state))]
+        ascii_only = "utf" not in (self._stream.encoding or "").lower()
+        for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
+            self._print(line)
+
+    def _look_for_end(self, behind: bool) -> None:
+        if self._link is None:
+            self._over |= self.state.ended
+        elif self._link.closed or os.getppid() != self._parent:
+            self._over = not behind
+
+    # -- the run ------------------------------------------------------------------------------------------------------
+
+    def _listen(self) -> bool:
+        """Take in messages of the run; whether a question came or went, or the end."""
+        urgent = False
+        for message in self._link.receive() if self._link is not None else ():
+            urgent |= "ask" in message or "end" in message
+            if "ask" in message:
+                asked = message["ask"]
+                self._asked = asked if isinstance(asked, dict) else None
+                self._typed = self._refused = ""
+                self._note = None
+                if self._asked is not None and self._plain:
+                    self.state.tell(
+                        f"asked: {self._asked.get('text')} (no terminal here: it cannot be answered)", "doubt"
+                    )
+            if "tell" in message:
+                self.state.tell(str(message["tell"]))
+            if isinstance(message.get("live"), dict):
+                self.state.live(message["live"])
+            if "end" in message:
+                self.state.poll()
+                self._over = True
+        return urgent
+
+    def _words(self) -> tuple[str, ...]:
+        asked = self._asked or {}
+        words = asked.get("words") or [asked.get("word", "clear")]
+        return tuple(str(word) for word in words)
+
+    def _extra(self) -> Extra:
+        footer = (LINKED if self._link is not None else ALONE) if self._keys is not None else ""
+        if self._asked is None:
+            return Extra(footer=footer, typing=self._note)
+        question = Question(str(self._asked.get("text", "")), self._words(), self._typed, self._refused)
+        return Extra(question, "Ctrl-C stops and vents" if self._keys is not None else "")
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def _wait(self, seconds: float) -> None:
+        if self._link is not None and not self._link.closed:
+            select.select([self._link.fileno()], [], [], seconds)
+        else:
+            time.sleep(seconds)
+
+    def _pressed(self, seconds: float) -> bool:
+        """Wait for keys and messages; whether something calls for a new picture at once."""
+        keys = self._keys
+        if keys is None or not terminal.in_front(keys.fd):
+            self._wait(seconds)
+            return self._listen()
+        sources = [keys.fd] + ([self._link.fileno()] if self._link is not None and not self._link.closed else [])
+        ready = select.select(sources, [], [], seconds)[0]
+        pressed = keys.read() if keys.fd in ready else []
+        for key in pressed:
+            self._key(key)
+        return self._listen() or bool(pressed)
+
+    def _key(self, key: str) -> None:
+        if self._asked is not None:
+            self._answer(key)
+        elif self._note is not None:
+            self._type_note(key)
+        elif self._link is None:
+            self._over |= key.lower() == "q"
+        elif key.lower() == "n":
+            self._note = ""
+        elif key.lower() in PRESSED:
+            self._send({"key": key.lower()}, f"{key.lower()} pressed: {PRESSED[key.lower()]}")
+
+    def _send(self, message: dict[str, Any], told: str) -> None:
+        taken = self._link is not None and self._link.send(message)
+        self.state.tell(told if taken else f"{told}; the run did not take it", "info" if taken else "fault")
+
+    def _answer(self, key: str) -> None:
+        """One key of an answer; only one of the words counts."""
+        if key == terminal.ENTER:
+            text = self._typed.strip().lower()
+            self._typed, self._refused = "", text
+            match = next((word for word in self._words() if word.lower() == text), None)
+            if match is not None and self._asked is not None:
+                asked, self._asked, self._refused = self._asked, None, ""
+                self._send({"answer": {"id": asked.get("id"), "text": match}}, f'answered "{match}"')
+            return
+        self._typed = _edited(self._typed, key, 40)
+
+    def _type_note(self, key: str) -> None:
+        if key == terminal.ESCAPE:
+            self._note = None
+        elif key == terminal.ENTER:
+            text, self._note = (self._note or "").strip(), None
+            if text:
+                self._send({"note": text}, f"note: {text}")
+        else:
+            self._note = _edited(self._note or "", key, LONGEST_NOTE)
+
+
+def _edited(text: str, key: str, longest: int) -> str:
+    """A line after one more key: backspace, Ctrl-U (all), or a character that can be printed."""
+    if key == terminal.BACKSPACE:
+        return text[:-1]
+    if key == "\x15":
+        return ""
+    return (text + key)[:longest] if key.isprintable() else text
+
+
+def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> RunState:
+    """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines."""
+    console = Console(folder, sys.stdout, color=color, plain=plain or not sys.stdout.isatty())
+    return console.run(quiet=quiet)

@@ -1,0 +1,282 @@
+"""Reads a run folder on from where reading stopped; knows its files, not what the run means. Writes nothing.
+
+Whatever is missing, torn or half written is read at a later call, or never; nothing here raises for it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile
+from pmabench.base.quantities import QUANTITIES
+from pmabench.store import folder as files
+from pmabench.store.archive import read_archive
+from pmabench.store.arrow import pa
+from pmabench.store.clocks import fit_clock
+from pmabench.store.folder import open_json, read_manifest, read_seal, status_of
+from pmabench.store.journal import decode
+from pmabench.store.livestream import FLAGS, TIME, LiveReader
+from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
+
+MOST_BYTES = 4 << 20
+"""Read of one file at one call; so the first pictures of a long run come at once."""
+MOST_ROWS = 200_000
+"""The same for a stream of a closed run."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Samples of one stream in SI: `t` [s], each of `values` and `flags` have shape (n,)."""
+
+    t: Array
+    values: Mapping[str, Array]
+    flags: Flags
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is none that can be read."""
+    with suppress(OSError, ValueError, RecursionError):
+        data = json.loads(path.read_bytes())
+        if isinstance(data, dict):
+            return data
+    return {}
+
+
+class JournalTail:
+    """The whole lines of `events.jsonl`, each given once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / files.EVENTS
+        self._offset = self._lines = self._crc = 0
+        self.fault = ""
+        """Why nothing more is believed."""
+        self.written = 0.0
+        """When the file last changed [s, wall clock]."""
+
+    def read(self) -> list[Event]:
+        """The lines that are new."""
+        if self.fault:
+            return []
+        try:
+            with self._path.open("rb") as file:
+                self.written = os.fstat(file.fileno()).st_mtime
+                file.seek(self._offset)
+                raw = file.read()
+        except OSError:
+            return []
+        whole = raw[: raw.rfind(b"\n") + 1]
+        journal = decode(whole, self._lines, self._crc)
+        self.fault = journal.fault
+        self._offset += len(whole)
+        self._lines += len(journal.lines)
+        if journal.lines:
+            self._crc = int(whole[-11:-3], 16) if not self.fault else 0
+        return [
+            Event(
+                line["seq"], float(line["t"]), str(line["kind"]), line["data"] if isinstance(line["data"], dict) else {}
+            )
+            for line in journal.lines
+        ]
+
+
+class StreamTail:
+    """One stream, live or closed, in SI; its rows are given once, in order."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.name = name
+        self._live = folder / files.STREAMS / f"{name}.arrows"
+        self._closed = folder / files.STREAMS / f"{name}.parquet"
+        self._head = b""
+        self._offset = self._batches = 0
+        self._most = MOST_BYTES
+        self._table: Any = None
+        self.rows = 0
+        self.rate = 0.0
+        self.infos: dict[str, ChannelInfo] = {}
+        self.clock: ClockInfo | None = None
+        """As a `clock` event has it; else it is fitted to when the samples came in."""
+        self._arrivals: list[tuple[int, int]] = []
+        self._fitted = 0
+        self._by_arrivals = ClockInfo()
+        self.behind = False
+        """Whether there was more to read than one call takes."""
+        self.fault = ""
+        """What was wrong with the first bytes that did not make a whole batch."""
+        self.written = 0.0
+        """When the file last changed [s, wall clock]."""
+
+    def read(self) -> list[Block]:
+        """The rows that are new."""
+        self.behind = False
+        if self._table is None:
+            try:
+                with self._live.open("rb") as file:
+                    self.written = os.fstat(file.fileno()).st_mtime
+                    return self._read_live(file)
+            except OSError:
+                if not self._open_closed():
+                    return []
+        return self._read_closed()
+
+    def _read_live(self, file: Any) -> list[Block]:
+        file.seek(self._offset)
+        raw = file.read(self._most)
+        if not raw:
+            return []
+        try:
+            reader = LiveReader(pa.py_buffer(self._head + raw), self._batches, self.rows)
+        except ValueError:
+            return []
+        if not self._head:
+            self._describe(reader.about)
+            self._head = raw[: reader.head]
+        batches = [batch for batch in reader if batch.num_rows]
+        self._arrivals += reader.arrivals
+        blocks = [self._block({name: b.column(name).to_numpy() for name in b.schema.names}) for b in batches]
+        start = reader.head if self._offset else 0
+        self._offset += reader.position - start
+        self.behind = len(raw) == self._most
+        if self.behind and reader.batches == self._batches:
+            self._most *= 2  # a batch larger than one call takes
+        self.fault = reader.fault if reader.torn and not self.behind else ""
+        self._batches, self.rows = reader.batches, reader.rows
+        return blocks
+
+    def _open_closed(self) -> bool:
+        try:
+            self._table, about, self._arrivals = read_archive(str(self._closed))
+        except (OSError, ValueError):
+            return False
+        self.written = self._closed.stat().st_mtime
+        self._describe(about)
+        return True
+
+    def _read_closed(self) -> list[Block]:
+        part = self._table.slice(self.rows, MOST_ROWS)
+        if not part.num_rows:
+            return []
+        self.rows += part.num_rows
+        self.behind = self.rows < self._table.num_rows
+        return [self._block({name: part.column(name).combine_chunks().to_numpy() for name in part.column_names})]
+
+    def _describe(self, about: Mapping[str, Any]) -> None:
+        self.rate = float(about.get("rate") or 0.0)
+        for column in about["columns"]:
+            scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
+            quantity = str(column.get("quantity", ""))
+            low, high = column.get("low"), column.get("high")
+            self.infos[column["name"]] = ChannelInfo(
+                name=column["name"],
+                quantity=quantity,
+                unit=QUANTITIES[quantity].unit if quantity in QUANTITIES else "",
+                slope=float(scale.get("slope", 1.0)),
+                offset=float(scale.get("offset", 0.0)),
+                low=-np.inf if low is None else float(low),
+                high=np.inf if high is None else float(high),
+                sensor_lag=float(calibration.get("sensor_lag") or 0.0),
+            )
+
+    def _block(self, columns: dict[str, Any]) -> Block:
+        time_ns, flags = columns.pop(TIME), columns.pop(FLAGS)
+        clock = self.clock or self._fit()
+        with np.errstate(all="ignore"):
+            values = {name: raw * self.infos[name].slope + self.infos[name].offset for name, raw in columns.items()}
+        return Block(clock.time(time_ns), values, np.asarray(flags, dtype=np.uint16))
+
+    def _fit(self) -> ClockInfo:
+        """The clock by the arrivals so far, fitted anew when there are twice as many."""
+        if self._arrivals and len(self._arrivals) >= 2 * self._fitted:
+            self._fitted = len(self._arrivals)
+            self._by_arrivals = fit_clock(*zip(*self._arrivals, strict=True))
+        return self._by_arrivals
+
+
+class Follower:
+    """A run folder that may not be there yet, is being written, has ended, or whose writer died."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.manifest: dict[str, Any] = {}
+        self.plan: dict[str, Any] = {}
+        self.bench: dict[str, Any] = {}
+        self.seal: dict[str, Any] | None = None
+        self.streams: dict[str, StreamTail] = {}
+        self.journal = JournalTail(folder)
+        self.problem = ""
+        """Why the folder cannot be read as a run."""
+        self._notes = 0
+
+    @property
+    def there(self) -> bool:
+        """Whether the run's manifest is there."""
+        return bool(self.manifest)
+
+    def events(self) -> list[Event]:
+        """Events that are new; also reads what is written once."""
+        if not self.manifest:
+            self._begin()
+        if not self.manifest:
+            return []
+        if self.seal is None:
+            with suppress(InvalidFile):
+                self.seal = read_seal(self.folder)
+        events = self.journal.read()
+        for event in events:
+            stream = self.streams.get(str(event.data.get("stream"))) if event.kind == "clock" else None
+            if stream is not None:
+                at, drift = (float(event.data.get(key) or 0.0) for key in ("offset", "drift"))
+                stream.clock = ClockInfo(0, at, drift)
+        return events
+
+    def samples(self) -> list[tuple[StreamTail, list[Block]]]:
+        """Samples that are new, by stream. Call `events` first: samples are written before the end of their trial."""
+        if self.manifest:
+            for path in sorted((self.folder / files.STREAMS).glob("*")):
+                if path.suffix in (".arrows", ".parquet") and path.stem not in self.streams:
+                    self.streams[path.stem] = StreamTail(self.folder, path.stem)
+        return [(stream, stream.read()) for stream in self.streams.values()]
+
+    def notes(self) -> list[str]:
+        """Notes that were added beside the run since the last call."""
+        found = sorted((self.folder / "notes").glob("[0-9]*/note.json"))
+        fresh, self._notes = found[self._notes :], len(found)
+        texts = []
+        for path in fresh:
+            with suppress(OSError, InvalidFile):
+                note = open_json(path.read_bytes(), path)
+                text = str(note.get("text", ""))
+                if note.get("exclude") is not None:
+                    text = f"trial {note['exclude']} excluded: {note.get('because')} {text}"
+                texts.append(text.strip())
+        return texts
+
+    @property
+    def behind(self) -> bool:
+        """Whether more is to be read at once."""
+        return any(stream.behind for stream in self.streams.values())
+
+    @property
+    def status(self) -> str:
+        """`running` while the writer lives, else how the run ended; `waiting` where there is none yet."""
+        if not self.manifest:
+            return "waiting"
+        if self.seal is None and not self.manifest.get("writer"):
+            return "running"  # a system that does not tell whether the writer lives
+        return status_of(self.manifest, self.seal)
+
+    def _begin(self) -> None:
+        try:
+            self.manifest = read_manifest(self.folder)
+        except InvalidFile as error:
+            self.problem = str(error) if (self.folder / files.MANIFEST).exists() else ""
+            return
+        self.plan = read_json(self.folder / files.PLAN)
+        self.bench = read_json(self.folder / "bench.json")

@@ -1,0 +1,98 @@
+"""The table of finished trials, one line each, as wide as there is room; judges nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.text import Text
+
+from pmabench.display.verdicts import Number, TrialLine
+from pmabench.display.wording import POINT, clean, quantity, wrapped
+
+FAINT, WARN, GOOD = "dim", "black on yellow", "green"
+VALUE, OFF, PLACE = 7, 6, 7
+"""Widths of a value, of its distance from what it is compared with, and of a part of the operating point."""
+WIDE = 108
+"""From this width on doubts stand in the line of their trial, else below it."""
+_HIDDEN = ("mass", "cycles", "setpoint", "bias", "mean", "amplitude")
+
+
+def point_columns(lines: Sequence[TrialLine]) -> list[str]:
+    """Names of the operating point that tell trials apart."""
+    names = list(dict.fromkeys(name for line in lines for name in line.point))
+    return [name for name in names if name not in _HIDDEN] or names[:1]
+
+
+def number_text(number: Number) -> str:
+    """The value in the unit of the heading, four digits; a star where it leans on the specimen file."""
+    if number.value is None:
+        return "-"
+    shown = number.value / quantity(number.quantity).scale
+    text = f"{shown:#.4g}" if 1e-3 < abs(shown) < 1000 else f"{shown:.4g}"
+    return text.rstrip(".") + ("*" if number.assumed else "")
+
+
+def off_text(number: Number) -> str:
+    """How far it is from what it is compared with."""
+    off = number.off
+    if off is None or number.assumed:
+        return ""
+    return f"{100 * off:+.1f}%" if abs(off) < 0.0995 else f"{100 * off:+.0f}%" if abs(off) < 9.5 else "far"
+
+
+def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
+    text = "   trial"
+    for name in names:
+        symbol, q = POINT.get(name, (clean(name), ""))
+        text += f"{f'{symbol} {quantity(q).shown_in}'.strip()[:PLACE]:>{PLACE}}"
+    numbers = max((line.numbers for line in lines), key=len)
+    for number in numbers:
+        label = f"{number.symbol} {quantity(number.quantity).shown_in}"
+        text += " " + label.rjust(VALUE).ljust(VALUE + OFF)
+    return text
+
+
+def _row(line: TrialLine, names: Sequence[str]) -> Text:
+    """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
+    text = Text("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.index + 1:>5}", "bold")
+    for name in names:
+        value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
+        text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")
+    for number in line.numbers:
+        text.append(f" {number_text(number):>{VALUE}}").append(f"{off_text(number):>{OFF}}", FAINT)
+    return text
+
+
+def trial_table(lines: Sequence[TrialLine], width: int, room: int) -> list[Text]:
+    """A heading and the last trials, newest at the end, at most `room` lines in all; empty where there is no room."""
+    if not lines or room < 2:
+        return []
+    names = point_columns(lines)
+    parts: list[list[Text]] = []
+    used = 1
+    for line in reversed(lines):
+        row, doubts = _row(line, names), "; ".join(clean(doubt) for doubt in line.doubts)
+        part = [row]
+        if doubts and width >= WIDE:
+            row.append(f"  {doubts}")
+        elif doubts:
+            part += [Text("         ").append(text) for text in wrapped(doubts, width - 9)[:2]]
+        if used + len(part) > room:
+            break
+        parts.append(part)
+        used += len(part)
+    if not parts:
+        return []
+    told = Text(_heading(lines, names), FAINT)
+    if width >= WIDE:
+        told.append(_legend(lines[-len(parts) :]), FAINT)
+    return [told, *(row for part in reversed(parts) for row in part)]
+
+
+def _legend(lines: Sequence[TrialLine]) -> str:
+    """What percent and star mean in these lines."""
+    kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
+    against = {"expected": "the specimen file", "repeats": "earlier repeats"}
+    text = f"; % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
+    starred = any(n.assumed for line in lines for n in line.numbers)
+    return text + ("; * one load only, the other from the specimen file" if starred else "")

@@ -1,0 +1,101 @@
+"""Where a run is in its plan, by its events, and how long the rest will take; knows no samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step
+from pmabench.store.records import Event
+
+_TOLD = ("set", "ramp", "follow", "record", "ask", "seek")
+"""Steps whose beginning is an event."""
+ENOUGH = 0.02
+"""Share of the plan after which the pace so far says how long the rest takes [1]."""
+
+
+class Progress:
+    """A pointer into the steps of a plan; time between a prompt and its answer does not count."""
+
+    def __init__(self, plan: Mapping[str, Any]) -> None:
+        self._steps: list[Step] = []
+        with suppress(KeyError, TypeError, AttributeError):
+            for item in plan.get("steps") or ():
+                fields = dict(item)
+                self._steps.append(STEPS[fields.pop("step")](**fields))
+        self._until = [0.0]
+        for step in self._steps:
+            self._until.append(self._until[-1] + max(0.0, float(step.longest())))
+        self._at = 0
+        self._begun = False  # whether the step at the pointer has begun
+        self._t = 0.0
+        self._asked: float | None = None
+        self._hands = 0.0
+        self._first: float | None = None
+
+    @property
+    def longest(self) -> float:
+        """Longest duration of the whole plan [s], without the operator's time."""
+        return self._until[-1]
+
+    def take(self, event: Event) -> None:
+        """Move the pointer."""
+        self._first = event.t if self._first is None else self._first
+        kind, phase = event.kind, event.data.get("phase")
+        if kind in ("trial-begin", "trial-end"):
+            on, trial = kind == "trial-begin", event.data.get("trial")
+            steps = enumerate(self._steps)
+            self._after(
+                event, next((i for i, s in steps if isinstance(s, Record) and s.on == on and s.trial == trial), None)
+            )
+        elif kind == "command":
+            output = event.data.get("output")
+            here = self._steps[self._at] if self._begun and self._at < len(self._steps) else None
+            if not (isinstance(here, Seek) and here.phase == phase and here.output == output):
+                self._begin(event, lambda s: s.phase == phase and getattr(s, "output", None) == output)
+        elif kind == "prompt":
+            self._begin(event, lambda s: isinstance(s, Ask))
+            self._asked = event.t
+        elif kind == "answer":
+            self._hands += event.t - self._asked if self._asked is not None else 0.0
+            self._asked, self._t = None, event.t
+        elif kind == "found":
+            seeks = (i for i in range(self._at, len(self._steps)) if isinstance(self._steps[i], Seek))
+            self._after(event, next((i for i in seeks if self._steps[i].phase == phase), None))
+
+    def _after(self, event: Event, place: int | None) -> None:
+        if place is not None:
+            self._at, self._begun, self._t = place + 1, False, event.t
+
+    def _begin(self, event: Event, fits: Callable[[Step], bool]) -> None:
+        """Go to the next step that fits, inside this trial or on the way to the next."""
+        for i in range(self._at + self._begun, len(self._steps)):
+            step = self._steps[i]
+            if fits(step):
+                self._at, self._begun, self._t = i, True, event.t
+                return
+            if isinstance(step, Record) and step.on and step.trial is not None:
+                return
+
+    def done(self, t: float) -> float:
+        """Share of the plan that is behind [1], at `t` [s]."""
+        return min(1.0, self._behind(t) / self.longest) if self.longest > 0 else 0.0
+
+    def _behind(self, t: float) -> float:
+        """Longest duration of what is done [s]; the step under way counts no more than its longest duration."""
+        after = range(self._at + self._begun, len(self._steps))
+        ends = next((i for i in after if self._steps[i].kind in _TOLD), len(self._steps))
+        since = 0.0 if self._asked is not None else max(0.0, t - self._t)
+        return self._until[self._at] + min(since, self._until[ends] - self._until[self._at])
+
+    def left(self, t: float) -> tuple[float, bool] | None:
+        """Time left at `t` [s] without the operator's, and whether that is the longest possible; None where unknown."""
+        if not self.longest:
+            return None
+        behind = self._behind(t)
+        rest = self.longest - behind
+        taken = t - (self._first or 0.0) - self._hands
+        if behind < ENOUGH * self.longest or taken <= 0:
+            return rest, True
+        return rest * min(1.0, taken / behind), False

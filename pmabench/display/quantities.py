@@ -1,0 +1,207 @@
+"""What one trial says by itself, by kind of run, with the same functions that `process` uses; no intervals.
+
+Knows trials and the prediction that stands beside them; judges nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.quantities import show
+from pmabench.display.expected import Expected
+from pmabench.store.records import RunData, TrialData
+
+DRIFT = 0.02
+"""Share of a step that the last fifth of its hold may still move."""
+DISTORTED = 0.05
+"""Rms of what a sine leaves of the displacement, over its own rms, that is doubted."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One quantity of a trial [SI]."""
+
+    symbol: str
+    quantity: str
+    value: float | None
+    expected: float | None = None
+    tolerance: float = 0.0
+    """What friction may take away from the prediction [SI]."""
+    noise: float = 0.0
+    """Differences smaller than this between repeats mean nothing [SI]."""
+    assumed: bool = False
+    pooled: bool = False
+    """Whether earlier trials are in it, so that it cannot be held against them."""
+
+
+Found = tuple[list[Measured], list[str]]
+"""Quantities, and what the samples themselves say against the trial."""
+
+
+@dataclass
+class Quick:
+    """What is remembered from trial to trial: final contractions over loads, by pressure [Pa]."""
+
+    ends: dict[float, list[tuple[float, float]]] = field(default_factory=dict)
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The quantities of a trial and what its own samples say against it; none for kinds without a rule."""
+    rule = _RULES.get(run.kind)
+    return rule(run, trial, expected, quick) if rule is not None else ([], [])
+
+
+def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """x_inf and tau of the contraction; K and F_ce over the loads of this pressure so far.
+
+    Where a contraction comes to rest K x_inf = F_ce - F_c - F_L; the line over loads thus gives F_ce - F_c, and so is
+    the prediction beside it.
+    """
+    from pmabench.analysis.segments import Gate, samples_of
+    from pmabench.analysis.steps import regress, steps_of
+
+    if "displacement" not in trial.channels or "pressure" not in trial.channels or len(trial.t) < 2:
+        return [], ["pressure or displacement is not recorded"]
+    P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
+    step = next((s for s in steps_of(samples_of(run, trial, 0), trial, Gate.lift) if s.phase == "contract"), None)
+    K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
+    slip = expected.F_c if expected else 0.0
+    pull = F_e - slip - load if F_e is not None else None  # what is left where the contraction comes to rest
+    doubts: list[str] = []
+    if step is None:
+        if pull is None or pull > slip:
+            doubts.append("no contraction step: the muscle did not lift the load")
+        names = (("x_inf", "length"), ("tau", "time"), ("K", "stiffness"), ("F_ce", "force"))
+        return [Measured(name, quantity, None) for name, quantity in names], doubts
+    x = step.fit.end
+    doubts += _drift(trial, step.fit.start)
+    if trial.status == "finished":
+        quick.ends.setdefault(round(P), []).append((load, x))
+    ends = np.array(quick.ends.get(round(P), []))
+    line = regress(ends[:, 0], ends[:, 1]) if len(ends) else None
+    found: list[Measured] = [
+        Measured(
+            "x_inf",
+            "length",
+            x,
+            expected=pull / K_e if pull is not None and K_e else None,
+            tolerance=slip / K_e if K_e else 0.0,
+            noise=20e-6,
+        ),
+        Measured("tau", "time", step.fit.tau, noise=0.01),
+    ]
+    rest = F_e - slip if F_e is not None else None
+    if line is not None:
+        found.append(Measured("K", "stiffness", line.K, K_e, pooled=True))
+        found.append(Measured("F_ce", "force", line.F_ce, rest, tolerance=slip, pooled=True))
+    else:
+        one_K = pull / x if pull is not None and pull > 0 else None
+        one_F = load + K_e * x if K_e is not None else None
+        found.append(Measured("K", "stiffness", one_K, K_e, assumed=True, pooled=True))
+        found.append(Measured("F_ce", "force", one_F, rest, assumed=True, pooled=True))
+    return found, doubts
+
+
+def _drift(trial: TrialData, start: float) -> list[str]:
+    """Whether the displacement still moves at the end of the contraction."""
+    commands = [c for c in trial.commands if c.output == "pressure"]
+    first = next((i for i, c in enumerate(commands) if c.phase == "contract"), None)
+    if first is None:
+        return []
+    begin, end = commands[first].t, commands[first + 1].t if first + 1 < len(commands) else float(trial.t[-1])
+    late = (trial.t > end - (end - begin) / 5) & (trial.t < end) & trial.usable
+    t, x = trial.t[late], trial.channels["displacement"][late]
+    if len(t) < 20:
+        return []
+    half = len(t) // 2
+    moved = 2 * (float(x[half:].mean()) - float(x[:half].mean()))
+    size = abs(float(x.mean()) - start)
+    if abs(moved) <= DRIFT * size:
+        return []
+    return [f"still drifting: {show(moved, 'length', 2)} in the last {t[-1] - t[0]:.1f} s"]
+
+
+def _static(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Pressures at which the load lifts and sets down, their mean, and half the difference."""
+    doubts: list[str] = []
+    found: dict[str, float | None] = {}
+    for phase in ("lift", "set-down"):
+        result = trial.found.get(phase)
+        value = result.get("pressure") if result and result.get("found", True) else None
+        found[phase] = float(value) if isinstance(value, int | float) else None
+        if result is not None and found[phase] is None:
+            doubts.append(f"{phase}: {result.get('reason') or 'nothing found'}")
+        elif result is None:
+            doubts.append(f"{phase} was not looked for")
+    lift, down = found["lift"], found["set-down"]
+    load = trial.point.get("load")
+    predicted = expected.lifts(load) if expected is not None and load is not None else None
+    both = lift is not None and down is not None
+    middle = 0.5 * (lift + down) if lift is not None and down is not None else None
+    half = 0.5 * (lift - down) if lift is not None and down is not None else None
+    if both and half is not None and half < 0:
+        doubts.append("it sets down at a higher pressure than it lifts")
+    return [
+        Measured("lift", "pressure", lift, noise=1e3),
+        Measured("set-down", "pressure", down, noise=1e3),
+        Measured("mean", "pressure", middle, predicted, tolerance=3e3, noise=1e3),
+        Measured("half", "pressure", half, noise=2e3),
+    ], doubts
+
+
+def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
+    from pmabench.analysis.sine_loop import NotUsable
+    from pmabench.analysis.sine_loop import measure as harmonic
+
+    settings = run.plan.get("settings") or {}
+    P = trial.point.get("pressure")
+    try:
+        sine = harmonic(run, trial, float(settings.get("discard", 1)))
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None), Measured("B", "damping", None)], [str(reason)]
+    K_e = B_e = None
+    if expected is not None and P is not None:
+        K_e = expected.at("K", P)
+        B_c, B_r = expected.at("B_c", P), expected.at("B_r", P)
+        if B_c is not None and B_r is not None:
+            B_e = 0.5 * (B_c + B_r) + 4 * expected.F_c / (pi * sine.speed)
+    doubts = []
+    if sine.distortion > DISTORTED:
+        doubts.append(f"the displacement is no sine: {sine.distortion:.0%} of it is something else")
+    asked = trial.point.get("amplitude", settings.get("amplitude"))
+    if isinstance(asked, int | float) and asked > 0 and abs(sine.amplitude / asked - 1) > 0.05:
+        doubts.append(f"amplitude {show(sine.amplitude, 'length', 3)}, asked for {show(float(asked), 'length', 3)}")
+    pressure = None if np.isnan(sine.pressure) else sine.pressure
+    return [
+        Measured("K", "stiffness", sine.stiffness, K_e),
+        Measured("B", "damping", sine.loss / sine.speed, B_e, tolerance=0.25 * B_e if B_e else 0.0),
+        Measured("P", "pressure", pressure, P),
+        Measured("A", "length", sine.amplitude),
+    ], doubts
+
+
+def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Ultimate gain and period of one search."""
+    from pmabench.analysis.gain_levels import examine
+
+    search: Any = next((found for found in trial.found.values() if found.get("levels")), None)
+    if search is None or "displacement" not in trial.channels:
+        return [Measured("K_u", "gain", None), Measured("T_u", "time", None)], ["no levels of gain are recorded"]
+    seen = examine(run, trial, search)
+    K_u, T_u = (None if np.isnan(value) else float(value) for value in (seen.K_u, seen.T_u))
+    reasons = [*seen.refused, *seen.doubts]
+    return [Measured("K_u", "gain", K_u), Measured("T_u", "time", T_u)], reasons
+
+
+_RULES: dict[str, Callable[..., Found]] = {
+    "contraction-relaxation": _contraction,
+    "static-load": _static,
+    "sinusoidal-displacement": _sine,
+    "ultimate-gain": _gain,
+}

@@ -1,0 +1,340 @@
+"""What is known of a run at this moment: follows its folder and folds events and samples into plain values.
+
+Draws nothing. Samples are kept for the curves and for the trials that still need their line, no longer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pmabench.display.channel import Channel, Setting
+from pmabench.display.expected import read_expected
+from pmabench.display.follow import Block, Follower, StreamTail
+from pmabench.display.kept import Kept
+from pmabench.display.progress import Progress
+from pmabench.display.verdicts import TrialLine, Verdicts
+from pmabench.display.wording import event_text
+from pmabench.store.records import Event, Flag, RunData
+from pmabench.store.trials import cut_trials
+
+CURVES = 30.0
+"""The curves go back so far [s] ..."""
+LONGEST_CURVES = 120.0
+"""... or to the beginning of the trial, at most so far."""
+LIVE = 2.0
+"""Values that the run itself tells are shown for so long [s]."""
+LOG = 200
+"""Notices that are kept."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A sentence for the log."""
+
+    t: float | None
+    text: str
+    level: str
+    """`info`, `doubt` or `fault`."""
+
+
+@dataclass
+class Trial:
+    """A trial while it is under way."""
+
+    index: int
+    begin: float
+    point: dict[str, float]
+    repeat: int
+    end: float | None = None
+    events: list[Event] = field(default_factory=list)
+    at_limit: list[str] = field(default_factory=list)
+
+
+class RunState:
+    """Everything that is shown. `poll` reads on; nothing here raises for what the folder holds."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files = Follower(folder)
+        self.channels: dict[str, Channel] = {}
+        self.settings: dict[str, Setting] = {}
+        self.counts: dict[str, int] = dict.fromkeys(("gap", "late", "overrange"), 0)
+        self.rows = 0
+        self.phase = ""
+        self.trial: Trial | None = None
+        self.prompt = ""
+        """What the operator is asked and has not answered."""
+        self.notices: deque[Notice] = deque(maxlen=LOG)
+        self.lines: list[TrialLine] = []
+        self.fresh: list[Notice | TrialLine] = []
+        """What is new since somebody last emptied it."""
+        self.told_end: dict[str, Any] | None = None
+        """What the `end` event said."""
+        self.progress: Progress | None = None
+        self._verdicts = Verdicts()
+        self._waiting: list[Trial] = []
+        self.samples = Kept()
+        self._t = 0.0
+        self._live: tuple[float, dict[str, float]] | None = None
+        self._fault = ""
+
+    # -- what happened ------------------------------------------------------------------------------------------------
+
+    def poll(self, now: float | None = None) -> bool:
+        """Read what is new; `now` is the wall clock [s]. Whether more waits to be read at once."""
+        now = time.time() if now is None else now
+        before = self.files.there
+        events = self.files.events()
+        if self.files.there and not before:
+            self._begin()
+        for event in events:
+            self._take(event)
+        for stream, blocks in self.files.samples():
+            for block in blocks:
+                self._keep(stream, block)
+        for text in self.files.notes():
+            self.tell(f"note: {text}")
+        fault = self.files.journal.fault
+        if fault and fault != self._fault:
+            self._fault = fault
+            self.tell(f"the events cannot be read on: {fault}", "fault")
+        self._judge()
+        self._forget()
+        self._ages(now)
+        return self.files.behind
+
+    def tell(self, text: str, level: str = "info", t: float | None = None) -> None:
+        """Add a sentence to the log."""
+        notice = Notice(t, text, level)
+        self.notices.append(notice)
+        self.fresh.append(notice)
+
+    def live(self, values: Mapping[str, float], now: float | None = None) -> None:
+        """Values [SI] that the run itself tells, while it records nothing."""
+        known = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
+        self._live = (time.time() if now is None else now), known
+
+    def _begin(self) -> None:
+        """The folder is there: limits and channels from the bench, the prediction from the specimen."""
+        bench = self.files.bench
+        recorded = self.files.plan.get("record")
+        for device in _list(bench.get("devices")):
+            for item in _list(device.get("channels")):
+                if not recorded or item.get("name") in recorded:
+                    name, quantity = str(item.get("name")), str(item.get("quantity", ""))
+                    self._channel(name, quantity, item.get("low"), item.get("high"))
+        for trip in _list(bench.get("trips")):
+            channel = self.channels.get(str(trip.get("channel")))
+            if channel is not None and trip.get("kind", "range") == "range":
+                channel.trip_low = _number(trip.get("low"), channel.trip_low)
+                channel.trip_high = _number(trip.get("high"), channel.trip_high)
+        for output in self._outputs():
+            for name in (str(output.get("name")), f"{output.get('name')}_command"):
+                if name in self.channels:
+                    self.channels[name].command_low = _number(output.get("low"))
+                    self.channels[name].command_high = _number(output.get("high"))
+        self.progress = Progress(self.files.plan)
+        self._verdicts = Verdicts(read_expected(self.files.folder))
+
+    def _outputs(self) -> list[dict[str, Any]]:
+        return [o for device in _list(self.files.bench.get("devices")) for o in _list(device.get("outputs"))]
+
+    def _channel(self, name: str, quantity: str, low: Any, high: Any) -> Channel:
+        ends = _number(low, -np.inf), _number(high, np.inf)
+        return self.channels.setdefault(name, Channel(name, quantity, ends[0] or 0.0, ends[1] or 0.0))
+
+    def _take(self, event: Event) -> None:
+        """Fold one event in."""
+        self._t = max(self._t, event.t)
+        data, kind = event.data, event.kind
+        if self.progress is not None:
+            self.progress.take(event)
+        if "phase" in data and kind in ("command", "prompt", "found"):
+            self.phase = str(data["phase"])
+        if kind == "trial-begin" and isinstance(data.get("trial"), int):
+            point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
+            self._close_trial(event)
+            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0))
+        elif kind == "command":
+            self._command(event)
+        elif kind == "prompt":
+            self.prompt = str(data.get("text", ""))
+        elif kind in ("answer", "trip", "ended-early", "end"):
+            self.prompt = ""
+        if kind == "limit-reached" and self.trial is not None:
+            self.trial.at_limit.append(str(data.get("reason", "limit reached")))
+        if kind == "end":
+            self.told_end = dict(data)
+        if self.trial is not None:
+            self.trial.events.append(event)
+        if kind == "trial-end":
+            self._close_trial(event)
+        told = event_text(event)
+        if told is not None:
+            self.tell(told[0], told[1], event.t)
+
+    def _command(self, event: Event) -> None:
+        output = str(event.data.get("output", ""))
+        quantity = next((str(o.get("quantity", "")) for o in self._outputs() if o.get("name") == output), output)
+        value = _number(event.data.get("value"))
+        if value is not None:
+            self.settings[output] = Setting(output, quantity, str(event.data.get("type", "set")), value, event.data)
+
+    def _close_trial(self, event: Event) -> None:
+        if self.trial is not None:
+            self.trial.end = event.t
+            self._waiting.append(self.trial)
+            self.trial = None
+
+    # -- samples ------------------------------------------------------------------------------------------------------
+
+    def _keep(self, stream: StreamTail, block: Block) -> None:
+        self.rows += len(block.t)
+        self._t = max(self._t, float(block.t[-1]))
+        for name, values in block.values.items():
+            info = stream.infos[name]
+            channel = self._channel(name, info.quantity, info.low, info.high)
+            channel.stream = stream.name
+            good = values[np.isfinite(values)]
+            channel.value = float(values[-1])
+            if len(good):
+                low, high = float(good.min()), float(good.max())
+                channel.least = low if channel.least is None else min(low, channel.least)
+                channel.most = high if channel.most is None else max(high, channel.most)
+        seen = int(np.bitwise_or.reduce(block.flags)) if len(block.flags) else 0
+        for flag in Flag:
+            if flag and seen & flag:
+                count = int(np.count_nonzero(block.flags & np.uint16(flag)))
+                name = str(flag.name).lower().replace("_", " ")
+                self.counts[name] = self.counts.get(name, 0) + count
+        self.samples.add(stream.name, block)
+
+    def _judge(self) -> None:
+        """Give each ended trial its line, once all its samples were read."""
+        while self._waiting:
+            trial = self._waiting[0]
+            if trial.end is None or (self.files.behind and self.samples.reached < trial.end):
+                return
+            self._waiting.pop(0)
+            line = self._line(trial)
+            if line is not None:
+                self.lines.append(line)
+                self.fresh.append(line)
+
+    def _line(self, trial: Trial) -> TrialLine | None:
+        rates = {name: stream.rate for name, stream in self.files.streams.items()}
+        end = np.inf if trial.end is None else trial.end
+        t, channels, flags, rate = self.samples.between(trial.begin, end, rates)
+        infos = {name: info for stream in self.files.streams.values() for name, info in stream.infos.items()}
+        manifest = self.files.manifest
+        cut = cut_trials(str(manifest.get("id")), trial.events, t, channels, flags, np.inf)
+        run = RunData(
+            id=str(manifest.get("id")),
+            path=str(self.files.folder),
+            kind=self.kind,
+            status="running",
+            simulated=self.simulated,
+            manifest=manifest,
+            plan=self.files.plan,
+            events=tuple(trial.events),
+            channels=infos,
+            rate=rate,
+            trials=cut,
+        )
+        return self._verdicts.judge(run, cut[0], trial.at_limit) if cut else None
+
+    def _forget(self) -> None:
+        """Let go of samples that nothing needs any more."""
+        begun = [trial.begin for trial in (*self._waiting, self.trial) if trial is not None]
+        self.samples.forget(min([self._t - LONGEST_CURVES, *begun]) - 1.0)
+
+    def _ages(self, now: float) -> None:
+        """Age of each newest value by the time of its file; values that the run tells are younger."""
+        for channel in self.channels.values():
+            stream = self.files.streams.get(channel.stream)
+            channel.age = max(0.0, now - stream.written) if stream is not None and channel.value is not None else None
+        if self._live is not None and now - self._live[0] < LIVE and self.trial is None:
+            for name, value in self._live[1].items():
+                if name in self.channels:
+                    self.channels[name].value, self.channels[name].age = value, max(0.0, now - self._live[0])
+        self._now = now
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def span(self) -> tuple[float, float]:
+        """What the curves show [s]: the trial so far, at least the last half minute."""
+        end = self.samples.newest
+        begin = self.trial.begin if self.trial is not None else end
+        return min(end - CURVES, max(begin, end - LONGEST_CURVES)), end
+
+    @property
+    def kind(self) -> str:
+        """Kind of protocol."""
+        return str(self.files.manifest.get("kind", ""))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any device is simulated."""
+        return bool(self.files.manifest.get("simulated"))
+
+    @property
+    def specimen(self) -> str:
+        """Type and serial."""
+        told = self.files.manifest.get("specimen")
+        return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, dict) else str(told or "")
+
+    @property
+    def trials(self) -> int:
+        """How many trials are planned."""
+        return int(self.files.manifest.get("trials_planned") or 0)
+
+    @property
+    def status(self) -> str:
+        """`waiting`, `running`, or how the run ended."""
+        status = self.files.status
+        if status == "running" and self.told_end is not None:
+            return str(self.told_end.get("status", status))
+        return status
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come."""
+        closed = self.files.seal is not None or self.files.status == "interrupted"
+        return self.files.there and closed and not self.files.behind and not self._waiting
+
+    @property
+    def why(self) -> str:
+        """Why the run ended as it did."""
+        told = self.files.seal or self.told_end or {}
+        if self.status == "interrupted":
+            return "the program that wrote it died"
+        return str(told.get("why") or "")
+
+    @property
+    def vent(self) -> str:
+        """How the safe state ended: `confirmed` or else; empty before."""
+        told = (self.files.seal or {}).get("end") or self.told_end or {}
+        vent = told.get("vent") if isinstance(told, dict) else None
+        return str(vent.get("result", "")) if isinstance(vent, dict) else ""
+
+    @property
+    def t(self) -> float:
+        """Bench time [s]; at a bench in real time it goes on between what is written."""
+        written = max([s.written for s in self.files.streams.values()] + [self.files.journal.written], default=0.0)
+        if self.status == "running" and self.files.bench.get("realtime") and written:
+            return self._t + min(60.0, max(0.0, self._now - written))
+        return self._t
+
+
+def _list(value: Any) -> list[dict[str, Any]]:
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+
+
+def _number(value: Any, otherwise: float | None = None) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise

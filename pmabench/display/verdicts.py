@@ -1,0 +1,154 @@
+"""The line that a finished trial gets: what it measured, what was expected, `ok` or the reasons to doubt.
+
+`quantities` measures; here it is held against the specimen file's prediction and earlier repeats. Draws nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import isfinite, sqrt
+
+import numpy as np
+
+from pmabench.base.quantities import show
+from pmabench.display.expected import Expected
+from pmabench.display.quantities import Measured, Quick, measure
+from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
+
+FAR = 0.10
+"""Relative distance from prediction or from less than three repeats that is doubted."""
+SPREADS = 3.0
+"""Standard deviations from three and more repeats that are doubted ..."""
+LEAST = 0.01
+"""... where they are more than this, relative."""
+REACHED = (0.02, 3e3)
+"""A pressure counts as reached within this share of the command, at least this [Pa]."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One quantity of a trial beside what it is compared with [SI]."""
+
+    symbol: str
+    quantity: str
+    value: float | None
+    reference: float | None = None
+    reference_is: str = ""
+    """`expected` (of the specimen file) or `repeats` (their mean); empty: none."""
+    assumed: bool = False
+    """Whether it leans on the specimen file: one load alone does not tell K from F_ce."""
+
+    @property
+    def off(self) -> float | None:
+        """Relative distance from the reference."""
+        if self.value is None or not self.reference:
+            return None
+        return self.value / self.reference - 1.0
+
+
+@dataclass(frozen=True)
+class TrialLine:
+    """What is said of one trial."""
+
+    index: int
+    point: dict[str, float]
+    repeat: int
+    status: str
+    numbers: tuple[Number, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing speaks against the trial."""
+        return not self.doubts
+
+
+@dataclass
+class Verdicts:
+    """Judges the trials of one run, one after the other."""
+
+    expected: Expected | None = None
+    _quick: Quick = field(default_factory=Quick)
+    _earlier: dict[tuple[tuple[str, float], ...], list[dict[str, float]]] = field(default_factory=dict)
+
+    def judge(self, run: RunData, trial: TrialData, at_limit: Sequence[str] = ()) -> TrialLine:
+        """The line of a trial; `at_limit` are the reasons of its `limit-reached` events."""
+        doubts = [] if trial.status == "finished" else [f"the trial is {trial.status}"]
+        doubts += at_limit
+        doubts += _flagged(trial)
+        numbers: list[Number] = []
+        try:
+            measured, reasons = measure(run, trial, self.expected, self._quick)
+        except (ValueError, KeyError, IndexError, TypeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
+            measured, reasons = [], [f"its numbers cannot be computed ({error})"]
+        doubts += [reason for reason in reasons if reason not in doubts]
+        doubts += _not_reached(trial)
+        key = tuple(sorted((name, round(value, 6)) for name, value in trial.point.items()))
+        before = self._earlier.setdefault(key, [])
+        for item in measured:
+            number, doubt = _compare(item, [seen[item.symbol] for seen in before if item.symbol in seen])
+            numbers.append(number)
+            if doubt:
+                doubts.append(doubt)
+        if trial.status == "finished":
+            kept = {m.symbol: m.value for m in measured if m.value is not None and not m.pooled and isfinite(m.value)}
+            before.append(kept)
+        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, tuple(numbers), tuple(doubts))
+
+
+def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:
+    """A number with its reference, and a doubt where it lies far from it; repeats count more than a prediction."""
+    value, reference, told = item.value, item.expected, "expected" if item.expected is not None else ""
+    doubt = ""
+    if earlier and not item.pooled:
+        mean = sum(earlier) / len(earlier)
+        allowed = FAR * abs(mean)
+        if len(earlier) >= 3:
+            spread = sqrt(sum((v - mean) ** 2 for v in earlier) / (len(earlier) - 1))
+            allowed = max(SPREADS * spread, LEAST * abs(mean))
+        if value is not None and abs(value - mean) > max(allowed, item.noise):
+            doubt = f"{item.symbol} {_away(value, mean)} its repeats ({show(mean, item.quantity, 3)})"
+        if reference is None:
+            reference, told = mean, "repeats"
+    elif value is not None and reference is not None and not item.assumed:
+        far = abs(value - reference) > max(FAR * abs(reference), item.tolerance)
+        doubt = (
+            "" if not far else f"{item.symbol} {_away(value, reference)} expected ({show(reference, item.quantity, 3)})"
+        )
+    return Number(item.symbol, item.quantity, value, reference, told, item.assumed), doubt
+
+
+def _away(value: float, reference: float) -> str:
+    if not reference:
+        return "not"
+    off = value / reference - 1.0
+    return f"{abs(off):.0%} {'above' if value > reference else 'below'}"
+
+
+def _flagged(trial: TrialData) -> list[str]:
+    """Samples that fits leave out, by flag."""
+    bad = trial.flags & np.uint16(UNUSABLE)
+    if not bad.any():
+        return []
+    names = [str(flag.name) for flag in Flag if flag and flag & UNUSABLE and (bad & np.uint16(flag)).any()]
+    return [f"{int(np.count_nonzero(bad))} of {len(bad)} samples flagged {', '.join(names)}"]
+
+
+def _not_reached(trial: TrialData) -> list[str]:
+    """A commanded pressure that the measured one has not come to before the next command."""
+    if "pressure" not in trial.channels or not len(trial.t):
+        return []
+    commands = [c for c in trial.commands if c.output == "pressure"]
+    ends = [*(c.t for c in commands[1:]), float(trial.t[-1])]
+    for command, end in zip(commands, ends, strict=False):
+        if command.kind != "set" or end - command.t < 0.5 or command.phase == "vent":
+            continue
+        late = (trial.t > end - max(0.1, 0.05 * (end - command.t))) & (trial.t < end - 1e-9) & trial.usable
+        if not late.any():
+            continue
+        reached = float(trial.channels["pressure"][late].mean())
+        if abs(reached - command.value) > max(REACHED[0] * abs(command.value), REACHED[1]):
+            asked = show(command.value, "pressure", 4)
+            return [f"pressure not reached: {show(reached, 'pressure', 4)} of {asked} ({command.phase})"]
+    return []

@@ -1,0 +1,311 @@
+"""The whole picture of a run as lines of exactly the asked width and number; knows the state, no terminal.
+
+Colours are the sixteen of every terminal; text that must stand out carries its own background, and a sign besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from rich.text import Text
+
+from pmabench.display.channel import Channel, Setting
+from pmabench.display.lines import trial_table
+from pmabench.display.plot import curve
+from pmabench.display.state import RunState
+from pmabench.display.wording import clean, clock, point_text, quantity, value_text, wrapped
+from pmabench.store.records import Array
+
+WARN, BAD, GOOD, STRONG, FAINT = "black on yellow", "bold white on red", "black on green", "bold", "dim"
+LEVELS = {"info": "", "doubt": WARN, "fault": BAD}
+SIGNS = {"info": " ", "doubt": "!", "fault": "!!"}
+CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
+SYMBOLS = {"pressure": "P", "displacement": "x", "force": "F"}
+LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0}
+"""Smallest range [SI] that a curve fills."""
+FRESH = 3.0
+"""Age up to which a pressure may stand beside a question to hands [s]."""
+OLD = 1.0
+"""Age of the newest sample from which on it is marked while samples are recorded [s]."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the run asks of the person here."""
+
+    text: str
+    words: tuple[str, ...] = ()
+    """Answers that count; empty: it is answered elsewhere."""
+    typed: str = ""
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """What the console adds to the state."""
+
+    question: Question | None = None
+    footer: str = ""
+    typing: str | None = None
+    """A note that is being typed."""
+
+
+def screen(state: RunState, width: int, height: int, extra: Extra | None = None) -> list[Text]:
+    """The picture: `height` lines, none wider than `width` columns."""
+    if not state.files.there:
+        return _fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
+    width, height = max(20, width), max(3, height)
+    extra = extra or Extra()
+    footer = _footer(extra)
+    room = height - (1 if footer else 0)
+    asked = _question(state, extra, width)
+    lines = [*_head(state, width), *asked, *_channels(state, width), _settings(state), _counts(state)]
+    left = room - len(lines)
+    if left >= 3:
+        lines += _lower(state, width, left, curves=not asked or left > 16)
+    lines = _fill(lines, width, room)
+    return [*lines, *_fill([footer], width, 1)] if footer else lines
+
+
+def _fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
+    """Cut to width and height; empty lines where there are too few."""
+    kept = list(lines[:height]) + [Text() for _ in range(height - len(lines))]
+    for line in kept:
+        line.no_wrap = True
+        line.truncate(width, overflow="ellipsis")
+    return kept
+
+
+def _row(left: Text, right: Text, width: int) -> Text:
+    """One line with a part at each end; the left one gives way."""
+    room = max(0, width - right.cell_len - 1)
+    left.truncate(room, overflow="ellipsis")
+    return Text.assemble(left, " " * max(1, width - left.cell_len - right.cell_len), right)
+
+
+def _head(state: RunState, width: int) -> list[Text]:
+    status = state.status
+    style = {"running": STRONG, "finished": GOOD, "waiting": ""}.get(status, BAD)
+    vent = f", vent {state.vent}" if state.vent else ""
+    first = Text()
+    if state.simulated:
+        first.append(" SIMULATED ", WARN).append(" ")
+    first.append(clean(state.kind) or "run", STRONG).append(f"  {clean(state.specimen)}")
+    badge = Text(f" {clean(status)}{vent} ", style if style != STRONG else "bold reverse")
+    lines = [_row(first, badge, width), Text(clean(state.files.manifest.get("id", "")), FAINT)]
+    if state.why and status not in ("running", "waiting"):
+        lines.append(Text(clean(state.why), BAD if status != "finished" else ""))
+    trial = state.trial
+    if trial is not None:
+        where = Text(f"trial {trial.index + 1} of {state.trials}", STRONG)
+        where.append(f"  {point_text(trial.point)}" + (f", repeat {trial.repeat + 1}" if trial.repeat else ""))
+    else:
+        where = Text(_done(state), STRONG)
+        where.append("  not in a trial: nothing is recorded" if status == "running" else "")
+    lines += [_row(where, Text(clean(state.phase) if status == "running" else "", STRONG), width), _time(state, width)]
+    return lines
+
+
+def _done(state: RunState) -> str:
+    doubtful = sum(not line.ok for line in state.lines)
+    told = f"{len({line.index for line in state.lines})} of {state.trials} trials done"
+    return f"{told}, {doubtful} in doubt" if doubtful else told
+
+
+def _time(state: RunState, width: int) -> Text:
+    """Elapsed, left, and how far."""
+    t = state.t
+    told = Text(f"{clock(t)} elapsed")
+    if state.progress is None or not state.progress.longest or state.status != "running":
+        return told
+    done, left = state.progress.done(t), state.progress.left(t)
+    if left is not None:
+        told.append(f", {'at most' if left[1] else 'about'} {clock(left[0])} left")
+    room = max(5, min(40, width - told.cell_len - 8))
+    full = round(room * done)
+    told.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")
+    return told
+
+
+def _channels(state: RunState, width: int) -> list[Text]:
+    """One line per channel: value, range seen, bar between the limits, age."""
+    bar = width - 55
+    head = f"  {'':<16}{'now':>10}      {'seen':>15}"
+    lines = [_row(Text(head, FAINT), Text("age" if bar > 0 else "", FAINT), width)]
+    lines += [_channel(state, channel, bar, width) for channel in state.channels.values()]
+    return lines
+
+
+def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
+    q = quantity(channel.quantity)
+    span = max(abs(v) for v in (*channel.axis(), 0.0) if isfinite(v)) or 1.0
+    alarm = channel.alarm
+    style = ("", WARN, BAD)[alarm]
+    line = Text((" ", "!", "!!")[alarm].ljust(2), style)
+    name = clean(channel.name).replace("_command", " set")
+    line.append(f"{name[:16]:<16}").append(f"{value_text(channel.value, channel.quantity, span):>10}", style or STRONG)
+    line.append(f" {q.shown_in:<5}")
+    seen = "…".join(value_text(v, channel.quantity, span) for v in (channel.least, channel.most))
+    line.append(f"{seen if channel.least is not None else '':>15}", FAINT)
+    if bar >= 8:
+        line.append(" ").append_text(_bar(channel, bar))
+    old = channel.age is not None and channel.age > OLD and state.trial is not None and state.status == "running"
+    age = "" if channel.age is None or state.status != "running" else _age(channel.age)
+    return _row(line, Text(("! " if old else "") + age, BAD if old else FAINT), width)
+
+
+def _age(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 10 else clock(seconds) if seconds < 86400 else "old"
+
+
+def _bar(channel: Channel, width: int) -> Text:
+    """From zero to the value; `╎` is what may be commanded, `┃` trips."""
+    low, high = channel.axis()
+
+    def place(value: float) -> int:
+        return min(width - 1, max(0, round((value - low) / (high - low) * (width - 1))))
+
+    cells, styles = ["─"] * width, [FAINT] * width
+    value = channel.value
+    if value is not None and isfinite(value):
+        ends = sorted((place(0.0), place(value)))
+        for k in range(ends[0], ends[1] + 1):
+            cells[k], styles[k] = "━", ("green", "yellow", "red")[channel.alarm]
+        cells[place(value)] = "●"
+    marks = [(channel.command_low, "╎", ""), (channel.command_high, "╎", "")]
+    marks += [(channel.trip_low, "┃", "red"), (channel.trip_high, "┃", "red")]
+    for at, mark, style in marks:
+        if at is not None and isfinite(at) and low < at < high and cells[place(at)] != "●":
+            cells[place(at)], styles[place(at)] = mark, style
+    line = Text()
+    for cell, style in zip(cells, styles, strict=True):
+        line.append(cell, style)
+    return line
+
+
+def _settings(state: RunState) -> Text:
+    line = Text("commanded ", FAINT)
+    if not state.settings:
+        return line.append("nothing yet")
+    return line.append("   ".join(_setting(setting) for setting in state.settings.values()))
+
+
+def _setting(setting: Setting) -> str:
+    q, data = quantity(setting.quantity), setting.data
+    told = f"{clean(setting.output)} {q.show(setting.value, 4)}"
+    if setting.how == "ramp" and isinstance(data.get("rate"), int | float):
+        return f"{told} at {data['rate'] / q.scale:.4g} {q.shown_in}/s"
+    if setting.how == "sine" and isinstance(data.get("amplitude"), int | float):
+        return f"{told} ± {q.show(float(data['amplitude']), 4)}, {data.get('frequency', 0):.4g} Hz"
+    return told
+
+
+def _counts(state: RunState) -> Text:
+    rate = max((stream.rate for stream in state.files.streams.values()), default=0.0)
+    line = Text("samples   ", FAINT).append(f"{state.rows:,}" + (f" at {rate:g} Hz" if rate else ""))
+    for name, count in state.counts.items():
+        line.append("   ").append(f"{name} {count:,}", WARN if count and name != "slack" else "")
+    for stream in state.files.streams.values():
+        if stream.fault and state.status != "running":
+            line.append("   ").append(f"{clean(stream.name)}: {clean(stream.fault)}", WARN)
+    return line
+
+
+def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text]:
+    """Curves, trials and log share what is left: the log least, the curves most."""
+    notices = min(len(state.notices), 2 if room < 14 else max(3, room // 6))
+    trials = min(len(state.lines) + 1, max(3, (room - notices) // (2 if curves else 1)))
+    if not state.lines:
+        trials = 0
+    high = room - notices - trials - (1 if notices else 0)
+    lines: list[Text] = []
+    if curves and high >= 3 and width >= 60:
+        lines += _curves(state, width, high)
+    if trials:
+        lines += trial_table(state.lines, width, room - notices - (1 if notices else 0) - len(lines))
+    if notices:
+        rest = room - len(lines)
+        lines += [Text() for _ in range(0 if lines and rest <= notices else max(0, min(1, rest - notices)))]
+        lines += [_notice(n.t, n.text, n.level) for n in list(state.notices)[-min(notices, room - len(lines)) :]]
+    return lines
+
+
+def _notice(t: float | None, text: str, level: str) -> Text:
+    return Text.assemble(
+        (f"{clock(t) if t is not None else '':>7} ", FAINT), (SIGNS[level].ljust(2), LEVELS[level]), " ", clean(text)
+    )
+
+
+def _curves(state: RunState, width: int, height: int) -> list[Text]:
+    """Pressure, displacement and force beside each other: a title with the range, the curve, and the time."""
+    shown = [(state.channels[name], colour) for name, colour in CURVES if name in state.channels]
+    if not shown:
+        return []
+    axis_line = height >= 7
+    each = (width - 2 * (len(shown) - 1)) // len(shown)
+    span = state.span()
+    columns = []
+    for channel, colour in shown:
+        t, y = state.samples.trace(channel.name)
+        low, high = _range(channel, y[(t >= span[0]) & (t <= span[1])])
+        ends = _ends(channel, low, high)
+        title = f"{clean(channel.name)} {ends}"
+        title = title if len(title) <= each else f"{SYMBOLS[channel.name]} {ends}"
+        body = curve(t, y, span, (low, high), (each, height - 1 - axis_line))
+        part = [Text(title[:each].ljust(each), FAINT), *(Text(line, colour) for line in body)]
+        if axis_line:
+            begin, end = f"{clock(span[0])}" if span[0] > 0 else f"-{span[1] - span[0]:.0f} s", clock(span[1])
+            part.append(Text(begin + "─" * max(0, each - len(begin) - len(end)) + end, FAINT))
+        columns.append(part)
+    return [Text("  ").join(parts) for parts in zip(*columns, strict=True)]
+
+
+def _range(channel: Channel, y: Array) -> tuple[float, float]:
+    good = y[np.isfinite(y)]
+    least = LEAST_RANGE.get(channel.quantity, 0.0)
+    if not len(good):
+        return 0.0, least or 1.0
+    low, high = float(good.min()), float(good.max())
+    middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * least, 1e-12)
+    return middle - half, middle + half
+
+
+def _ends(channel: Channel, low: float, high: float) -> str:
+    span = max(abs(low), abs(high))
+    ends = [value_text(v, channel.quantity, span) for v in (low, high)]
+    return f"{ends[0]}…{ends[1]} {quantity(channel.quantity).shown_in}"
+
+
+def _question(state: RunState, extra: Extra, width: int) -> list[Text]:
+    """What the operator is asked, with the pressure that is measured now."""
+    question = extra.question or (Question(state.prompt) if state.prompt and state.status == "running" else None)
+    if question is None:
+        return []
+    lines = [Text(f" {part}".ljust(width), WARN) for part in wrapped(clean(question.text), width - 2)[:3]]
+    pressure = state.channels.get("pressure")
+    line = Text(" measured pressure ")
+    if pressure is not None and pressure.value is not None and (pressure.age or 0.0) < FRESH:
+        line.append(f"{value_text(pressure.value, 'pressure', 1e5)} kPa", STRONG)
+    else:
+        line.append("not known at this moment", BAD)
+    if question.words:
+        words = " or ".join(f'"{word}"' for word in question.words)
+        answer = Text(f" type {words} and Enter: ").append(f"{clean(question.typed)}▏", STRONG)
+        if question.refused:
+            answer.append(f'  "{clean(question.refused)}" does not count', BAD)
+        return [*lines, line, answer]
+    return [*lines, line.append("   answered at the terminal of the run", FAINT)]
+
+
+def _footer(extra: Extra) -> Text | None:
+    if extra.typing is not None:
+        return Text("note: ", STRONG).append(f"{clean(extra.typing)}▏").append("  Enter keeps it, Esc drops it", FAINT)
+    return Text(clean(extra.footer), FAINT) if extra.footer else None
+
+
+def closing(state: RunState, width: int, most: int = 12) -> list[Text]:
+    """What is worth keeping on the terminal when the picture goes: the last trials."""
+    return _fill(table := trial_table(state.lines, width, most), width, len(table))
