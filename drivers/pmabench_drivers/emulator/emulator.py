@@ -1,0 +1,111 @@
+"""Serves the devices of a bench, each on its own wire, from one plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import UsageError, did_you_mean
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.emulator.control import Control
+from pmabench_drivers.emulator.indicator import Indicator
+from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.modbus_server import RtuDevice, TcpDevice
+from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.registers import Registers
+from pmabench_drivers.mock.options import Faults
+from pmabench_drivers.modbus import map_file
+from pmabench_drivers.options import Reader
+from pmabench_drivers.serial_ascii import options as text_options
+
+MODBUS = "pmabench_drivers.modbus:ModbusDevice"
+TEXT = "pmabench_drivers.serial_ascii:SerialIndicator"
+Served = TcpDevice | RtuDevice | Indicator
+
+
+class Emulator:
+    """The devices with the drivers `modbus` and `serial-ascii`, at the addresses that the bench gives them."""
+
+    def __init__(
+        self,
+        devices: Iterable[DeviceRecord],
+        *,
+        plant: str = "paper0",
+        preset: str = "bench",
+        seed: int = 1,
+        log: Path | None = None,
+        control: int = 0,
+    ) -> None:
+        served = [device for device in devices if device.driver in {MODBUS, TEXT}]
+        if not served:
+            raise UsageError("the bench has no device with the driver modbus or serial-ascii")
+        self.plant = RealPlant(plant, preset, dump_valve=any(device.valves for device in served), seed=seed)
+        self.log = CommandLog(log)
+        self.devices: dict[str, Served] = {}
+        try:
+            for device in served:
+                self.devices[device.name] = self._serve(device)
+            self.control = Control(self._act, control)
+        except (OSError, UsageError) as error:
+            self.close()
+            if isinstance(error, UsageError):
+                raise
+            raise UsageError(f"cannot serve: {error.strerror or error}") from None
+        for item in self.devices.values():
+            item.start()
+
+    def close(self) -> None:
+        """End everything; what was linked is unlinked."""
+        for device in self.devices.values():
+            device.close()
+        if hasattr(self, "control"):
+            self.control.close()
+        self.log.close()
+
+    def lines(self) -> Sequence[str]:
+        """What is served where, a line each."""
+        return [f"{name}: {device.address}" for name, device in self.devices.items()]
+
+    def _serve(self, device: DeviceRecord) -> Served:
+        reader = Reader()
+        if device.driver == TEXT:
+            text = text_options.read_options(device, reader)
+            reader.refuse(device.name)
+            return Indicator(device, text, self.plant, device.address)
+        options = map_file.read_options(device, reader)
+        reader.refuse(device.name)
+        registers = Registers(device, options, self.plant, self.log)
+        host, _, port = device.address.rpartition(":")
+        if not port.isdecimal():
+            return RtuDevice(registers, options.map.unit_id, self.log, device.address)
+        if host not in {"127.0.0.1", "localhost"}:
+            raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
+        try:
+            return TcpDevice(registers, options.map.unit_id, self.log, int(port))
+        except OSError as error:
+            raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
+
+    def _act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        """What the control socket asks for."""
+        if "load" in wanted:
+            force, mass = float(wanted["load"]["force"]), float(wanted["load"]["mass"])
+            self.plant.load(force, mass)
+        elif "plant" in wanted:
+            fault, known = f"{wanted['plant']}_at", [item.name for item in fields(Faults)]
+            if fault not in known:
+                hint = did_you_mean(str(wanted["plant"]), [name.removesuffix("_at") for name in known])
+                raise ValueError(f'no fault "{wanted["plant"]}"{hint}')
+            self.plant.fail(fault, over=bool(wanted.get("over", False)))
+        elif "fault" in wanted:
+            name = str(wanted.get("device"))
+            if name not in self.devices:
+                raise ValueError(f'no device "{name}"{did_you_mean(name, self.devices)}')
+            value, number = float(wanted.get("value", 0.0)), int(wanted.get("count", -1))
+            self.devices[name].faults.set(str(wanted["fault"]), value, number)
+        elif "log" in wanted:
+            return {"entries": self.log.of(str(wanted["log"]))}
+        else:
+            raise ValueError('one of "load", "plant", "fault", "log" is expected')
+        return {}

@@ -1,0 +1,57 @@
+"""What can go wrong with an emulated link, called up while it runs; knows no protocol."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+
+from pmabench.base.errors import did_you_mean
+
+KINDS = {
+    "deaf": "nothing is carried out and nothing answered",
+    "mute": "everything is carried out and nothing answered",
+    "slow": "answers come `value` seconds late",
+    "drop": "the connection is closed at the next request",
+    "reset": "the connection is reset at the next request",
+    "exception": "Modbus: answers are the exception `value`",
+    "ignore": "Modbus: writes are answered and not carried out",
+    "wrong": "Modbus: read registers are `value` too high",
+    "mixed": "Modbus TCP: answers carry the number of the request before",
+    "cut": "the last `value` bytes of each answer are missing",
+    "garbage": "bytes of no meaning stand before each answer",
+    "unit": "serial text: the line is in another unit (N as kg, mm as in)",
+    "over": "serial text: the line says that the range is exceeded",
+    "double": "serial text: each line comes twice",
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of one device for the next `count` requests or lines; -1: until it is cleared."""
+
+    kind: str = ""
+    value: float = 0.0
+    count: int = -1
+
+
+class Faults:
+    """The fault of one device, used by its threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._fault = Fault()
+
+    def set(self, kind: str, value: float = 0.0, count: int = -1) -> None:
+        """Let it happen from the next request on; ValueError for a kind that is not known. `clear` ends it."""
+        if kind not in KINDS and kind != "clear":
+            raise ValueError(f'no fault "{kind}"{did_you_mean(kind, [*KINDS, "clear"])}')
+        with self._lock:
+            self._fault = Fault() if kind == "clear" else Fault(kind, value, count)
+
+    def next(self) -> Fault:
+        """The fault that this request meets."""
+        with self._lock:
+            fault = self._fault
+            if fault.count > 0:
+                self._fault = Fault() if fault.count == 1 else replace(fault, count=fault.count - 1)
+            return fault

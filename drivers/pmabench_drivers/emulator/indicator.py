@@ -1,0 +1,94 @@
+"""An emulated serial indicator: sends lines of text about the plant, when asked or by itself, with faults on demand."""
+
+from __future__ import annotations
+
+import threading
+import time
+from time import monotonic
+
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import Terminal
+from pmabench_drivers.serial_ascii.options import Options
+
+OTHER_UNITS = {"N": "kg", "kN": "kg", "kg": "lb", "mm": "in", "cm": "in", "um": "mil", "kPa": "bar", "bar": "psi"}
+GARBAGE = "\x00\x7f@#"
+
+
+class Indicator:
+    """One indicator on a pseudo-terminal; the line is the option `emulate`, its number the first channel's."""
+
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, path: str) -> None:
+        self._device, self._options, self._plant = device, options, plant
+        self.address, self.faults = path, Faults()
+        self._terminal = Terminal(path)
+        self._ended = threading.Event()
+        target = self._serve if options.poll else self._send_by_itself
+        self._thread = threading.Thread(target=target, name=f"emulated {device.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._ended.set()
+        self._terminal.close()
+
+    def _serve(self) -> None:
+        asked, poll, identity = b"", self._options.poll, self._options.ask_identity
+        while not self._ended.is_set():
+            received = self._terminal.read(0.05)
+            if received is None:
+                return
+            asked = (asked + received)[-100:]
+            if identity and identity in asked:
+                asked = asked.split(identity, 1)[1]
+                self._write(f"emulated {self._device.name}".encode() + self._options.terminator)
+            while poll in asked:
+                asked = asked.split(poll, 1)[1]
+                if not self._send():
+                    return
+
+    def _send_by_itself(self) -> None:
+        due, period = monotonic(), 1.0 / self._options.rate
+        while not self._ended.wait(max(0.0, due - monotonic())):
+            due += period
+            if not self._send():
+                return
+
+    def _send(self) -> bool:
+        """One line, with the fault of the moment; whether there is anybody to send to."""
+        fault = self.faults.next()
+        if fault.kind in {"drop", "reset"}:
+            self._terminal.close()
+            return False
+        if fault.kind in {"deaf", "mute"}:
+            return True
+        line = self._line(fault.kind)
+        if fault.kind == "slow":
+            time.sleep(fault.value)
+        data = line.encode("ascii", "replace")
+        if fault.kind == "cut":
+            data = data[: max(0, len(data) - int(fault.value))]
+        return self._write(data * 2 if fault.kind == "double" else data)
+
+    def _line(self, fault: str) -> str:
+        end = self._options.terminator.decode("ascii")
+        if fault == "over":
+            return (self._options.over_range or ("OL",))[0] + end
+        quantities = self._plant.quantities()
+        channel = self._device.channels[0]
+        line = self._options.emulate % float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+        if fault == "unit":
+            unit = self._options.unit or channel.raw_unit
+            line = line.replace(unit, OTHER_UNITS.get(unit, "XX"))
+        return GARBAGE + line if fault == "garbage" else line
+
+    def _write(self, data: bytes) -> bool:
+        try:
+            self._terminal.write(data)
+        except OSError:
+            return False
+        return True

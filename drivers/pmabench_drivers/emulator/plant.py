@@ -1,0 +1,96 @@
+"""The plant of the mock in real time, for several wires at once; knows registers no more than texts."""
+
+from __future__ import annotations
+
+import threading
+
+from pmabench.base.clock import RealClock
+from pmabench.bench.interface import (
+    ChannelRecord,
+    DeviceRecord,
+    InterlockRecord,
+    Load,
+    OutputRecord,
+    Scale,
+    ValveRecord,
+)
+from pmabench_drivers.mock.driver import MockBench
+from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP
+from pmabench_drivers.mock.simulation import Simulation
+
+RATE = 1000.0
+"""The plant is sampled so often; whoever looks gets the latest sample [Hz]."""
+CHANNELS = {
+    "pressure": ("pressure", "pressure"),
+    "displacement": ("displacement", "length"),
+    "force": ("force", "force"),
+    "supply": ("supply", "pressure"),
+    "pressure_command": ("pressure_set", "pressure"),
+}
+"""Channel of a bench -> the mock's input and the quantity."""
+
+
+class _Mock(MockBench):
+    """The mock, with its simulation in reach for faults."""
+
+    def simulation(self) -> Simulation:
+        """The simulation, brought to the present."""
+        return self._simulation()
+
+
+class RealPlant:
+    """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised."""
+
+    def __init__(self, plant: str = "paper0", preset: str = "bench", *, dump_valve: bool = True, seed: int = 1) -> None:
+        channels = tuple(
+            ChannelRecord(name, quantity, "plant", source, "float64", "SI", Scale(), -1e9, 1e9)
+            for name, (source, quantity) in CHANNELS.items()
+        )
+        device = DeviceRecord(
+            "plant",
+            "pmabench_drivers.mock:MockBench",
+            options={"plant": plant, "preset": preset, "seed": seed},
+            channels=channels,
+            outputs=(OutputRecord("pressure", "pressure", "plant", "pressure", Scale(), 0.0, 0.0, 0.0, 1e6),),
+            valves=(ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
+            interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
+        )
+        self._mock = _Mock(device, RealClock())
+        self._lock = threading.Lock()
+        self._mock.open()
+        self._mock.start(RATE)
+        self._latest = dict.fromkeys(CHANNELS, 0.0)
+
+    def quantities(self) -> dict[str, float]:
+        """What each channel of a bench measures now [SI], noise included."""
+        with self._lock:
+            block = self._mock.collect()
+            if len(block.time):
+                self._latest = {name: float(column[-1]) for name, column in block.columns.items()}
+            return dict(self._latest)
+
+    def command(self, pressure: float) -> None:
+        """The regulator's set-point [Pa]."""
+        with self._lock:
+            self._mock.write("pressure", min(max(pressure, 0.0), 1e6))
+
+    def switch(self, *, on: bool) -> None:
+        """Energise the dump valve, or not."""
+        with self._lock:
+            self._mock.switch(DUMP_VALVE, on=on)
+
+    def load(self, force: float, mass: float) -> None:
+        """What hangs on the free end from now on [N], [kg]."""
+        with self._lock:
+            self._mock.place(Load(force, mass))
+
+    def e_stop_high(self) -> bool:
+        """Whether the emergency stop is not pressed."""
+        with self._lock:
+            return self._mock.level(E_STOP)
+
+    def fail(self, fault: str, *, over: bool = False) -> None:
+        """A fault of the mock, as `burst_at` or `e_stop_at`, from now on, or over again."""
+        with self._lock:
+            simulation = self._mock.simulation()
+            simulation.fail(fault, None if over else simulation.time)

@@ -1,0 +1,165 @@
+"""The registers of an emulated Modbus device: what they read from the plant, what writing them does to it, watchdog.
+
+Served as the device's own register map says; what the map does not name answers with exception 2.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from time import monotonic
+
+from pmabench.bench.interface import ChannelRecord, DeviceRecord
+from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
+from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.modbus.map_file import Options
+from pmabench_drivers.modbus.registers import TYPES, Register, decode, encode
+
+
+class Registers:
+    """One device in front of the plant."""
+
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
+        self.device, self._map, self._plant, self._log = device, options.map, plant, log
+        self._lock = threading.Lock()
+        self._held: dict[tuple[str, int], int] = {}
+        self._channels: dict[str, ChannelRecord] = {channel.input: channel for channel in device.channels}
+        self._locks = {lock.input: lock for lock in device.interlocks}
+        self._levels: dict[str, bool] = {}
+        self._outputs = {output.output: output for output in device.outputs}
+        self._valves = {valve.output: valve for valve in device.valves}
+        self._heard, self._bitten = monotonic(), False
+        watchdog = self._map.watchdog
+        own = [r for r in (watchdog.timeout, watchdog.trigger, watchdog.heartbeat) if r] if watchdog else []
+        self._written = [*self._map.outputs.values(), *own]
+        for register in self._written:
+            self._store(register, [0] * register.count)
+        for item in self._map.identity.values():
+            if isinstance(item, Register):
+                self._store(item, self._identity(item))
+        for output in device.outputs:
+            register = self._map.outputs[output.output]
+            self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
+
+    # -- requests -------------------------------------------------------------------------------------------------
+
+    def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
+        """What is read, or nothing; `Refused` where the device says no."""
+        with self._lock:
+            watchdog = self._map.watchdog
+            if watchdog is None or watchdog.heartbeat is None:
+                self._heard = monotonic()
+            if request.values:
+                self._write(request, connection, ignore=ignore)
+                return []
+            return self._read(request)
+
+    def _read(self, request: Request) -> list[int]:
+        cells = dict(self._held)
+        quantities = self._plant.quantities()
+        for register in self._map.inputs.values():
+            for offset, word in enumerate(self._input(register, quantities)):
+                key = register.table, register.address + offset
+                merged = register.bit >= 0 and key in cells
+                cells[key] = cells[key] | word if merged else word
+        wanted = [(request.table, request.address + offset) for offset in range(request.count)]
+        if any(key not in cells for key in wanted):
+            raise Refused(ADDRESS)
+        return [cells[key] for key in wanted]
+
+    def _write(self, request: Request, connection: int, *, ignore: bool) -> None:
+        keys = [(request.table, request.address + offset) for offset in range(request.count)]
+        touched = [r for r in self._written if any((r.table, r.address + i) in keys for i in range(r.count))]
+        known = {(r.table, r.address + i) for r in touched for i in range(r.count)}
+        if not set(keys) <= known:
+            raise Refused(ADDRESS)
+        if not known <= set(keys):
+            raise Refused(VALUE)  # half of a 32-bit value
+        if ignore:
+            return
+        self._held.update(zip(keys, request.values, strict=True))
+        for register in touched:
+            self._written_to(register, connection)
+
+    # -- what registers mean --------------------------------------------------------------------------------------
+
+    def _input(self, register: Register, quantities: dict[str, float]) -> Iterable[int]:
+        channel, lock = self._channels.get(register.name), self._locks.get(register.name)
+        if channel is not None:
+            raw = float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+            if register.type != "float32" and not register.is_bit:
+                low, high = _range(register.type)
+                raw = min(max(round(raw), low), high)
+            return encode(register, raw)
+        level = False
+        if lock is not None:
+            high = self._plant.e_stop_high() if "stop" in lock.name else True
+            level = high == (lock.safe == "high")
+        if register.bit >= 0:
+            return [int(level) << register.bit] if register.count == 1 else [0] * register.count
+        return encode(register, float(level))
+
+    def _identity(self, register: Register) -> list[int]:
+        if register.type == "text":
+            text = f"emulated {self.device.name}".encode("ascii", "replace")[: 2 * register.length]
+            text = text.ljust(2 * register.length, b"\0")
+            return [int.from_bytes(text[i : i + 2], "big") for i in range(0, len(text), 2)]
+        return encode(register, 1.0 if register.expect is None else register.expect)
+
+    def _store(self, register: Register, words: Iterable[int]) -> None:
+        for offset, word in enumerate(words):
+            self._held[register.table, register.address + offset] = word
+
+    def _value(self, register: Register) -> float:
+        return decode(register, [self._held[register.table, register.address + i] for i in range(register.count)])
+
+    def _written_to(self, register: Register, connection: int) -> None:
+        raw, watchdog, name = self._value(register), self._map.watchdog, register.name
+        if watchdog is not None and register in {watchdog.timeout, watchdog.trigger, watchdog.heartbeat}:
+            self._heard = monotonic()
+            if register == watchdog.trigger or (register == watchdog.timeout and watchdog.trigger is None):
+                self._bitten = False
+            self._log.note("watchdog-register", self.device.name, register=name, raw=raw, connection=connection)
+            return
+        output = self._outputs.get(name)
+        if output is not None:
+            si = float(output.scale.to_si(raw))
+            self._log.note(
+                "set", self.device.name, output=output.name, raw=raw, si=si, connection=connection, held=self._bitten
+            )
+            if not self._bitten:
+                self._plant.command(si)
+        elif name in self._valves:
+            valve = self._valves[name]
+            self._log.note("switch", self.device.name, valve=valve.name, on=raw != 0, connection=connection)
+            if not self._bitten:
+                self._plant.switch(on=(raw != 0) == (valve.energised == "closed"))
+
+    # -- the device's watchdog ------------------------------------------------------------------------------------
+
+    def look_at_watchdog(self) -> None:
+        """Vent by itself where the watchdog is armed and nothing was heard for its time."""
+        watchdog = self._map.watchdog
+        if watchdog is None:
+            return
+        with self._lock:
+            timeout = self._value(watchdog.timeout) * watchdog.resolution
+            armed = timeout > 0 and (watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on)
+            silent = monotonic() - self._heard
+            if not armed or self._bitten or silent <= timeout:
+                return
+            self._bitten = True
+            for output in self.device.outputs:
+                register = self._map.outputs[output.output]
+                self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
+                self._plant.command(output.safe)
+            for valve in self.device.valves:
+                self._store(self._map.outputs[valve.output], [0] * self._map.outputs[valve.output].count)
+                self._plant.switch(on=valve.energised != "closed")
+            self._log.note("watchdog", self.device.name, silent=silent)
+
+
+def _range(kind: str) -> tuple[int, int]:
+    bits = 16 * TYPES[kind][1]
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if kind.startswith("int") else (0, (1 << bits) - 1)

@@ -1,0 +1,300 @@
+"""One connection to a Modbus device: transactions that end in time; the only module that imports pymodbus.
+
+What the library leaves open is closed here: no time-out longer than the caller's deadline however slowly bytes drip, no
+retry, every library error as a `DeviceError`, and no answer taken for another question's. Over TCP a lost answer ends
+the connection, and the next call opens a new one. A serial line has neither connections nor numbers in its frames:
+there a lost answer is remembered, and until the device's slowest time has passed nothing is asked whose answer would
+look the same. Exception codes: Modbus Application Protocol 1.1b3, section 7.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from socket import SHUT_RDWR
+from time import monotonic
+from typing import Any
+
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253  (this module is imported by `open`)
+from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
+
+from pmabench.base.errors import DeviceError
+from pmabench_drivers.modbus.registers import BIT_TABLES
+
+logging.getLogger("pymodbus_logging").setLevel(logging.CRITICAL)  # it prints what is raised here anyway
+
+PIECE = 0.005
+"""Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
+EXCEPTIONS = {
+    1: "it does not know this function",
+    2: "it has no such address",
+    3: "it does not accept this value or number of registers",
+    4: "it failed while doing it",
+    5: "it has accepted this and needs long for it",
+    6: "it is busy",
+    7: "it refused to do this",
+    8: "its memory has a parity error",
+    10: "the gateway has no path to it",
+    11: "the gateway got no answer from it",
+}
+"""Exception code -> what the device says with it."""
+
+LAST_READ = 4
+"""Function codes up to this one read."""
+
+Signature = tuple[int, ...]
+"""What tells an answer from others: function code, and number of bytes or address."""
+
+
+@dataclass(frozen=True)
+class Serial:
+    """How a serial line is set."""
+
+    baud: int = 19200
+    parity: str = "N"
+    stop_bits: int = 1
+
+
+class Unanswered(DeviceError):
+    """The request was sent and no answer to it came: it may have been executed."""
+
+    def __init__(self, device: str, message: str, channel: str = "") -> None:
+        self.reason = message
+        super().__init__(device, message, channel)
+
+
+class _Tcp(ModbusTcpClient):
+    """The library's client, whose `recv` knows the deadline of the whole call."""
+
+    deadline = 0.0
+
+    def recv(self, size: int | None) -> bytes:
+        """The bytes that are there, or none at the deadline."""
+        connection, left = self.socket, self.deadline - monotonic()
+        if connection is None:
+            raise ConnectionException("the connection was closed")
+        if left <= 0:
+            return b""
+        connection.settimeout(left)
+        try:
+            data = connection.recv(size or 4096)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionException("the device closed the connection")
+        return data
+
+    def cut(self) -> None:
+        """End the connection under a call that waits for it."""
+        connection = self.socket
+        if connection is not None:
+            with contextlib.suppress(OSError):
+                connection.shutdown(SHUT_RDWR)
+
+
+class _Rtu(ModbusSerialClient):
+    """The same for a serial line."""
+
+    deadline = 0.0
+
+    def connect(self) -> bool:
+        """Open the port for this program alone."""
+        opened = super().connect()
+        if opened and self.socket is not None:
+            self.socket.timeout = PIECE
+        return opened
+
+    def recv(self, size: int | None) -> bytes:
+        """The bytes that are there, or none at the deadline."""
+        while self.socket is not None and monotonic() < self.deadline:
+            data = bytes(self.socket.read(1))
+            if data:
+                return data + bytes(self.socket.read(self.socket.in_waiting))
+        return b""
+
+    def cut(self) -> None:
+        """A serial port is not cut: its calls end by themselves."""
+
+
+class Line:
+    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread."""
+
+    def __init__(
+        self, device: str, address: str, *, unit_id: int, timeout: float, slowest: float, serial: Serial
+    ) -> None:
+        self._device, self._address = device, address
+        self._unit_id, self._timeout, self._slowest = unit_id, timeout, slowest
+        self._lock = threading.Lock()
+        self._owed: list[tuple[Signature, float]] = []
+        host, _, port = address.rpartition(":")
+        self.is_serial = not port.isdecimal()
+        self._client: _Tcp | _Rtu
+        if self.is_serial:
+            self._client = _Rtu(
+                address,
+                baudrate=serial.baud,
+                parity=serial.parity,
+                stopbits=serial.stop_bits,
+                timeout=timeout,
+                retries=0,
+            )
+        else:
+            self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
+
+    def close(self) -> None:
+        """Let go of the connection; harmless when repeated."""
+        self._client.cut()
+        with self._lock:
+            self._client.close()  # type: ignore[no-untyped-call]
+
+    def read(self, table: str, address: int, count: int, deadline: float, what: str = "") -> list[int]:
+        """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic]."""
+        name = {
+            "holding": "read_holding_registers",
+            "input": "read_input_registers",
+            "coil": "read_coils",
+            "discrete": "read_discrete_inputs",
+        }[table]
+        function = {"holding": 3, "input": 4, "coil": 1, "discrete": 2}[table]
+        size = (count + 7) // 8 * 8 if table in BIT_TABLES else count
+        method = getattr(self._client, name)
+        answer = self._ask(
+            lambda: method(address, count=count, device_id=self._unit_id), (function, size), deadline, what
+        )
+        return [int(value) for value in (answer.bits if table in BIT_TABLES else answer.registers)[:count]]
+
+    def write(
+        self,
+        function: int,
+        address: int,
+        words: Sequence[int],
+        deadline: float,
+        what: str = "",
+        still: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Write registers (functions 6, 16) or coils (5, 15) once; `Unanswered` where the outcome is not known.
+
+        Never waits for an older answer: its echo holds the address, and a vent cannot wait. Nothing is sent if
+        `still()` is false by the time the line is free.
+        """
+        unit = self._unit_id
+        calls: dict[int, Callable[[], Any]] = {
+            5: lambda: self._client.write_coil(address, bool(words[0]), device_id=unit),
+            6: lambda: self._client.write_register(address, words[0], device_id=unit),
+            15: lambda: self._client.write_coils(address, [bool(word) for word in words], device_id=unit),
+            16: lambda: self._client.write_registers(address, list(words), device_id=unit),
+        }
+        echo = words[0] if function in {5, 6} else len(words)
+        self._ask(calls[function], (function, address, echo), deadline, what, still)
+
+    def cut(self) -> None:
+        """End a call that hangs in another thread; the next one connects anew."""
+        self._client.cut()
+        if not self.is_serial and self._lock.acquire(blocking=False):
+            self._client.close()  # type: ignore[no-untyped-call]
+            self._lock.release()
+
+    # -- one transaction ------------------------------------------------------------------------------------------
+
+    def _ask(
+        self,
+        send: Callable[[], Any],
+        wanted: Signature,
+        deadline: float,
+        what: str,
+        still: Callable[[], bool] = lambda: True,
+    ) -> Any:
+        """Send one request and return its answer; the library's errors become sentences."""
+        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
+            raise DeviceError(self._device, "the line was busy with another call until the deadline", what)
+        try:
+            self._connect(deadline, what)
+            if wanted[0] <= LAST_READ:
+                self._wait_until_clean(wanted, deadline, what)
+            limit = min(deadline, monotonic() + self._timeout)
+            if limit <= monotonic():
+                raise DeviceError(self._device, "no time was left to ask", what)
+            if not still():
+                return None
+            self._client.deadline = limit
+            self._client.comm_params.timeout_connect = max(limit - monotonic(), 0.001)
+            try:
+                answer = next(answer for answer in self._answers(send) if self._belongs(answer, wanted))
+            except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error, StopIteration) as error:
+                self._lost(wanted)
+                raise Unanswered(self._device, self._why(error, limit), what) from None
+            if answer.isError():
+                code = answer.exception_code
+                words = EXCEPTIONS.get(code, "which the specification does not define")
+                raise DeviceError(self._device, f"answers with exception {code}: {words}", what)
+            return answer
+        finally:
+            self._lock.release()
+
+    def _answers(self, send: Callable[[], Any]) -> Iterator[Any]:
+        """The answer, and on a serial line those that come after one that belongs to an older question."""
+        yield send()
+        while self.is_serial and monotonic() < self._client.deadline:
+            yield self._client.transaction.sync_get_response(self._unit_id, 0)
+
+    def _belongs(self, answer: Any, wanted: Signature) -> bool:
+        """Whether an answer is the one that is waited for; one that is owed from before is struck off."""
+        if answer.isError():
+            return bool(answer.function_code == wanted[0] | 0x80)
+        function = answer.function_code
+        if function in {3, 4}:
+            signature: Signature = (function, len(answer.registers))
+        elif function in {1, 2}:
+            signature = (function, len(answer.bits))
+        elif function == 5:
+            signature = (function, answer.address, int(answer.bits[0]))
+        elif function == 6:
+            signature = (function, answer.address, answer.registers[0])
+        else:
+            signature = (function, answer.address, answer.count)
+        if signature == wanted:
+            return True
+        self._owed = [item for item in self._owed if item[0] != signature]
+        return False
+
+    def _lost(self, wanted: Signature) -> None:
+        if self.is_serial:
+            self._owed.append((wanted, monotonic() + self._slowest))
+        else:
+            self._client.close()  # type: ignore[no-untyped-call]
+
+    def _wait_until_clean(self, wanted: Signature, deadline: float, what: str) -> None:
+        """Wait while an answer is owed that could be taken for the one to this request."""
+        while True:
+            self._owed = [item for item in self._owed if item[1] > monotonic()]
+            if all(signature != wanted for signature, _until in self._owed):
+                return
+            if monotonic() >= deadline:
+                message = (
+                    "is not asked again yet, so that a late answer to the last question is not taken for a new one"
+                )
+                raise DeviceError(self._device, message, what)
+            self._client.deadline = min(deadline, self._owed[0][1])
+            with contextlib.suppress(OSError, TypeError):
+                self._client.recv(None)
+
+    def _connect(self, deadline: float, what: str) -> None:
+        if self._client.connected:
+            return
+        self._client.comm_params.timeout_connect = max(0.001, min(deadline - monotonic(), 2.0))
+        if not self._client.connect():
+            hint = "is it there, and does no other program use it?" if self.is_serial else "is it switched on?"
+            raise DeviceError(self._device, f"no connection to {self._address}; {hint}", what)
+
+    def _why(self, error: Exception, limit: float) -> str:
+        if isinstance(error, ConnectionException | OSError) and monotonic() < limit:
+            if self.is_serial:
+                self._client.close()  # type: ignore[no-untyped-call]
+            return f"the connection to {self._address} was lost"
+        if monotonic() >= limit - 1e-3:
+            return f"no answer from {self._address} within {self._timeout:g} s"
+        return f"an answer that makes no sense from {self._address}"

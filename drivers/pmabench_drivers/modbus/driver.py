@@ -1,0 +1,345 @@
+"""The device interface in front of a Modbus device; knows registers by their names in the map, and no frames.
+
+One thread of its own polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from time import monotonic
+from typing import TYPE_CHECKING
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench_drivers.modbus.map_file import Options, read_options, write_function
+from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
+from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.modbus.watchdog import DeviceWatchdog
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.polling import Cycle, Samples
+
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line
+
+CALL = 0.19
+"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
+OPEN = 1.9
+PATIENCE = 0.25
+"""So long [s] polls may fail before `collect` says so; what is lost till then is a gap in the samples."""
+
+
+class ModbusDevice:
+    """A device behind Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
+
+    Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
+    """
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._options: Options = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock, self._map = device, clock, self._options.map
+        self._outputs = {output.output: output for output in device.outputs}
+        self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
+        self._spans = spans(self._inputs)
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._cycle = Cycle(f"modbus {device.name}", self._tick, clock)
+        self._following: dict[str, Segment] = {}
+        self._line: Line | None = None
+        self._watchdog = DeviceWatchdog(device.name, self._map, self._get, self._put)
+        self._streaming = False
+        self._failing_since: float | None = None
+        self._failure: DeviceError | None = None
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, read who it is, and prove by a known constant (where the map has one) that words are in order."""
+        self.close()
+        self._line = self._new_line()
+        deadline = monotonic() + OPEN
+        try:
+            found = {name: self._identify(item, deadline) for name, item in self._map.identity.items()}
+            if not found and self._spans:
+                first = self._spans[0]
+                self._line.read(first.table, first.address, first.count, deadline, first.registers[0].name)
+        except DeviceError:
+            self.close()
+            raise
+        maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
+        return Identity(maker, model, serial, firmware)
+
+    def close(self) -> None:
+        """End polling and let go of the connection."""
+        self._following.clear()
+        self._streaming = False
+        self._watchdog.forget()
+        line, self._line = self._line, None
+        if line is not None:
+            line.cut()
+        self._cycle.stop()
+        if line is not None:
+            line.close()
+
+    def _new_line(self) -> Line:
+        from pmabench_drivers.modbus.adapter import Line, Serial
+
+        options = self._options
+        return Line(
+            self._device.name,
+            self._device.address,
+            unit_id=self._map.unit_id,
+            timeout=self._map.timeout,
+            slowest=self._map.slowest,
+            serial=Serial(options.baud, options.parity, options.stop_bits),
+        )
+
+    def _identify(self, item: Register | str, deadline: float) -> str:
+        if isinstance(item, str):
+            return item
+        words = self._opened().read(item.table, item.address, item.count, deadline, item.name)
+        if item.type == "text":
+            return decode_text(words)
+        value = decode(item, words)
+        if item.expect is not None and value != item.expect:
+            message = f"holds {value:g} instead of {item.expect:g}: another device, or another map"
+            if len(words) > 1 and decode(item, words[::-1]) == item.expect:
+                message = f'gives {item.expect:g} with its words in the other order: change "words" in the map'
+            raise DeviceError(self._device.name, message, item.name)
+        return f"{value:.10g}"
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Poll at `rate` [Hz], or as fast as the map allows if that is less."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._opened()
+        self._failing_since = self._failure = None
+        self._samples.take()
+        self._streaming = True
+        used = min(rate, self._map.rate)
+        self._cycle.start(used)
+        return used
+
+    def collect(self) -> Block:
+        """What was polled since the last call; an error once polling or stepping has failed for 0.25 s."""
+        if self._cycle.broken is not None:
+            raise DeviceError(self._device.name, f"polling broke off: {self._cycle.broken}")
+        failing = self._failing_since
+        if failing is not None and self._failure is not None and self._clock.now() - failing > PATIENCE:
+            raise self._failure
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """Poll no more; a ramp under way goes on."""
+        self._streaming = False
+        if not self._following:
+            self._cycle.stop()
+
+    @property
+    def missed(self) -> int:
+        """Polls that fell out because the device or the machine was late."""
+        return self._cycle.missed
+
+    def _tick(self) -> None:
+        """One turn of the thread: the next step of each segment, then the inputs."""
+        if self._watchdog.hungry():
+            return  # whoever feeds it is gone: polling must not keep the device's watchdog quiet
+        failure = None
+        for work in (self._step, self._poll):
+            try:
+                work()
+            except DeviceError as error:
+                failure = failure or error
+        if failure is None:
+            self._failing_since = None
+        else:
+            self._failure = failure
+            if self._failing_since is None:
+                self._failing_since = self._clock.now()
+
+    def _poll(self) -> None:
+        if not self._streaming or not self._spans:
+            return
+        line, asked = self._opened(), self._clock.now()
+        values: dict[Register, float] = {}
+        for span in self._spans:
+            deadline = monotonic() + self._map.timeout
+            words = line.read(span.table, span.address, span.count, deadline, span.registers[0].name)
+            values.update(zip(span.registers, span.values(words), strict=True))
+        answered = self._clock.now()
+        row = [values[register] for register in self._inputs]
+        self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Command a value once; where no answer comes, what the device holds tells whether it was executed."""
+        record = self._output(output)
+        self._following.pop(output, None)
+        self._put(self._map.outputs[output], value, resolution=record.resolution)
+
+    def read_back(self, output: str) -> float:
+        """The value in the device's register."""
+        self._output(output)
+        return self._get(self._map.outputs[output])
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Write 1 or 0 to a coil or a register."""
+        self._put(self._switched(output), float(on))
+
+    def is_on(self, output: str) -> bool:
+        """What the coil or register holds."""
+        return self._get(self._switched(output)) != 0
+
+    def level(self, name: str) -> bool:
+        """Whether a digital input, or the bit of a register, is set."""
+        register = self._map.inputs.get(name)
+        if register is None:
+            raise DeviceError(self._device.name, f'no input "{name}"{did_you_mean(name, self._map.inputs)}')
+        return self._get(register) != 0
+
+    def rescue(self, output: str, value: float) -> None:
+        """Write over a second connection and cut the first one; on a serial line, in turn with what is under way."""
+        register = self._map.outputs.get(output)
+        if register is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._map.outputs)}')
+        self._following.pop(output, None)
+        words, function = self._words(register, value), write_function(register, self._map.functions)
+        line, deadline = self._line, monotonic() + CALL
+        if line is not None and line.is_serial:
+            line.write(function, register.address, words, deadline, output)
+            return
+        if line is not None:
+            line.cut()
+        second = self._new_line()
+        try:
+            second.write(function, register.address, words, deadline, output)
+        finally:
+            second.close()
+
+    # -- ramps and sines ------------------------------------------------------------------------------------------
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Step along the segment at the poll rate, from its start on, or from now on if that has passed."""
+        record = self._output(output)
+        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
+        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
+            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
+        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
+            self._words(self._map.outputs[record.output], value)
+        self._opened()
+        self._following[output] = segment
+        if not self._cycle.running:
+            self._cycle.start(self._map.rate)
+
+    def _step(self) -> None:
+        """Write the value of this moment of every segment; the last one ends it."""
+        for output, segment in list(self._following.items()):
+            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            if value is None:
+                continue
+
+            def still(output: str = output, segment: Segment = segment) -> bool:
+                return self._following.get(output) is segment
+
+            self._put(self._map.outputs[output], value, checked=False, still=still)
+            if over and still():
+                self._following.pop(output, None)
+
+    # -- the device's watchdog ------------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it to `seconds` and start it; returns the time that the device holds [s]."""
+        return self._watchdog.arm(seconds)
+
+    def feed_watchdog(self) -> None:
+        """Write the heartbeat, or read the watchdog's time where any communication feeds it."""
+        self._watchdog.feed()
+
+    def disarm_watchdog(self) -> None:
+        """Stop it."""
+        self._watchdog.disarm()
+
+    # -- registers ------------------------------------------------------------------------------------------------
+
+    def _opened(self) -> Line:
+        line = self._line
+        if line is None:
+            raise DeviceError(self._device.name, "is not open")
+        return line
+
+    def _output(self, output: str) -> OutputRecord:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        return record
+
+    def _switched(self, output: str) -> Register:
+        register = self._map.outputs.get(output)
+        if register is None or output in self._outputs:
+            known = set(self._map.outputs) - set(self._outputs)
+            raise DeviceError(self._device.name, f'no valve output "{output}"{did_you_mean(output, known)}')
+        return register
+
+    def _words(self, register: Register, value: float) -> list[int]:
+        try:
+            return encode(register, value)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error), register.name) from None
+
+    def _get(self, register: Register, deadline: float = 0.0) -> float:
+        until = deadline or monotonic() + CALL
+        words = self._opened().read(register.table, register.address, register.count, until, register.name)
+        return decode(register, words)
+
+    def _put(
+        self,
+        register: Register,
+        value: float,
+        deadline: float = 0.0,
+        *,
+        resolution: float = 0.0,
+        checked: bool = True,
+        still: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Write once and read back; a lost answer is settled by what the device holds, never by writing again.
+
+        Nothing is sent if `still()` is false when the line is free.
+        """
+        from pmabench_drivers.modbus.adapter import Unanswered
+
+        line, until, words = self._opened(), deadline or monotonic() + CALL, self._words(register, value)
+        function, checked = write_function(register, self._map.functions), checked and register.read_back
+        lost: Unanswered | None = None
+        try:
+            line.write(function, register.address, words, until, register.name, still)
+        except Unanswered as error:
+            if not checked:
+                raise
+            lost = error
+        if not checked:
+            return
+        try:
+            held = self._get(register, until)
+        except DeviceError as error:
+            if lost is None:
+                raise
+            message = f"{lost.reason}; whether it took {value:g} is not known ({error})"
+            raise Unanswered(self._device.name, message, register.name) from None
+        wanted = decode(register, words)
+        if not abs(held - wanted) <= resolution:
+            what = "did not answer to the command" if lost else "was commanded"
+            raise DeviceError(self._device.name, f"{what} {wanted:g} and holds {held:g}", register.name)

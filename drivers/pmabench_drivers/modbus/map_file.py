@@ -1,0 +1,262 @@
+"""Register maps as people write them, read strictly into records; knows no connection. Standard library only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from ipaddress import ip_address
+from typing import Any
+
+from pmabench.base.errors import did_you_mean
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.modbus.registers import (
+    BIT_TABLES,
+    FUNCTIONS,
+    READ,
+    TABLES,
+    TYPES,
+    Register,
+    RegisterMap,
+    WatchdogRegisters,
+    encode,
+)
+from pmabench_drivers.options import Place, Reader
+
+IDENTITY = ("maker", "model", "serial", "firmware", "constant")
+PARITIES = {"none": "N", "even": "E", "odd": "O"}
+BAUDS = (1200, 2400, 4800, 9600, 14400, 19200, 38400, 57600, 76800, 115200, 230400, 460800, 921600)
+REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
+MAP_KEYS = (
+    "schema",
+    "name",
+    "source",
+    "unit_id",
+    "words",
+    "bytes",
+    "timeout",
+    "slowest",
+    "rate",
+    "functions",
+    "identity",
+    "inputs",
+    "outputs",
+    "watchdog",
+)
+HIGH, LOW = "high-first", "low-first"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the driver `modbus` is told about a device."""
+
+    map: RegisterMap = field(default_factory=RegisterMap)
+    baud: int = 19200
+    parity: str = "N"
+    stop_bits: int = 1
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    given = reader.keys(device.options, ("options",), ("map", "baud", "parity", "stop_bits"), ("map",))
+    _address(device.address, reader)
+    map_ = _read_map(given.get("map", {}), ("options", "map"), reader)
+    baud = reader.whole(given, "baud", ("options",), BAUDS[0], BAUDS[-1], 19200)
+    if baud not in BAUDS:
+        reader.fault(("options", "baud"), f"{baud} is no usual rate; known: {', '.join(map(str, BAUDS))}")
+    parity = PARITIES[reader.choice(given, "parity", ("options",), PARITIES, "none")]
+    stop_bits = reader.whole(given, "stop_bits", ("options",), 1, 2, 1)
+    if map_.inputs or map_.outputs:
+        _names(device, map_, reader)
+    return Options(map_, baud, parity, stop_bits)
+
+
+def _address(address: str, reader: Reader) -> None:
+    host, colon, port = address.rpartition(":")
+    if address.startswith("/"):
+        return
+    try:
+        ip_address(host.strip("[]") if host != "localhost" else "127.0.0.1")
+        if not colon or not port.isdecimal() or not int(port) <= 65535:
+            raise ValueError
+    except ValueError:
+        wanted = 'an IP address with a port ("192.168.0.10:502") or the path of a serial port ("/dev/ttyUSB0")'
+        reader.fault(("address",), f'{wanted} is expected, not "{address}"')
+
+
+def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
+    given = reader.keys(data, place, MAP_KEYS, ("inputs",) if "outputs" not in (data or {}) else ())
+    reader.choice(given, "schema", place, ("pmabench.registers/1",), "pmabench.registers/1")
+    for key in ("name", "source"):
+        reader.text(given, key, place, longest=400)
+    base = RegisterMap()
+    usual = {
+        "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
+        "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
+    }
+    functions = given.get("functions", list(FUNCTIONS))
+    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
+        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
+        functions = FUNCTIONS
+    readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
+    allowed = tuple(functions)
+
+    def registers(key: str) -> dict[str, Register]:
+        items = reader.named(given.get(key, {}), readers[key])
+        return {
+            name: _register(name, item, (*readers[key], name), reader, usual, allowed, key)
+            for name, item in items.items()
+        }
+
+    identity: dict[str, Register | str] = {}
+    known = reader.keys(given.get("identity", {}), readers["identity"], IDENTITY)
+    for name, item in known.items():
+        at = (*readers["identity"], name)
+        identity[name] = (
+            item if isinstance(item, str) else _register(name, item, at, reader, usual, allowed, "identity")
+        )
+    watchdog = given.get("watchdog")
+    return RegisterMap(
+        unit_id=reader.whole(given, "unit_id", place, 0, 255, base.unit_id),
+        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.002, 0.2),
+        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
+        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
+        functions=allowed,
+        identity=identity,
+        inputs=registers("inputs"),
+        outputs=registers("outputs"),
+        watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
+    )
+
+
+def _register(
+    name: str,
+    data: Any,
+    place: Place,
+    reader: Reader,
+    usual: Mapping[str, str],
+    functions: tuple[int, ...],
+    use: str,
+) -> Register:
+    """One register; `use` is `inputs`, `outputs` or `identity`."""
+    given = reader.keys(data, place, REGISTER_KEYS, ("address",))
+    writes = use == "outputs"
+    tables = ("holding", "coil") if writes else TABLES
+    table = reader.choice(given, "table", place, tables, "holding")
+    single = table in BIT_TABLES
+    types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
+    kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
+    words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
+    low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
+    bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
+    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
+        reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
+        bit = -1
+    length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
+    if kind != "text" and "length" in given:
+        reader.fault((*place, "length"), "only a text has a length; numbers have that of their type")
+    register = Register(
+        name,
+        table,
+        reader.whole(given, "address", place, 0, 65535),
+        kind,
+        words,
+        low_bytes,
+        bit,
+        length,
+        reader.flag(given, "read_back", place, default=True),
+        reader.number(given, "expect", place),
+    )
+    if "read_back" in given and not writes:
+        reader.fault((*place, "read_back"), "only what is written can be read back")
+    if register.expect is not None and use != "identity":
+        reader.fault((*place, "expect"), 'belongs to a register of "identity"')
+    if register.address + register.count > 65536:
+        reader.fault((*place, "address"), "the value would reach beyond address 65535")
+    if (not writes or register.read_back) and READ[table] not in functions:
+        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
+    if writes and write_function(register, functions) == 0:
+        reader.fault((*place, "table"), "none of the allowed functions can write it")
+    return register
+
+
+def write_function(register: Register, functions: tuple[int, ...]) -> int:
+    """The function code that writes a register, out of the allowed ones; 0 where there is none."""
+    if register.is_bit:
+        wanted: tuple[int, ...] = (5, 15)
+    else:
+        wanted = (6, 16) if register.count == 1 else (16,)
+    return next((function for function in wanted if function in functions), 0)
+
+
+def _watchdog(
+    data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...]
+) -> WatchdogRegisters:
+    given = reader.keys(data, place, ("timeout", "resolution", "trigger", "on", "off", "heartbeat"), ("timeout",))
+
+    def register(key: str) -> Register:
+        return _register(key, given.get(key, {}), (*place, key), reader, usual, functions, "outputs")
+
+    on, off = reader.number(given, "on", place), reader.number(given, "off", place)
+    trigger = register("trigger") if "trigger" in given else None
+    for key, value in (("on", on), ("off", off)):
+        if value is None:
+            continue
+        if trigger is None:
+            reader.fault((*place, key), 'is what is written to "trigger", and there is none')
+            continue
+        try:
+            encode(trigger, value)
+        except ValueError as error:
+            reader.fault((*place, key), str(error))
+    return WatchdogRegisters(
+        timeout=register("timeout"),
+        resolution=reader.quantity(given, "resolution", place, "time", 1e-3, 1e-6, 60.0),
+        trigger=trigger,
+        on=1.0 if on is None else on,
+        off=0.0 if off is None else off,
+        heartbeat=register("heartbeat") if "heartbeat" in given else None,
+    )
+
+
+def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
+    """What the bench asks of the device must be in the map, and fit."""
+    for channel in device.channels:
+        place = ("channels", channel.name, "input")
+        register = map_.inputs.get(channel.input)
+        if register is None:
+            reader.fault(place, f'the map has no input "{channel.input}"{did_you_mean(channel.input, map_.inputs)}')
+        elif channel.raw_type == "int32" and register.type == "float32":
+            reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
+        elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
+            reader.fault(place, "counts from 2147483648 on cannot be recorded")
+    for output in device.outputs:
+        place = ("outputs", output.name, "output")
+        register = map_.outputs.get(output.output)
+        if register is None:
+            reader.fault(place, f'the map has no output "{output.output}"{did_you_mean(output.output, map_.outputs)}')
+            continue
+        if register.is_bit:
+            reader.fault(place, "is a coil, which takes no values")
+            continue
+        for value in (output.low, output.high, output.safe):
+            try:
+                encode(register, float(output.scale.to_raw(value)))
+            except ValueError as error:
+                reader.fault(place, f"cannot be commanded over its whole range: {error}")
+                break
+    for valve in device.valves:
+        if valve.output not in map_.outputs:
+            hint = did_you_mean(valve.output, map_.outputs)
+            reader.fault(("outputs", valve.name, "output"), f'the map has no output "{valve.output}"{hint}')
+    for lock in device.interlocks:
+        if lock.input not in map_.inputs:
+            hint = did_you_mean(lock.input, map_.inputs)
+            reader.fault(("interlocks", lock.name, "input"), f'the map has no input "{lock.input}"{hint}')
+    if device.watchdog and map_.watchdog is None:
+        reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
+
+
+def _ends(scale: Any, channel: Any) -> tuple[float, float]:
+    ends = float(scale.to_raw(channel.low)), float(scale.to_raw(channel.high))
+    return ends if all(map(math.isfinite, ends)) else (0.0, 0.0)

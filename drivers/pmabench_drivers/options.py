@@ -1,0 +1,141 @@
+"""A driver's options as strictly read plain data: every problem with its place; knows no driver. Standard library only.
+
+The same reading serves `check`, which wants all problems, and the driver itself, which refuses the first one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+from pmabench.base.errors import DeviceError, did_you_mean
+
+Place = tuple[str | int, ...]
+"""Keys from the top of the bench file (`("channels", "pressure", "input")`) or of the device (`("options", "map")`)."""
+
+UNITS = {"time": {"s": 1.0, "ms": 1e-3, "us": 1e-6}, "frequency": {"Hz": 1.0, "kHz": 1e3}}
+_QUANTITY = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z]+)")
+_EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"'}
+
+
+class Reader:
+    """Reads values and collects what is wrong with them; a wrong value reads as its default."""
+
+    def __init__(self) -> None:
+        self.problems: list[tuple[Place, str]] = []
+
+    def fault(self, place: Place, message: str) -> None:
+        """Note a problem."""
+        self.problems.append((place, message))
+
+    def refuse(self, device: str) -> None:
+        """Raise the first problem as a `DeviceError`, if there is any."""
+        for place, message in self.problems:
+            raise DeviceError(device, f"{'.'.join(str(part) for part in place)}: {message}")
+
+    def keys(self, value: Any, place: Place, known: Collection[str], needed: Collection[str] = ()) -> Mapping[str, Any]:
+        """A mapping with known keys only, and with those that are needed."""
+        if not isinstance(value, Mapping):
+            self.fault(place, f"keys and values are expected here, not {_shown(value)}")
+            return {}
+        for key in value:
+            if key not in known:
+                self.fault((*place, key), f'unknown key "{key}"{did_you_mean(str(key), known)}')
+        for key in needed:
+            if key not in value:
+                self.fault(place, f'"{key}" is missing')
+        return value
+
+    def named(self, value: Any, place: Place) -> Mapping[str, Any]:
+        """A mapping whose keys are names of the user's own."""
+        if not isinstance(value, Mapping):
+            self.fault(place, f"names and what belongs to them are expected here, not {_shown(value)}")
+            return {}
+        return value
+
+    def text(self, given: Mapping[str, Any], key: str, place: Place, default: str = "", longest: int = 200) -> str:
+        """A text."""
+        value = given.get(key, default)
+        if not isinstance(value, str) or len(value) > longest:
+            self.fault((*place, key), f"a text of at most {longest} characters is expected, not {_shown(value)}")
+            return default
+        return value
+
+    def texts(self, given: Mapping[str, Any], key: str, place: Place) -> tuple[str, ...]:
+        """A list of texts."""
+        value = given.get(key, ())
+        if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
+            self.fault((*place, key), f"a list of texts is expected, not {_shown(value)}")
+            return ()
+        return tuple(value)
+
+    def choice(self, given: Mapping[str, Any], key: str, place: Place, known: Iterable[str], default: str) -> str:
+        """One of the known words."""
+        value, options = given.get(key, default), tuple(known)
+        if value not in options:
+            self.fault((*place, key), f"{_shown(value)} is not known here{did_you_mean(str(value), options)}")
+            return default
+        return str(value)
+
+    def flag(self, given: Mapping[str, Any], key: str, place: Place, *, default: bool) -> bool:
+        """A yes or no, as true or false."""
+        value = given.get(key, default)
+        if not isinstance(value, bool):
+            self.fault((*place, key), f"true or false is expected, not {_shown(value)}")
+            return default
+        return value
+
+    def whole(
+        self, given: Mapping[str, Any], key: str, place: Place, low: int, high: int, default: int | None = None
+    ) -> int:
+        """A whole number from `low` to `high`; also as `"0x1F"`."""
+        value = given.get(key, default)
+        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
+            value = int(value, 16)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            if key in given or default is None:
+                self.fault((*place, key), f"a whole number from {low} to {high} is expected, not {_shown(value)}")
+            return low if default is None else default
+        return value
+
+    def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
+        """A finite number, also as `"0x1F"`; None where none is given."""
+        value = given.get(key)
+        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
+            value = int(value, 16)
+        if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
+            return None if value is None else float(value)
+        self.fault((*place, key), f"a number is expected, not {_shown(value)}")
+        return None
+
+    def quantity(
+        self,
+        given: Mapping[str, Any],
+        key: str,
+        place: Place,
+        kind: str,
+        default: float,
+        low: float,
+        high: float,
+    ) -> float:
+        """A time [s] or a frequency [Hz] as NUMBER UNIT, from `low` to `high`."""
+        if key not in given:
+            return default
+        value = given[key]
+        match = _QUANTITY.fullmatch(value.strip()) if isinstance(value, str) else None
+        factor = UNITS[kind].get(match[2]) if match else None
+        if match is None or factor is None:
+            self.fault((*place, key), f"a {kind} with its unit is expected, for instance {_EXAMPLES[kind]}")
+            return default
+        number = float(match[1]) * factor
+        if not low <= number <= high:
+            self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {'s' if kind == 'time' else 'Hz'}")
+            return default
+        return number
+
+
+def _shown(value: Any) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,93 @@
+"""What drivers that poll have in common: samples waiting to be collected, and a thread at absolute deadlines.
+
+Knows no wire. Standard library only.
+"""
+
+from __future__ import annotations
+
+import threading
+from array import array
+from collections.abc import Callable, Sequence
+from math import floor
+
+from pmabench.base.clock import Clock
+from pmabench.bench.interface import Block
+
+JOIN = 0.15
+"""How long a thread is given to end [s]."""
+
+
+class Samples:
+    """Samples of one stream between the thread that takes them and the caller who collects them."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._lock = threading.Lock()
+        self._last = -1
+        self._clear()
+
+    def _clear(self) -> None:
+        self._time, self._host = array("q"), -1
+        self._columns = {name: array("d") for name in self._names}
+
+    def append(self, time: int, values: Sequence[float], host: int) -> None:
+        """One sample of all channels: `time` and `host` [ns, bench time], values in the order of the names."""
+        with self._lock:
+            self._last = max(time, self._last + 1)
+            self._time.append(self._last)
+            self._host = host
+            for name, value in zip(self._names, values, strict=True):
+                self._columns[name].append(value)
+
+    def take(self) -> Block:
+        """All samples since the last call."""
+        with self._lock:
+            block = Block(self._time, self._columns, self._host)
+            self._clear()
+        return block
+
+
+class Cycle:
+    """Calls `tick` in a thread of its own at start + k / rate; a deadline that has passed is missed, never made up."""
+
+    def __init__(self, name: str, tick: Callable[[], None], clock: Clock) -> None:
+        self._name, self._tick, self._clock = name, tick, clock
+        self._halt = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.missed = 0
+        """Deadlines at which nothing was done, because what was before took too long."""
+        self.broken: Exception | None = None
+        """What ended the thread against its will."""
+
+    def start(self, rate: float) -> None:
+        """Begin at `rate` [Hz]; one that runs is ended first."""
+        self.stop()
+        self.missed = 0
+        self._halt = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(rate, self._halt), name=self._name, daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread lives."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def stop(self) -> None:
+        """End it; harmless when repeated."""
+        thread, self._thread = self._thread, None
+        self._halt.set()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(JOIN)
+
+    def _run(self, rate: float, halt: threading.Event) -> None:
+        start, due = self._clock.now(), 0
+        while not halt.is_set():
+            try:
+                self._tick()
+            except Exception as error:  # the caller learns it at the next collect
+                self.broken = error
+                return
+            passed = floor((self._clock.now() - start) * rate)
+            self.missed += max(0, passed - due)
+            due = max(due, passed) + 1
+            halt.wait(max(0.0, start + due / rate - self._clock.now()))
