@@ -148,6 +148,7 @@ def _plain(value: Any) -> str:
 
 
 def _size(count: int) -> str:
-    return (
-        f"{count / 1e6:.1f} MB on disk while running" if count > 1e6 else f"{count / 1e3:.0f} kB on disk while running"
-    )
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if count > size:
+            return f"{count / size:,.1f} {unit} on disk while running"
+    return f"{count / 1e3:.0f} kB on disk while running"
