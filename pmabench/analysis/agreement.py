@@ -20,6 +20,7 @@ def _at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, E
         for e in analysis.estimates
         if (e.symbol, e.method, e.coordinate) == (symbol, method, "")
         and e.value is not None
+        and e.parts.combined is not None
         and "pressure" in e.at
         and "frequency" not in e.at
     }
@@ -73,6 +74,8 @@ PAIRS: tuple[tuple[str, str, str, Callable[[Analysis], Values], str, Callable[[A
 
 def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
     """The differences between tests of one specimen at the same pressures; None where nothing can be compared.
+
+    A value without an interval is compared with nothing.
 
     Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
     (E_n number at most 1, ISO/IEC 17043). Calibration errors that both tests share are counted in both: the judgement

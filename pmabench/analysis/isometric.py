@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from pmabench.analysis.calibration import Scales
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
@@ -123,8 +124,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             }
         )
         traces.append(_trace(contraction, tests, line, above))
-    if estimates and all(estimate.parts.calibration is None for estimate in estimates):
-        findings.append(Finding("note", "the record says nothing of how well force and pressure were calibrated"))
+    if estimates:
+        if lack := Scales.of([test.run for tests in groups.values() for test in tests]).lack(("force", "pressure")):
+            findings.append(Finding("note", lack))
+        shown = "the other thresholds show what the choice of one is worth" if len(thresholds) > 1 else "one threshold"
+        findings.append(Finding("note", f"no method part of m and c: {shown}"))
     return Analysis.of(
         runs[0].kind if runs else "isometric",
         runs,
@@ -228,21 +232,14 @@ def _estimates(
     pooled: _Pooled, tests: Sequence[_Test], at: Mapping[str, float], method: str
 ) -> tuple[Estimate, Estimate]:
     line = pooled.line
-    infos = [test.run.channels for test in tests]
-
-    def worst(channel: str, of: str) -> float:
-        return max(float(getattr(info[channel], of)) if channel in info else 0.0 for info in infos)
-
-    gains = worst("force", "gain_uncertainty"), worst("pressure", "gain_uncertainty")
-    offsets = worst("force", "offset_uncertainty"), worst("pressure", "offset_uncertainty")
-    known = any((*gains, *offsets))
-    slope = abs(line.m) * sqrt(gains[0] ** 2 + gains[1] ** 2)
-    start = sqrt(offsets[0] ** 2 + (line.m * offsets[1]) ** 2 + (line.c * gains[0]) ** 2)
-    note = "one test only: no scatter between tests to take an interval from" if len(pooled.each) < 2 else ""
+    scales = Scales.of([test.run for test in tests])
+    slope = scales.part({"force": line.m, "pressure": line.m})
+    start = scales.part({"force": line.c}, {"force": 1.0, "pressure": line.m})
+    note = "no repeats part: one test only" if len(pooled.each) < 2 else ""
     parents = tuple(test.name for test in tests)
 
-    def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float) -> Estimate:
-        parts = Parts(repeats=pooled.half(symbol), calibration=calibration if known else None)
+    def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float | None) -> Estimate:
+        parts = Parts(repeats=pooled.half(symbol), calibration=calibration)
         return Estimate(
             symbol, value, unit, quantity, method, at, parts, len(pooled.each), note=note, trials=parents,
             coordinate={"m": "slope", "c": "intercept"}[symbol],

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, pi, sqrt
+from math import floor, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.lines import mean_half
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
@@ -29,6 +30,7 @@ LEAST = 12
 UNUSABLE_SHARE = 0.1
 OFF = 0.005
 """Relative difference between the named and the commanded frequency that is doubted."""
+CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_SINE = 0.1
 """Share of the signal that its first harmonic leaves, above which that is told."""
 Complex = NDArray[np.complex128]
@@ -90,6 +92,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
     first = [group[0][1] for _, group in sorted(groups.items())]
     findings += _over_frequency(first)
+    if estimates:
+        text = "no method part but for the lateness of the pressure: how far these are no sines is told beside them"
+        findings.append(Finding("note", text))
     return Analysis.of(
         KIND,
         runs,
@@ -167,20 +172,19 @@ def _at(group: Sequence[tuple[RunData, Sine]]) -> list[Estimate]:
     first = sines[0]
     at = {"frequency": first.frequency}
     parents = tuple(sine.name for sine in sines)
-    gains = {
-        name: max(run.channels[name].gain_uncertainty if name in run.channels else 0.0 for run, _ in group)
-        for name in ("pressure", "displacement")
-    }
+    scales = Scales.of([run for run, _ in group])
     doubt = max(first.omega * (sine.late[1] - sine.late[0]) / 2 for sine in sines)
 
     def estimate(
-        symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array], gain: float = 0.0,
-        method: float | None = None, note: str = "",
+        symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array],
+        scaled: tuple[str, ...] = (), method: float | None = None, note: str = "",
     ) -> Estimate:  # fmt: skip
         values = np.array(whole)
         value = float(values.mean())
-        parts = Parts(mean_half(values, by_cycle), method, gain * abs(value) if gain else None)
-        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=note, trials=parents)
+        parts = Parts(mean_half(values, by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
+        few = CYCLES if len(values) == 1 else ""
+        told = sentences(note, few, scales.lack(scaled))
+        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=told, trials=parents)
 
     def size(name: str) -> tuple[list[float], list[Array]]:
         return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]
@@ -190,15 +194,15 @@ def _at(group: Sequence[tuple[RunData, Sine]]) -> list[Estimate]:
     phase, phase_by = _phases(sines, "displacement", "pressure", turned=True)
     width = [2 * abs(s.amplitudes["displacement"]) * abs(np.sin(p)) for s, p in zip(sines, phase, strict=True)]
     width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
-    both = sqrt(gains["pressure"] ** 2 + gains["displacement"] ** 2)
+    both = ("pressure", "displacement")
     late = "the pressure's lateness taken as the middle of its range" if doubt else ""
     spread = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0]))) * doubt
     found = [
-        estimate("P", ("Pa", "pressure"), *size("pressure"), gains["pressure"]),
-        estimate("x", ("m", "length"), *size("displacement"), gains["displacement"]),
+        estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",)),
+        estimate("x", ("m", "length"), *size("displacement"), ("displacement",)),
         estimate("P/x", ("Pa/m", "gain"), stiff, stiff_by, both),
         estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late),
-        estimate("H", ("m", "length"), width, width_by, gains["displacement"], spread or None, late),
+        estimate("H", ("m", "length"), width, width_by, ("displacement",), spread or None, late),
     ]
     if all("pressure_command" in s.amplitudes for s in sines):
         ratio = [abs(s.amplitudes["pressure"] / s.amplitudes["pressure_command"]) for s in sines]
@@ -208,7 +212,7 @@ def _at(group: Sequence[tuple[RunData, Sine]]) -> list[Estimate]:
             for p, b in zip(*_phases(sines, "pressure_command", "pressure", turned=True), strict=True)
         ]
         found += [
-            estimate("P/P_set", ("1", "ratio"), ratio, ratio_by),
+            estimate("P/P_set", ("1", "ratio"), ratio, ratio_by, ("pressure",)),
             estimate(
                 "phi_P", ("rad", "angle"), [p for p, _ in back], [np.array(b) for _, b in back],
                 method=doubt or None, note=late,

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
-from pmabench.analysis.steps import mean_with_half
+from pmabench.analysis.steps import mean_over, mean_with_half
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -32,6 +33,8 @@ DAMPING = (0.01, 3.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
 ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are not told."""
+ONCE = "no repeats part: one step only"
+UNASSESSED = "no method part: how far it has settled is not assessed"
 SHIFTS = 4
 OVERSHOOT = 0.05
 
@@ -213,11 +216,13 @@ def _step_response(t: Array, w: float, D: float) -> Array:
 
 
 def _dead_time(steps: Sequence[Step]) -> Estimate:
-    """Of the regulator and its line: one value over all steps."""
-    mean, half = mean_with_half([step.dead for step in steps])
-    parts = Parts(repeats=half, method=max(step.dead_half for step in steps))
+    """Of the regulator and its line: one value over all steps, of which those between other pressures are unlike."""
+    pairs = [(round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)) for step in steps]
+    mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
+    parts = Parts(repeats=half, method=max(step.dead_half for step in steps), calibration=0.0)
     parents = tuple(step.name for step in steps)
-    note = "command to pressure, all steps; the log resolves no less than the method part"
+    resolved = "command to pressure, all steps; the log resolves no less than the method part"
+    note = sentences(resolved, "no repeats part: no step was repeated" if half is None else "")
     return Estimate("t_d", mean, "s", "time", STEP, {}, parts, len(steps), note=note, trials=parents)
 
 
@@ -225,35 +230,33 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
     """All estimates at one pair of commanded pressures."""
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
-    gain_x, gain_P = (max(_gain(run, name) for run, _ in group) for name in ("displacement", "pressure"))
+    scales = Scales.of([run for run, _ in group])
 
     def estimate(
-        symbol: str, kind: tuple[str, str], values: Sequence[float], method: float | None, calibration: float | None,
-        note: str = "", how: str = STEP,
+        symbol: str, kind: tuple[str, str], values: Sequence[float], method: float | None, scaled: tuple[str, ...] = (),
+        note: str = "",
     ) -> Estimate:  # fmt: skip
         mean, half = mean_with_half(values)
-        parts = Parts(repeats=half, method=method, calibration=calibration)
-        return Estimate(symbol, mean, *kind, how, at, parts, len(values), note=note, trials=parents)
+        parts = Parts(half, method, scales.part(dict.fromkeys(scaled, mean)))
+        note = sentences(
+            note, ONCE if half is None else "", "" if method is not None else UNASSESSED, scales.lack(scaled)
+        )
+        return Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
 
-    dead = estimate("t_d", ("s", "time"), [s.dead for s in steps], max(s.dead_half for s in steps), None, "to pressure")
-    rise = estimate("tau_P", ("s", "time"), [s.rise for s in steps], max(s.rise_half for s in steps), None, "63 %")
-    strokes = [step.stroke for step in steps]
-    stroke = estimate("X", ("m", "length"), strokes, None, gain_x * abs(float(np.mean(strokes))) if gain_x else None)
-    slopes = [step.size / step.stroke if step.stroke else inf for step in steps]
-    slope = float(np.mean(slopes))
-    both = sqrt(gain_x**2 + gain_P**2) * abs(slope)
-    gain = estimate("dP/dx", ("Pa/m", "gain"), slopes, None, both if both else None, "at rest, includes friction")
-    return [dead, rise, stroke, gain, *_muscle(at, steps, parents, options)]
-
-
-def _gain(run: RunData, channel: str) -> float:
-    return run.channels[channel].gain_uncertainty if channel in run.channels else 0.0
+    seconds, slopes = ("s", "time"), [step.size / step.stroke if step.stroke else inf for step in steps]
+    return [
+        estimate("t_d", seconds, [s.dead for s in steps], max(s.dead_half for s in steps), note="to pressure"),
+        estimate("tau_P", seconds, [s.rise for s in steps], max(s.rise_half for s in steps), note="63 %"),
+        estimate("X", ("m", "length"), [step.stroke for step in steps], None, ("displacement",)),
+        estimate("dP/dx", ("Pa/m", "gain"), slopes, None, ("pressure", "displacement"), "at rest, includes friction"),
+        *_muscle(at, steps, parents, options),
+    ]
 
 
 def _muscle(
     at: Mapping[str, float], steps: Sequence[Step], parents: tuple[str, ...], options: Mapping[str, Any]
 ) -> list[Estimate]:
-    """K and B from the ringing, or why they cannot be told."""
+    """K and B from the ringing, or why they cannot be told; from times and a mass, no scale of a channel enters."""
     kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
     masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
     ranges: dict[str, list[tuple[float, float]]] = {"K": [], "B": []}
@@ -277,8 +280,9 @@ def _muscle(
         if reason:
             found.append(Estimate(symbol, None, unit, quantity, RINGING, at, note=reason, n=len(steps), trials=parents))
             continue
-        parts = Parts(repeats=half, method=wide)
-        found.append(Estimate(symbol, value, unit, quantity, RINGING, at, parts, len(steps), trials=parents))
+        parts = Parts(repeats=half, method=wide, calibration=0.0)
+        once = ONCE if half is None else ""
+        found.append(Estimate(symbol, value, unit, quantity, RINGING, at, parts, len(steps), note=once, trials=parents))
     return found
 
 

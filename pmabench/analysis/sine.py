@@ -57,7 +57,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = f"at {where}: calibration parts are without that of the pressure, for K and B over it are not known"
             findings.append(Finding("note", text))
-    if estimates and (lack := scales.lack(("force", "displacement"))):
+    told = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
+    if estimates and (lack := scales.lack(told)):
         findings.append(Finding("note", lack))
     return Analysis.of(
         KIND,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from pmabench.analysis import tuning
+from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
@@ -27,6 +28,7 @@ METHOD = "gain-steps"
 LONGEST_TRACE = 1500
 USED = ("finished", "failed")
 """Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
+ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
 SCHEDULE = 1.3
 """Ratio of K_u between set-points above which one set of gains does not do."""
 
@@ -150,10 +152,11 @@ def _estimates(cell: _Cell) -> tuple[Estimate, Estimate]:
             Estimate("K_u", None, "Pa/m", "gain", METHOD, cell.at, note=note, trials=everyone),
             Estimate("T_u", None, "s", "time", METHOD, cell.at, note=note, trials=everyone),
         )
-    note = "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts))
-    scale = max(_scale_uncertainty(run) for run in cell.runs)
+    doubts = "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts))
+    scales = Scales.of(cell.runs)
+    pressure = _pressure(scales)
 
-    def estimate(symbol: str, unit: str, quantity: str, calibration: float) -> Estimate:
+    def estimate(symbol: str, unit: str, quantity: str, scaled: tuple[str, ...]) -> Estimate:
         values = np.array([getattr(found, symbol) for found in good])
         within = np.array([getattr(found, f"half_{symbol}") for found in good])
         replayed = [getattr(found, f"bias_{symbol}") for found in good]
@@ -175,23 +178,26 @@ def _estimates(cell: _Cell) -> tuple[Estimate, Estimate]:
             parts=Parts(
                 repeats=repeats,
                 method=None if bias is None else sqrt(bias**2 + friction**2),
-                calibration=calibration * value,
+                calibration=scales.part(dict.fromkeys(scaled, value)),
             ),
             n=len(good),
             bias=bias,
             corrected=bias is not None,
-            note=note,
+            note=sentences(
+                doubts,
+                ALONE if len(good) == 1 else "",
+                "" if bias is not None else "no method part: the loop behind it could not be identified and replayed",
+                scales.lack(scaled),
+            ),
             trials=parents,
         )
 
-    return estimate("K_u", "Pa/m", "gain", scale), estimate("T_u", "s", "time", 0.0)
+    return estimate("K_u", "Pa/m", "gain", (pressure, "displacement")), estimate("T_u", "s", "time", ())
 
 
-def _scale_uncertainty(run: RunData) -> float:
-    """Relative expanded uncertainty of commanded pressure per measured displacement [1]."""
-    command = run.channels.get("pressure_command") or run.channels.get("pressure")
-    displacement = run.channels.get("displacement")
-    return sqrt(sum(channel.gain_uncertainty**2 for channel in (command, displacement) if channel is not None))
+def _pressure(scales: Scales) -> str:
+    """The channel that tells the scale of the commanded pressure: its own, else that of the measured pressure."""
+    return "pressure_command" if "pressure_command" in scales.gains else "pressure"
 
 
 def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
