@@ -1,7 +1,7 @@
 """A real-time plant for tests: the server as a process of its own on a free port, killed when the test ends.
 
-with plant_server(tmp_path, device) as plant:
-    client = MockClient(plant.device, RealClock())
+with plant_server(tmp_path, device) as plant, opened(plant.device) as client:
+    client.write("pressure", 100.0)
     plant.inject("hang")
     plant.commands("write")      # from the server's log: what was really commanded, and when
 """
@@ -21,8 +21,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from pmabench_drivers.mock.client import MockClient
 from pmabench_drivers.mock.wire import Link, parse_address
 
+from pmabench.base.clock import RealClock
 from pmabench.bench.interface import DeviceRecord
 
 CLIENT = "pmabench_drivers.mock.client:MockClient"
@@ -123,6 +125,17 @@ def plant_server(tmp_path: Path, device: DeviceRecord, **options: Any) -> Iterat
         process.kill()
         process.wait()
         process.stderr.close()
+
+
+@contextmanager
+def opened(device: DeviceRecord) -> Iterator[MockClient]:
+    """An open client, closed when the block ends."""
+    client = MockClient(device, RealClock())
+    client.open()
+    try:
+        yield client
+    finally:
+        client.close()
 
 
 @contextmanager

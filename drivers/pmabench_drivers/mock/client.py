@@ -22,6 +22,8 @@ from pmabench_drivers.mock.wire import Link, Message, parse_address
 Answer = TypeVar("Answer")
 PATIENCE = 0.18
 """How long an answer is waited for [s]: a little less than the caller waits for a call."""
+OPEN_WITHIN = 1.5
+"""The same when it is opened: its process may be one that has just begun."""
 START_WITHIN = 5.0
 """How long a new process may take until it answers [s]."""
 
@@ -57,13 +59,13 @@ class MockClient:
         """Connect to the plant, which is started first where nobody listens; nothing is commanded."""
         self.close()
         try:
-            link, identity = self._connect("client", time.monotonic() + PATIENCE)
+            link, identity = self._connect("client", time.monotonic() + OPEN_WITHIN)
         except ConnectionRefusedError as refused:
             if not self._service.start:
                 where = ":".join(map(str, self._address))
                 raise DeviceError(self._device.name, f"nobody listens at {where}") from refused
             self._start_process()
-            link, identity = self._try(lambda: self._connect("client", time.monotonic() + 1.0))
+            link, identity = self._try(lambda: self._connect("client", time.monotonic() + START_WITHIN))
         except (OSError, ValueError) as error:
             raise self._failure(error) from error
         self._link, self._is_open = link, True
@@ -138,7 +140,7 @@ class MockClient:
 
     def _failure(self, error: Exception) -> DeviceError:
         if isinstance(error, TimeoutError):
-            return DeviceError(self._device.name, f"did not answer within {PATIENCE:g} s")
+            return DeviceError(self._device.name, "did not answer in time")
         if isinstance(error, OSError):
             return DeviceError(self._device.name, f"link lost ({error.strerror or error})")
         return DeviceError(self._device.name, f"answered what cannot be read ({error})")

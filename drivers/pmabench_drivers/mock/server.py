@@ -160,6 +160,9 @@ class Server:
         """Answer one question, unless a fault of the link or its own lateness forbids it."""
         asker, payload, now = connection.asker, b"", time.monotonic()
         control = asker.role == "control" or question.get("role") == "control"
+        if not control and self._due("lost"):
+            self._drop(connection)
+            return
         if not control and (self._due("dead") or (self._due("hang") and self._role(asker, question) == "client")):
             return
         if not control:
