@@ -186,7 +186,7 @@ def test_sensors_go_wrong_on_order(client, shared):
     eventually(lambda: any(abs(value - 5e3) < 50 for value in client.collect().columns["pressure"]))
     shared.disturb("pressure", None)
     eventually(lambda: any(abs(value) < 50 for value in client.collect().columns["pressure"]))
-    with pytest.raises(DeviceError, match='no fault "brst"; did you mean "burst"'):
+    with pytest.raises(DeviceError, match='no fault "brst"; did you mean "burst_at"'):
         shared.inject("brst")
 
 
