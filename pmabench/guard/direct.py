@@ -10,7 +10,7 @@ from pmabench.base.errors import PmaError
 from pmabench.bench.interface import CompiledBench, Stream
 from pmabench.guard.guard import Guard
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station
+from pmabench.guard.station import UNCLEAN, Station
 
 RATE = 50.0
 """At which the pressure is looked at while a vent is confirmed [Hz]."""
@@ -43,9 +43,11 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         vent = guard.safe_state(measure)
     finally:
         guard.close()
-    latched = station.latched()
+    unclean = station.read("state").get("what") == "armed"
+    latched = bool(station.latched()) or not vent.confirmed
+    why = UNCLEAN if unclean else why
     if not vent.confirmed:
         why = f"{why}; safe state {vent.result}"
     with suppress(OSError):
-        station.note("tripped" if latched or not vent.confirmed else "safe", why=latched or why, vent=vars(vent))
+        station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
     return vent

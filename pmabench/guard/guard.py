@@ -118,9 +118,12 @@ class Guard:
                 raise
 
     def close(self) -> None:
-        """Let go of every device; harmless when repeated."""
+        """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
+        safe = self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed
         for name, device in self.devices.items():
             try:
+                if safe and isinstance(device, Watchdog):
+                    self._owners[name].call(device.disarm_watchdog)
                 self._owners[name].call(device.close)
             except DeviceError:
                 continue

@@ -136,7 +136,7 @@ class Service:
         """Open the devices; a latched bench is made safe again and refused."""
         self.guard.open()
         if latched := self.station.latched():
-            self._end("trip", f"the bench was tripped before: {latched}")
+            self._end("trip", latched)
             raise LimitRefused(
                 f"the bench is tripped: {latched}. Look at it, then: "
                 f'pmabench vent "{self.guard.bench.name}" --reset --operator NAME --because TEXT'

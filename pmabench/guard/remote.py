@@ -118,7 +118,7 @@ class RemoteGuard:
         self._state = answer["state"]
         if answer["vent"] is not None:
             self._vent = Vent(answer["vent"]["result"], tuple(answer["vent"]["actions"]))
-        if not self._safe and answer["ended"]:
+        if not self._safe and answer["ended"] and do != "open":
             raise _ended(answer["ended"])
         if "error" in answer:
             raise _raised(answer["error"])

@@ -79,9 +79,14 @@ class Station:
         (self.folder / f"{file}.json").unlink(missing_ok=True)
 
     def note(self, what: str, **data: Any) -> None:
-        """Add a line to the bench's journal, and make it the state of the bench."""
-        line = {"what": what, "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), **data}
-        self.write("state", line)
+        """Add a line to the bench's journal, and make it the state of the bench; a latch keeps its first reason."""
+        now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        before = self.read("state")
+        line = {"what": what, "at": now, **data}
+        first = (
+            {"why": before.get("why"), "since": before.get("since")} if before.get("what") == what else {"since": now}
+        )
+        self.write("state", {**line, **first} if what == "tripped" else line)
         with (self.folder / "journal.jsonl").open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
 
@@ -90,4 +95,4 @@ class Station:
         state = self.read("state")
         if state.get("what") not in {"armed", "tripped"}:
             return ""
-        return str(state.get("why") or UNCLEAN) + f" ({state.get('at')})"
+        return f"{state.get('why') or UNCLEAN}, {state.get('since') or state.get('at')}"
