@@ -102,7 +102,8 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
             say("interrupted")
             code = 130
         if ui.lost is not None:
-            code = code or output_lost(ui.lost)
+            lost = output_lost(ui.lost)
+            code = code or lost
         sys.exit(code or 0)
 
     return command
