@@ -22,6 +22,7 @@ COMMANDS = {
     "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
     "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
     "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
+    "emulate": ("emulate", "Serve a bench's Modbus and serial devices with a simulated muscle behind them."),
     "campaign": ("campaign", "Run several protocols on one specimen, in order."),
     "vent": ("vent", "The safe state now, whatever the owner of the bench does; --reset clears a latch."),
     "import": ("import_", "Make runs of files that other programs recorded, by a column map."),

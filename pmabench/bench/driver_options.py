@@ -1,0 +1,68 @@
+"""What a driver says about the options that a bench file gives it, before anything is opened.
+
+A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for all that is wrong. A place
+starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks` by
+name). It must touch no device and import nothing heavy.
+
+The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+from pmabench.base.errors import InvalidFile
+from pmabench.bench.calibration import document_text
+from pmabench.bench.compilation import Compilation
+from pmabench.bench.interface import DeviceRecord
+from pmabench.files.document import Document, Location, read_document
+
+MAP = "map"
+
+
+def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
+    """The device with its map file read; what its driver finds wrong becomes a problem at its place."""
+    at: Location = ("devices", device.name)
+    map_document: Document | None = None
+    if isinstance(device.options.get(MAP), str):
+        map_document = _read_map(c, device.options[MAP], (*at, "options", MAP))
+        if map_document is None:
+            return device
+        device = replace(device, options={**device.options, MAP: map_document.data})
+    module, _, name = device.driver.partition(":")
+    try:
+        driver = getattr(import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}')
+        return device
+    check = getattr(driver, "check", None)
+    if check is None:
+        return device
+    for place, message in check(device):
+        if map_document is not None and place[:2] == ("options", MAP):
+            c.problems.append(map_document.problem(place[2:], message))
+        elif place and place[0] in {"channels", "outputs"}:
+            c.fault(place, message)
+        elif place and place[0] == "interlocks":
+            index = next(i for i, file in enumerate(c.bench.interlocks) if file.name == place[1])
+            c.fault(("interlocks", index, "input", "input"), message)
+        else:
+            c.fault((*at, *place), message)
+    return device
+
+
+def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
+    """The map file, kept for the run's snapshot; None where it is a problem."""
+    path = Path(name)
+    if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
+        c.fault(at, f'a .yaml file beside this one is expected, for instance "registers/regulator.yaml", not "{name}"')
+        return None
+    try:
+        document = read_document(Path(c.bench_document.place(at)[0]).parent / path)
+    except InvalidFile as error:
+        c.problems.extend(problem for problem in error.problems if problem not in c.problems)
+        return None
+    c.texts[name] = document_text(document)
+    return document
