@@ -39,7 +39,7 @@ def test_a_full_disk_behind_stdout_is_a_sentence_and_exit_7(args):
 
 @pytest.mark.skipif(not FULL.exists(), reason="not run: there is no /dev/full")
 def test_the_exit_code_of_the_work_outlasts_that_of_the_output():
-    with FULL.open("wb") as full, start("runs", "verify", str(Path(__file__).parent), stdout=full) as program:
+    with FULL.open("wb") as full, start("check", "absent", *CHECK[2:], "--json", stdout=full) as program:
         error = program.communicate()[1]
     assert error.startswith(b"the output could not be written")
     assert program.returncode == 3
