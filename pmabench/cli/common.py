@@ -94,10 +94,9 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
             _explain(ui, error)
             code = error.exit_code
         except OSError as error:
-            ui.lost = error if error.filename is None else ui.lost
-            if error.filename is not None:
-                say(f"{_shown(error.filename)}: cannot be read or written: {error.strerror or error}")
-            code = NOT_WRITTEN if error.filename is not None else None
+            where = "a file, a device or another program" if error.filename is None else _shown(error.filename)
+            say(f"{where}: cannot be read or written: {error.strerror or error}")
+            code = NOT_WRITTEN
         except KeyboardInterrupt:
             say("interrupted")
             code = 130

@@ -1,11 +1,16 @@
 """What commands do with their output: closed pipes, full disks, closed streams, quiet; as programs of their own."""
 
+import errno
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
+
+from pmabench.cli import prepare
+from pmabench.cli.main import main
 
 CHECK = ["check", "static-load", "--bench", "mock", "--specimen", "mas-20-250-paper0"]
 FULL = Path("/dev/full")
@@ -43,6 +48,16 @@ def test_the_exit_code_of_the_work_outlasts_that_of_the_output():
         error = program.communicate()[1]
     assert error.startswith(b"the output could not be written")
     assert program.returncode == 3
+
+
+def test_a_pipe_that_breaks_inside_the_work_is_never_taken_for_the_output(monkeypatch):
+    def breaks(*_args, **_kwargs):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr(prepare, "prepare", breaks)
+    result = CliRunner().invoke(main, CHECK)
+    assert result.exit_code == 7
+    assert "Broken pipe" in result.stderr
 
 
 @pytest.mark.parametrize("number", [1, 2])
