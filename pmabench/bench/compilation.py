@@ -9,31 +9,39 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.bench.calibration import document_text
-from pmabench.bench.files import BenchFile, SpecimenFile
-from pmabench.files.document import Document, Location, validate
+from pmabench.bench.files import BenchFile, SpecimenFile, any_specimen
+from pmabench.files.document import Document, Location, Strict, validate
 from pmabench.files.quantity import unit_factor
 
 
 class Compilation:
     """What the parts of the compiler share. Raises `InvalidFile` where a file does not satisfy its model."""
 
-    def __init__(self, bench: Document, specimen: Document, today: datetime.date) -> None:
+    def __init__(self, bench: Document, specimen: Document | None, today: datetime.date) -> None:
         self.bench_document, self.specimen_document, self.today = bench, specimen, today
         self.problems: list[Problem] = []
-        self.texts = {"bench.yaml": document_text(bench), "specimen.yaml": document_text(specimen)}
+        self.texts = {"bench.yaml": document_text(bench)}
         """Name in a run's snapshot -> text; calibrations are added."""
         self.calibrated: dict[str, tuple[float, float]] = {}
         """Channel -> lowest and highest value [SI] that its calibration covers."""
-        files: list[Any] = []
+        files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
+        if specimen is not None:
+            self.texts["specimen.yaml"] = document_text(specimen)
         for model, document in ((BenchFile, bench), (SpecimenFile, specimen)):
             try:
-                files.append(validate(model, document))
+                if document is not None:
+                    files[model] = validate(model, document)
             except InvalidFile as error:
                 self.problems.extend(error.problems)
         if self.problems:
             raise InvalidFile(self.problems)
-        self.bench: BenchFile = files[0]
-        self.specimen: SpecimenFile = files[1]
+        self.bench: BenchFile = files[BenchFile]
+        self.specimen: SpecimenFile = files[SpecimenFile]
+
+    @property
+    def length(self) -> float | None:
+        """Mounted length of the specimen [m]; None where the bench is looked at alone."""
+        return self.specimen.mounted.length if self.specimen_document is not None else None
 
     def fault(self, location: Location, message: str, *, key: bool = False) -> None:
         """A problem at a value of the bench file, or at its key."""
@@ -64,4 +72,4 @@ class Compilation:
 
     def specimen_place(self, *location: str | int) -> str:
         """`path:line:column` of a value of the specimen file."""
-        return self.specimen_document.where(location)
+        return self.specimen_document.where(location) if self.specimen_document is not None else ""

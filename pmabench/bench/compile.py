@@ -14,6 +14,7 @@ from pathlib import Path
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import channels
 from pmabench.bench.compilation import Compilation
+from pmabench.bench.driver_options import checked
 from pmabench.bench.files import BenchFile, SpecimenFile
 from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
 from pmabench.bench.lacks import lacks
@@ -41,17 +42,26 @@ def mount(bench_path: Path, specimen_path: Path, today: datetime.date | None = N
 
     Calibrations that ended before `today` are named in `lacks`.
     """
+    return _compile(_compilation([bench_path, specimen_path], today), bench_path)
+
+
+def mount_alone(bench_path: Path, today: datetime.date | None = None) -> Mounted:
+    """Compile a bench without a specimen, to look at it: what a specimen limits is left out, and it cannot be run."""
+    return _compile(_compilation([bench_path], today), bench_path)
+
+
+def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
     problems: list[Problem] = []
     documents: list[Document] = []
-    for path in (bench_path, specimen_path):
+    for path in paths:
         try:
             documents.append(read_document(path))
         except InvalidFile as error:
             problems.extend(error.problems)
     if problems:
         raise InvalidFile(problems)
-    today = today or datetime.datetime.now(datetime.UTC).date()
-    return _compile(Compilation(documents[0], documents[1], today), bench_path)
+    today = today or datetime.date.today()
+    return Compilation(documents[0], documents[1] if len(documents) > 1 else None, today)
 
 
 def _compile(c: Compilation, path: Path) -> Mounted:
@@ -79,7 +89,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         carriage=weights.carriage if weights else 0.0,
         hanging=weights is None or weights.act_as == "mass",
         slack_below=c.bench.slack_below,
-        length=c.specimen.mounted.length,
+        length=c.length or 0.0,
         setup_pressure=most,
         stop_rate=stop_rate(c),
         proof=proof_test,
@@ -102,7 +112,7 @@ def _devices(
         except ValueError as error:
             c.fault(("devices", name, "driver"), str(error))
             continue
-        yield DeviceRecord(
+        record = DeviceRecord(
             name,
             driver,
             file.address,
@@ -113,6 +123,7 @@ def _devices(
             tuple(locked[name]),
             file.watchdog or 0.0,
         )
+        yield checked(c, record)
 
 
 def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:

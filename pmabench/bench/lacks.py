@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import isfinite
 
 from pmabench.base.quantities import show
 from pmabench.bench.compilation import Compilation
@@ -26,10 +27,10 @@ def lacks(c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mappin
 def _air(c: Compilation, outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
     air, never = c.bench.air, c.specimen.limits.pressure.never_above
     if air.relief_valve == "none":
-        above = f" of {show(air.supply, 'pressure')}" if air.supply > never else ""
+        most = show(never, "pressure") if isfinite(never) else "what the muscle bears"
         yield (
-            f"no relief valve: software is the only thing between the supply{above} and the muscle; "
-            f"remedy: one that opens below {show(never, 'pressure')}"
+            f"no relief valve: software is the only thing between the supply of {show(air.supply, 'pressure')} and the "
+            f"muscle; remedy: one that opens below {most}"
         )
     elif air.relief_valve >= never:
         place = c.specimen_place("limits", "pressure", "never_above")

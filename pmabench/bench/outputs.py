@@ -89,9 +89,8 @@ def _limits(c: Compilation, name: str, quantity: str, ends: list[float]) -> tupl
     if name == "pressure":
         place = c.specimen_place("limits", "pressure", "command")
         highs.append((c.specimen.limits.pressure.command, place))
-    else:
-        place = c.specimen_place("limits", "contraction")
-        highs.append((c.specimen.limits.contraction * c.specimen.mounted.length, place))
+    elif c.length is not None:
+        highs.append((c.specimen.limits.contraction * c.length, c.specimen_place("limits", "contraction")))
     if c.bench.actuator is not None and name == "displacement":
         stroke = c.bench.actuator.stroke
         lows.append((stroke[0], c.place("actuator", "stroke", 0)))

@@ -69,8 +69,8 @@ def _range(
     before = len(c.problems)
     high, low = _bound(c, name, limit.trip, "trip"), _bound(c, name, limit.trip_low, "trip_low")
     source = c.place(*at, "trip" if limit.trip is not None else "trip_low")
-    if name == "contraction" and limit.action in ENDS:
-        most = c.specimen.limits.contraction * c.specimen.mounted.length
+    if name == "contraction" and limit.action in ENDS and c.length is not None:
+        most = c.specimen.limits.contraction * c.length
         if high is None or most < high:
             high, source = most, c.specimen_place("limits", "contraction")
     if len(c.problems) > before or (high is None and low is None):
@@ -97,7 +97,8 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
         return None
     at: Location = ("limits", name, key)
     if name == "contraction":
-        return c.si(reading, "ratio", at) * c.specimen.mounted.length
+        ratio = c.si(reading, "ratio", at)
+        return ratio * c.length if c.length is not None else None
     return c.si(reading, CHANNEL_QUANTITY[LIMIT_CHANNEL[name]], at)
 
 
@@ -144,8 +145,8 @@ def _protects_the_muscle(c: Compilation, limit: LimitFile, high: float) -> None:
 
 def _of_the_specimen(c: Compilation, channels: Mapping[str, ChannelRecord], *, watched: bool) -> Iterator[TripRecord]:
     """The specimen's contraction limit, where no limit of the bench that stops or vents is as strict."""
-    if "displacement" in channels and not watched:
-        most = c.specimen.limits.contraction * c.specimen.mounted.length
+    if "displacement" in channels and not watched and c.length is not None:
+        most = c.specimen.limits.contraction * c.length
         yield TripRecord("displacement", None, most, 0.0, "vent", c.specimen_place("limits", "contraction"))
     if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"}:
         c.fault(("channels",), "nothing measures the displacement, which the specimen's contraction limit needs")

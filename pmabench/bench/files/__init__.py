@@ -8,7 +8,7 @@ from pmabench.bench.files.bench import BenchFile, OutputFile, ValveFile
 from pmabench.bench.files.calibration import CalibrationFile
 from pmabench.bench.files.parts import Reading
 from pmabench.bench.files.safety import LimitFile, SafeActionFile, WatchFile
-from pmabench.bench.files.specimen import ExpectedFile, SpecimenFile
+from pmabench.bench.files.specimen import ExpectedFile, SpecimenFile, any_specimen
 
 __all__ = [
     "BenchFile",
@@ -21,4 +21,5 @@ __all__ = [
     "SpecimenFile",
     "ValveFile",
     "WatchFile",
+    "any_specimen",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -72,3 +73,21 @@ class SpecimenFile(Strict):
     mounted: MountedFile
     limits: SpecimenLimits
     expected: ExpectedFile | None = None
+
+
+def any_specimen() -> SpecimenFile:
+    """A specimen that limits nothing, for looking at a bench alone; nothing is ever run with it."""
+    limits = SpecimenLimits.model_construct(
+        pressure=SpecimenPressure.model_construct(command=inf, never_above=inf), contraction=inf, source=""
+    )
+    mounted = MountedFile.model_construct(date=None, length=inf, at="")
+    return SpecimenFile.model_construct(
+        schema_="pmabench.specimen/1",
+        make="",
+        type="",
+        serial="",
+        nominal_length=inf,
+        inner_diameter=inf,
+        mounted=mounted,
+        limits=limits,
+    )

@@ -1,0 +1,218 @@
+"""The card of a bench: what hangs at the rig, as plain texts and rows; `pmabench.report.bench_card` draws it."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pmabench.base.quantities import show
+from pmabench.bench.compile import Mounted
+from pmabench.bench.files import Reading
+from pmabench.bench.interface import ChannelRecord, SafeAction, TripRecord
+from pmabench.bench.story import failure_story, noticed, seconds
+
+Rows = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Card:
+    """Everything on the card, in the words and units of people."""
+
+    name: str
+    file: str
+    date: str
+    hashes: Rows
+    """File, SHA-256."""
+    simulated: bool
+    facts: Rows
+    """What, value."""
+    emergency: str
+    """The command that vents from any terminal."""
+    limits: Rows
+    """Quantity, what may be commanded, who says so, what may be measured, action with delay, who says so."""
+    vent: Rows
+    """Action of the safe state, deadline."""
+    proof: str
+    stop: str
+    failures: Rows
+    """What fails, what happens."""
+    watch: Rows
+    """Channel, what is noticed, action."""
+    interlocks: Rows
+    """Name, device and input, safe level."""
+    channels: Rows
+    """Channel, device and input, range, calibration, its date, valid until, uncertainty."""
+    outputs: Rows
+    """Output, device and output, what it does, watchdog."""
+    lacks: list[str]
+
+
+def make_card(mounted: Mounted, date: str) -> Card:
+    """The card of a mounted bench, made on `date` (ISO)."""
+    bench, file = mounted.bench, mounted.bench_file
+    hashes = [[name, hashlib.sha256(text.encode()).hexdigest()] for name, text in sorted(mounted.documents.items())]
+    if bench.proof is not None:
+        proof = (
+            f"Before each use: filled to {show(bench.proof.pressure, 'pressure')}, vented, below "
+            f"{show(bench.proof.below, 'pressure')} within {seconds(bench.proof.within)}. Until then at most "
+            f"{show(bench.setup_pressure, 'pressure')}."
+        )
+    else:
+        proof = "The vent path is not proven before use."
+    stop = f"A controlled stop first takes the pressure down at {show(bench.stop_rate, 'pressure rate')}."
+    return Card(
+        name=bench.name,
+        file=Path(bench.path).name,
+        date=date,
+        hashes=hashes,
+        simulated=not bench.realtime,
+        facts=list(_facts(mounted)),
+        emergency=f"pmabench vent {shlex.quote(bench.name)}",
+        limits=list(_limits(mounted)),
+        vent=[list(_action(action, mounted)) for action in bench.safe_state],
+        proof=proof,
+        stop=stop if bench.stop_rate else "",
+        failures=[list(pair) for pair in failure_story(mounted)],
+        watch=list(_watch(mounted)),
+        interlocks=[
+            [record.name, f"{record.device} · {record.input}", f"safe: {record.safe}"]
+            for device in bench.devices
+            for record in device.interlocks
+        ],
+        channels=[_channel(channel, file.channels[channel.name].at) for channel in bench.channels],
+        outputs=list(_outputs(mounted)),
+        lacks=list(mounted.lacks),
+    )
+
+
+def _facts(mounted: Mounted) -> Iterator[list[str]]:
+    specimen, file = mounted.specimen_file, mounted.bench_file
+    if specimen.make:
+        mounted_as = show(specimen.mounted.length, "length")
+        yield ["Specimen", f"{specimen.make} {specimen.type}, {specimen.serial}, mounted length {mounted_as}"]
+        never = show(specimen.limits.pressure.never_above, "pressure")
+        yield ["Never above", f"{never} ({specimen.limits.source})"]
+    else:
+        yield ["Specimen", "any: its own limits come on top of these"]
+    free_end = {
+        "weights": "weights",
+        "actuator": "driven by an actuator",
+        "fixed": "fixed",
+        "free": "free",
+    }[file.free_end]
+    if file.weights is not None and file.weights.catch_height is not None:
+        free_end += f", catch height {show(file.weights.catch_height, 'length')}"
+    yield ["Free end", free_end]
+    relief = file.air.relief_valve
+    air = f"supply {show(file.air.supply, 'pressure')}"
+    air += ", NO relief valve" if relief == "none" else f", relief valve at {show(relief, 'pressure')}"
+    yield ["Air", air + (", dump valve normally open" if file.normally_open_dump else ", NO normally-open dump valve")]
+    hands = f"only below {show(file.hands.below, 'pressure')}, measured"
+    if file.hands.at_pressure:
+        hands += f"; HAZARD: protocols may ask for hands at up to {show(file.hands.at_pressure, 'pressure')}"
+    yield ["Hands", hands]
+    if file.reviewed is not None:
+        yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
+
+
+def _place(source: str) -> str:
+    """`path:line:column` with the path's last part only."""
+    return Path(source).name
+
+
+def _limits(mounted: Mounted) -> Iterator[list[str]]:
+    """One row for each quantity that is commanded or watched."""
+    bench = mounted.bench
+    trips = [trip for trip in bench.trips if trip.kind == "range"]
+    commanded = {output.name: output for output in bench.outputs}
+    for name in [*commanded, *dict.fromkeys(t.channel for t in trips if t.channel not in commanded)]:
+        own = [trip for trip in trips if trip.channel == name]
+        output = commanded.get(name)
+        command, by = "", ""
+        if output is not None:
+            command = f"{show(output.low, output.quantity)} to {show(output.high, output.quantity)}"
+            by = _place(output.high_from)
+        for number, trip in enumerate(own or [None]):
+            first = number == 0
+            told = ["", "", ""] if trip is None else _trip(trip, mounted)
+            yield [name if first else "", command if first else "", by if first else "", *told]
+    for key, limit in mounted.bench_file.limits.items():
+        if key == "contraction" and limit.trip is not None and not mounted.specimen_file.make:
+            after = f" after {seconds(limit.delay)}" if limit.delay else ""
+            source = Path(mounted.bench.path).name
+            yield ["contraction", "", "", f"above {_reading(limit.trip)}", limit.action + after, source]
+
+
+def _reading(reading: Reading) -> str:
+    return f"{reading[0]:g} {reading[1]}"
+
+
+def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
+    quantity = next(channel.quantity for channel in mounted.bench.channels if channel.name == trip.channel)
+    bounds = [f"below {show(trip.low, quantity)}"] if trip.low is not None else []
+    bounds += [f"above {show(trip.high, quantity)}"] if trip.high is not None else []
+    after = f" after {seconds(trip.delay)}" if trip.delay else ""
+    return [", ".join(bounds), trip.action + after, _place(trip.source)]
+
+
+def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
+    quantities = {output.name: output.quantity for output in mounted.bench.outputs}
+    quantities |= {channel.name: channel.quantity for channel in mounted.bench.channels}
+    quantity = quantities.get(action.target, "pressure")
+    rate = {"pressure": "pressure rate", "length": "speed"}.get(quantity, "pressure rate")
+    target = action.target.replace("_", " ")
+    text = {
+        "set": f"{target} to {show(action.value, quantity)}",
+        "ramp": f"{target} down to {show(action.value, quantity)} at {show(action.rate, rate)}",
+        "stop": f"drive of {target} stops where it is",
+        "hold": "wait",
+        "open": f"{target} opens",
+        "close": f"{target} closes",
+        "confirm": f"look: {target} is below {show(action.value, quantity)}",
+    }[action.do]
+    return text, seconds(action.within)
+
+
+def _watch(mounted: Mounted) -> Iterator[list[str]]:
+    quantities = {channel.name: channel.quantity for channel in mounted.bench.channels}
+    for trip in mounted.bench.trips:
+        if trip.kind != "range":
+            yield [trip.channel, noticed(trip, quantities[trip.channel]), trip.action]
+
+
+def _channel(channel: ChannelRecord, at: str) -> list[str]:
+    record = channel.calibration
+    low, high = show(channel.low, channel.quantity), show(channel.high, channel.quantity)
+    uncertainty = ""
+    if record.id:
+        uncertainty = f"± {show(record.offset_uncertainty, channel.quantity)}"
+        uncertainty += f" ± {100 * record.gain_uncertainty:g} %" if record.gain_uncertainty else ""
+    return [
+        channel.name.replace("_", " ") + (f" ({at})" if at else ""),
+        f"{channel.device} · {channel.input}",
+        f"{channel.raw_unit}, {low} to {high}",
+        record.id or "none",
+        record.date,
+        record.valid_until or ("no end" if record.id else ""),
+        uncertainty,
+    ]
+
+
+def _outputs(mounted: Mounted) -> Iterator[list[str]]:
+    for device in mounted.bench.devices:
+        watchdog = seconds(device.watchdog) if device.watchdog else "none"
+        for output in device.outputs:
+            unit = mounted.bench_file.set_points[output.name].scale[0][0][1]
+            span = abs(output.scale.to_raw(output.high) - output.scale.to_raw(output.low))
+            ends = [float(output.scale.to_raw(value)) for value in (output.low, output.high)]
+            ends = [0.0 if abs(end) < 1e-9 * span else end for end in ends]
+            raw = f"{ends[0]:.6g} to {ends[1]:.6g} {unit}"
+            limits = f"{show(output.low, output.quantity)} to {show(output.high, output.quantity)}"
+            yield [output.name, f"{device.name} · {output.output}", f"{limits} = {raw}", watchdog]
+        for valve in device.valves:
+            without = "open" if valve.energised == "closed" else "closed"
+            told = f"{valve.energised} while energised, {without} without power"
+            yield [valve.name.replace("_", " "), f"{device.name} · {valve.output}", told, watchdog]

@@ -1,0 +1,37 @@
+"""`pmabench bench card`: one page about a bench, to hang at the rig; nothing touches a device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmabench.cli.common import Ui, common
+
+
+@click.group(name="bench")
+def command() -> None:
+    """What a bench file says, for people at the rig."""
+
+
+@command.command(name="card")
+@click.argument("bench")
+@click.option("--specimen", help="Specimen file, or the name of a shipped one: its limits are counted in.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
+@common
+def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> int | None:
+    """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
+    import datetime
+    from dataclasses import asdict
+
+    from pmabench.bench.card import make_card
+    from pmabench.bench.compile import mount, mount_alone
+    from pmabench.files.shipped import find_file
+    from pmabench.report.bench_card import write_card
+
+    path = find_file("bench", bench)
+    mounted = mount(path, find_file("specimen", specimen)) if specimen is not None else mount_alone(path)
+    made = make_card(mounted, datetime.date.today().isoformat())
+    write_card(asdict(made), output)
+    ui.result({"schema": "pmabench.bench-card/1", "path": str(output)}, lambda: click.echo(str(output)))
+    return None

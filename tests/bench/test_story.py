@@ -1,0 +1,81 @@
+"""What happens when something fails follows from valves, watchdogs and watch list, and never promises what is not there."""
+
+import pytest
+
+from pmabench.bench.compile import mount, mount_alone
+from pmabench.bench.story import failure_story
+from tests.bench.benches import BENCHES, SPECIMEN, rig
+
+NO_DUMP = "outputs: {dump_valve: {energised: open}}\n"
+NO_WATCHDOG = "devices: {daq: {watchdog: null}}\n"
+DUMP_ELSEWHERE = "  io: {driver: mock, watchdog: 2 s}\noutputs: {dump_valve: {device: io}}\n"
+
+
+def story(tmp_path, changes=""):
+    return dict(failure_story(mount(rig(tmp_path, changes), SPECIMEN)))
+
+
+def test_a_bench_that_lacks_nothing_vents_whatever_fails(tmp_path):
+    told = story(tmp_path)
+    assert told["The computer"] == "daq hears nothing and vents by itself after 1 s and opens the dump valve."
+    assert told["Electric power"].startswith("The dump valve opens and the muscle vents")
+    assert "Supply below 650 kPa for 1 s: hold." in told["Compressed air"]
+    assert "daq itself vents after 1 s." in told["Network or cable"]
+    assert "tripped" in told["An interlock"]
+    assert not [text for text in told.values() if any(word.isupper() and len(word) > 3 for word in text.split())]
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "says"),
+    [
+        (NO_WATCHDOG, "The computer", "NOTHING VENTS: daq has no watchdog"),
+        (NO_WATCHDOG, "Network or cable", "daq keeps its last value: NO WATCHDOG"),
+        (NO_DUMP, "Electric power", "THE REGULATOR MAY HOLD THE PRESSURE"),
+        (NO_DUMP.replace("{dump", "{pressure: {without_power: vents}, dump"), "Electric power", "The regulator vents"),
+        (NO_DUMP + "air: {dump_valve: normally open}\n", "Electric power", "The dump valve opens"),
+        (
+            "devices:\n  daq: {watchdog: null}\n" + DUMP_ELSEWHERE,
+            "The computer",
+            "io hears nothing and opens the dump valve after 2 s",
+        ),
+        (
+            "devices:\n  daq: {watchdog: null}\n" + DUMP_ELSEWHERE,
+            "The computer",
+            "The regulator keeps its last set-point.",
+        ),
+        ("devices:\n" + DUMP_ELSEWHERE, "The computer", "after 1 s; io opens the dump valve after 2 s."),
+        ("weights: {catch_height: null}\n", "Electric power", "NOTHING stops it"),
+        ("interlocks: []\n", "An interlock", "DOES NOT SEE IT"),
+        ("watch: []\nlimits: {pressure: {trip_low: null}}\n", "Pressure sensor", "A DEAD SENSOR IS NOT NOTICED"),
+    ],
+)
+def test_what_is_missing_is_said_loudly(tmp_path, changes, what, says):
+    assert says in story(tmp_path, changes)[what]
+
+
+def test_air_that_fails_unseen_is_said(tmp_path):
+    supply = "  supply: {device: daq, input: supply, range: [0 kPa, 1000 kPa], unit: Pa}\n"
+    following = "  - {following: pressure, more_than: 60 kPa, for: 2 s, action: hold}\n"
+    path = rig(tmp_path, old=supply, new="")
+    assert (
+        "ore than 60 kPa from the command for 2 s: hold."
+        in dict(failure_story(mount(path, SPECIMEN)))["Compressed air"]
+    )
+    path.write_text(path.read_text().replace(following, ""))
+    assert "NOBODY IS TOLD" in dict(failure_story(mount(path, SPECIMEN)))["Compressed air"]
+
+
+def test_a_drive_without_a_watchdog_goes_on(tmp_path):
+    driven = (
+        "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
+        "devices:\n  drive: {driver: mock}\n"
+        "outputs:\n  displacement: {device: drive, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
+        "limits:\n  displacement: {command: 50 mm}\n"
+        "safe_state:\n  - {drive_quick_stop: displacement, within: 200 ms}\n  - {open: dump_valve, within: 1 s}\n"
+        "  - {set: pressure, to: 0 kPa, within: 1 s}\n  - {confirm: pressure, below: 20 kPa, within: 5 s}\n"
+    )
+    assert "THE DRIVE GOES ON" in story(tmp_path, driven)["The computer"]
+
+
+def test_a_bench_in_virtual_time_pressurises_nothing():
+    assert failure_story(mount_alone(BENCHES / "mock.yaml"))[0][0] == "Anything"
