@@ -103,7 +103,9 @@ def _read(folder: Path) -> Row:
     if seal is None:
         events = folder / files.EVENTS
         told = summary(manifest, decode(events.read_bytes() if events.is_file() else b""), [])
-        size = sum(path.stat().st_size for _name, path in files_of(folder) if path.exists())
+        size = 0
+        with suppress(OSError):
+            size = sum(path.stat().st_size for _name, path in files_of(folder) if path.exists())
     else:
         told = seal
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())

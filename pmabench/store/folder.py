@@ -149,9 +149,13 @@ def _boot() -> str:
 
 
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file (and link) below the run folder with its name inside the run, sorted."""
+    """Every file (and link) below the run folder with its name inside the run, sorted. Raises OSError."""
+
+    def fail(error: OSError) -> None:
+        raise error
+
     found = []
-    for base, folders, names in os.walk(folder):
+    for base, folders, names in os.walk(folder, onerror=fail):
         linked = [name for name in folders if (Path(base) / name).is_symlink()]
         found += [Path(base) / name for name in [*names, *linked]]
     for path in sorted(found):

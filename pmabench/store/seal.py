@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import RecordError
+from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.archive import archive, span_of
 from pmabench.store.folder import cannot_write, plain, read_manifest, read_seal, sealed_json, sealed_part, sha256_of
@@ -96,6 +96,6 @@ def close_interrupted(folder: Path) -> Path:
         raise RecordError(f"{folder} is still being written by process {manifest['writer']['pid']}")
     try:
         seal(folder, "interrupted", "the program that wrote it ended without closing it", {})
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, InvalidFile) as error:
         raise cannot_write(folder, error) from error
     return folder

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.base.errors import InvalidFile
+from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
 from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
@@ -41,7 +41,13 @@ def verify(path: Path | str) -> list[Finding]:
 
     Gaps that the record itself flags are no finding. Raises InvalidFile for what is not a run folder.
     """
-    folder = Path(path)
+    try:
+        return _verify(Path(path))
+    except OSError as error:
+        raise invalid(error.filename or path, f"cannot be read: {error.strerror or error}") from error
+
+
+def _verify(folder: Path) -> list[Finding]:
     if not (folder / files.SEAL).exists() or not (folder / files.MANIFEST).exists():
         read_manifest(folder)
     found: list[Finding] = []
@@ -108,7 +114,7 @@ def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
         found.append(Finding(files.EVENTS, journal.fault or "has lost the fault that it was sealed with"))
     if len(journal.lines) != seal.get("events"):
         found.append(Finding(files.EVENTS, f"has {len(journal.lines)} whole lines; {seal.get('events')} were sealed"))
-    if seal.get("status") != "interrupted" and (not journal.lines or journal.lines[-1]["kind"] != "end"):
+    if seal.get("status") not in ("interrupted", "error") and (not journal.lines or journal.lines[-1]["kind"] != "end"):
         found.append(Finding(files.EVENTS, "has no end mark"))
     return found
 
@@ -116,7 +122,7 @@ def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
 def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     found = []
     sealed = {} if seal is None else seal.get("streams", {})
-    for name, path in files_of(folder / files.STREAMS):
+    for name, path in files_of(folder / files.STREAMS) if (folder / files.STREAMS).is_dir() else ():
         known = next((stream for stream in sealed.values() if stream.get("file") == name), None)
         try:
             if path.suffix == ".parquet":

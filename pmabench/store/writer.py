@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import RecordError
+from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.folder import AppendFile, cannot_write, plain, sealed_json, sync_folder, write_whole
 from pmabench.store.journal import encode
@@ -233,16 +233,16 @@ class RunWriter:
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
         self._event("end", last, {"status": status, "why": why, **plain(end)})
         self._closed = True
-        failure = failure or (self._failure if self._lines else None)
         try:
             try:
+                self._events.write(b"".join(self._lines))  # what could not be written before, once more
                 self._events.sync()
             except OSError as error:
                 failure = failure or cannot_write(self._events.path, error)
                 status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
             self._events.close()
             seal(self.folder, status, why, end)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, InvalidFile) as error:
             raise failure or cannot_write(self.folder, error) from error
         if failure is not None:
             raise failure

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import os
 import re
 import resource
 import stat
@@ -288,6 +289,26 @@ def test_a_failed_sync_that_nobody_was_told_of_fails_the_end(tmp_path, monkeypat
 def test_events_that_cannot_be_synced_at_the_end_fail_the_run(tmp_path, monkeypatch):
     writer = begin(tmp_path)
     monkeypatch.setattr(writer._events, "sync", lambda: fail(None))
+    with pytest.raises(RecordError, match=r"events\.jsonl: Input/output error"):
+        writer.close("finished")
+    assert (open_run(writer.folder).status, verify(writer.folder)) == ("error", [])
+
+
+def test_a_folder_that_cannot_be_listed_is_not_sealed_with_files_left_out(tmp_path, monkeypatch):
+    writer = begin(tmp_path)
+    record(writer)
+    real = os.scandir
+    with monkeypatch.context() as patch:
+        patch.setattr("os.scandir", lambda place: fail(None) if str(place) == str(writer.folder) else real(place))
+        with pytest.raises(RecordError, match="Input/output error"):
+            writer.close("finished")
+    assert not (writer.folder / "seal.json").exists()
+
+
+def test_an_end_mark_that_cannot_be_written_fails_the_run(tmp_path, monkeypatch):
+    writer = begin(tmp_path)
+    record(writer)
+    monkeypatch.setattr(writer._events, "write", lambda _piece: fail(None))
     with pytest.raises(RecordError, match=r"events\.jsonl: Input/output error"):
         writer.close("finished")
     assert (open_run(writer.folder).status, verify(writer.folder)) == ("error", [])
