@@ -10,6 +10,7 @@ import datetime
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import channels
@@ -21,6 +22,7 @@ from pmabench.bench.lacks import lacks
 from pmabench.bench.outputs import outputs, valves
 from pmabench.bench.registry import driver_class
 from pmabench.bench.safe_state import interlocks, proof, safe_state, setup_pressure, stop_rate
+from pmabench.bench.session import Session, lacks_session, session
 from pmabench.bench.trips import trips
 from pmabench.files.document import Document, read_document
 
@@ -35,6 +37,10 @@ class Mounted:
     documents: dict[str, str]
     """Name in the snapshot -> text."""
     lacks: tuple[str, ...]
+    session: Session | None = None
+    """What the bench file asks for before the first run."""
+    in_session: Mapping[str, Any] | None = None
+    """The session whose zeros the bench carries, as manifests name it."""
 
 
 def mount(bench_path: Path, specimen_path: Path, today: datetime.date | None = None) -> Mounted:
@@ -68,9 +74,9 @@ def _compile(c: Compilation, path: Path) -> Mounted:
     measured, commanded, switched = channels(c), outputs(c), valves(c)
     trip_records = tuple(trips(c, measured, commanded))
     actions = safe_state(c, measured, commanded, switched)
-    missing = tuple(lacks(c, measured, commanded))
+    missing = (*lacks(c, measured, commanded), *lacks_session(c))
     most = setup_pressure(c, commanded)
-    proof_test = proof(c, most)
+    proof_test, before = proof(c, most), session(c, measured, commanded, most)
     devices = tuple(_devices(c, measured, commanded, switched, actions))
     if c.problems:
         raise InvalidFile(c.problems)
@@ -88,6 +94,8 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         gravity=weights.g if weights else 9.81,
         carriage=weights.carriage if weights else 0.0,
         hanging=weights is None or weights.act_as == "mass",
+        load_tolerance=weights.load_tolerance if weights else 0.0,
+        load_action=weights.load_action if weights else "warn",
         slack_below=c.bench.slack_below,
         length=c.length or 0.0,
         setup_pressure=most,
@@ -95,7 +103,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         proof=proof_test,
         path=str(path.resolve()),
     )
-    return Mounted(bench, c.bench, c.specimen, c.texts, missing)
+    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before)
 
 
 def _devices(

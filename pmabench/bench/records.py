@@ -63,6 +63,8 @@ class ChannelRecord:
     """Highest value that the channel can tell [SI]."""
     reference: str = "gauge"
     calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
+    zero: float | None = None
+    """What the session's zero took off the calibration's `scale.offset` [SI]; None: no zero was taken."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,10 @@ class CompiledBench:
     """Mass that moves with every load: table, cable, rod [kg]."""
     hanging: bool = True
     """Whether a load in kg moves with the muscle (weights) or acts as a pure force (constant-force device)."""
+    load_tolerance: float = 0.1
+    """How far the force of a load at rest may be from its weight [1]."""
+    load_action: str = "warn"
+    """What follows when it is further: `warn` or `stop`."""
     slack_below: float = 0.0
     """Force under which the specimen counts as slack [N]."""
     length: float = 0.0

@@ -48,6 +48,10 @@ stop: {ramp: 500 kPa/s}
 proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}
 setup_pressure: 80 kPa
 hands: {below: 20 kPa}
+session:
+  self_test: {}
+  warm_up: {pressure: 300 kPa}
+  zeros: {pressure: {most: 5 kPa}, force: {most: 5 N}, displacement: {most: 0.5 mm, at: free end on its support}}
 """
 """A bench that lacks nothing."""
 

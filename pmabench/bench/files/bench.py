@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from pmabench.bench.files.parts import Name, PressureAbove0, PressureNotBelow0, Reading, Text, TimeAbove0
+from pmabench.bench.files.parts import Name, PressureAbove0, PressureNotBelow0, RatioAbove0, Reading, Text, TimeAbove0
 from pmabench.bench.files.safety import (
     HandsFile,
     InterlockFile,
@@ -18,6 +18,7 @@ from pmabench.bench.files.safety import (
     StopFile,
     WatchFile,
 )
+from pmabench.bench.files.session import SessionFile
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Acceleration, Force, Length, Mass, Plates, Pressure, Speed
 
@@ -35,6 +36,10 @@ class Weights(Strict):
     pulley: bool = False
     support: Length = 0.0
     catch_height: Length | None = None
+    load_tolerance: RatioAbove0 = 0.1
+    """How far the measured force of a load at rest may be from its weight, besides the cell's uncertainty."""
+    load_action: Literal["warn", "stop"] = "warn"
+    """What follows when it is further: a line in the record, or a controlled stop."""
 
 
 class Actuator(Strict):
@@ -141,6 +146,7 @@ class BenchFile(Strict):
     no_watchdog: NoWatchdogFile | None = None
     hands: HandsFile
     slack_below: Force = 0.0
+    session: SessionFile | None = None
     reviewed: ReviewFile | None = None
 
     @model_validator(mode="after")
