@@ -82,6 +82,12 @@ class Judge:
     def place(self, load):
         pass
 
+    def switch(self, output, *, on):
+        self.held[output] = on
+
+    def is_on(self, output):
+        return self.held.get(output, False)
+
 
 def judged(name):
     made = mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
