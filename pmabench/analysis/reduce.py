@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 
 from pmabench.analysis.agreement import agreement
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.base.errors import did_you_mean, invalid
+from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
+MOST_REASONS = 3
 REDUCTIONS = {
     "static-load": "static_load",
     "contraction-relaxation": "contraction",
@@ -51,28 +53,52 @@ def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
-    """One sentence for each coefficient whose interval is wider than the protocol accepts."""
+    """One sentence for each analysis that gave nothing, and for each coefficient that the protocol does not accept.
+
+    A coefficient is accepted where its 95 % interval is no wider than the protocol's `accept` says.
+    """
     failed: list[str] = []
     for analysis in analyses:
+        if all(e.value is None for e in analysis.estimates):
+            failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
+            continue
         accept: dict[str, float] = {}
         for run in runs:
             if run.id in analysis.runs:
                 accept |= dict(run.plan.get("accept") or {})
-        primary = analysis.estimates[0].method if analysis.estimates else ""
+        primary = analysis.estimates[0].method
         known = {e.symbol for e in analysis.estimates if e.method == primary and e.value is not None}
         for estimate in analysis.estimates:
             widest = accept.get(estimate.symbol)
-            ci = estimate.ci95
             if widest is None or estimate.method != primary or estimate.coordinate:
                 continue
-            where = ", ".join(f"{name} {value:g}" for name, value in estimate.at.items())
-            if ci is None or not estimate.value:
+            asked = f"accepted +-{100 * widest:g} %"
+            half = estimate.parts.combined
+            if estimate.value is None or not estimate.value:
                 if estimate.symbol not in known:
-                    failed.append(f"{estimate.symbol} at {where}: not identifiable, accepted +-{100 * widest:g} %")
-                continue
-            relative = (ci[1] - ci[0]) / 2 / abs(estimate.value)
-            if relative > widest:
-                failed.append(
-                    f"{estimate.symbol} at {where}: interval +-{100 * relative:.2g} %, accepted +-{100 * widest:g} %"
-                )
+                    failed.append(f"{_named(estimate)}: not identifiable, {asked}")
+            elif half is None:
+                failed.append(f"{_named(estimate)}: no interval, {asked}; {estimate.note}")
+            elif half > widest * abs(estimate.value):
+                relative = 100 * half / abs(estimate.value)
+                wide = f"{relative:.2g}" if relative < 10 else f"{relative:.0f}"
+                failed.append(f"{_named(estimate)}: interval +-{wide} %, {asked}")
     return failed
+
+
+def _named(estimate: Estimate) -> str:
+    """A coefficient and its operating point in the units that people read: `K at pressure 300 kPa`."""
+    where = [
+        f"{name} {show(value, POINT_QUANTITIES[name])}" if name in POINT_QUANTITIES else f"{name} {value:g}"
+        for name, value in estimate.at.items()
+    ]
+    return f"{estimate.symbol} at {', '.join(where)}" if where else estimate.symbol
+
+
+def _why_nothing(analysis: Analysis) -> str:
+    """The faults that were found, else why trials were not used, else why values are missing."""
+    reasons = [f.text for f in analysis.findings if f.level == "fault"]
+    reasons = reasons or [f"{d.trial}: {d.reason}" for d in analysis.dropped] or [e.note for e in analysis.estimates]
+    more = len(dict.fromkeys(reasons)) - MOST_REASONS
+    told = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
+    return f"{told}; and {more} more reasons" if more > 0 else told

@@ -18,6 +18,21 @@ from pmabench.store.records import RunData
 SCHEMA = "pmabench.analysis/1"
 POSITIVE = frozenset(("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "t_d", "tau_c", "tau_r", "tau_P", "K_u", "T_u"))
 """Symbols of what cannot be below 0; terms of their curves and differences of them can."""
+POINT_QUANTITIES = {
+    "pressure": "pressure",
+    "from": "pressure",
+    "contraction": "length",
+    "setpoint": "length",
+    "mean": "length",
+    "amplitude": "length",
+    "frequency": "frequency",
+    "load": "force",
+    "bias": "pressure",
+    "mass": "mass",
+    "displacement": "length",
+    "cycles": "count",
+}
+"""Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
 
 
 @dataclass(frozen=True)

@@ -309,7 +309,8 @@ def _line_findings(method: str, line: _Line) -> list[Finding]:
     if method != MEAN:
         return []
     text = f"F_ce = {show(line.a, 'force', 4)} + {show(line.s, 'force per pressure', 5)} P"
-    found = [Finding("note", f"{text}, residual {show(line.rms, 'force', 2)} rms")]
+    left = f"residual {show(line.rms, 'force', 2)} rms" if line.factor else "through two points"
+    found = [Finding("note", f"{text}, {left}")]
     if line.lack > 3.0 and line.rms > 0.5:
         found.append(
             Finding(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import nan
 
 import numpy as np
 import pandas as pd
@@ -98,14 +99,15 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         told = symbol_text(symbol, coordinate)
         name = clean(method, 60)
         at = sorted(series[key], key=lambda member: member[1].at[over])
-        half = [e.parts.combined for _, e in at]
+        reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
         x = np.array([e.at[over] for _, e in at])
         points.append(
             Points(
                 label=(told if len(methods) == 1 else f"{told}, {name}") if several else name,
                 x=x / x_unit.scale,
                 y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
-                half=np.array([np.nan if h is None else h / unit.scale for h in half]),
+                below=reach_of[:, 0],
+                above=reach_of[:, 1],
                 primary=method in first or len(methods) == 1,
                 group=variants.index(key[:2]) if several else methods.index(method),
                 mark=methods.index(method) if several and len(methods) > 1 else len(points),
@@ -122,7 +124,7 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
         f"by {_and([clean(m, 60) for m in methods])}. The numbers are in the table below the figure."
     )
-    bars = "95 % intervals" if any(np.isfinite(p.half).any() for p in points) else "Values without intervals"
+    bars = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
     caption = f"{bars}; filled: primary method of each test, open: others."
     if all(p.primary for p in points):
         caption = f"{bars}."
@@ -147,6 +149,12 @@ def _and(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
+def _reach(e: Estimate) -> tuple[float, float]:
+    """How far the interval reaches below and above the value [SI]; NaN without one."""
+    ends = e.ci95
+    return (nan, nan) if ends is None or e.value is None else (max(0.0, e.value - ends[0]), ends[1] - e.value)
+
+
 def _curve(
     members: Sequence[tuple[Analysis, Estimate]], over: str, scale: float, x_scale: float
 ) -> tuple[Array, Array, Array] | None:
@@ -166,7 +174,7 @@ def _curve(
     x = np.linspace(*closest.domain, CURVE_POINTS)
     y = np.polyval([term.value or 0.0 for term in reversed(closest.terms)], x)
     at = np.array([e.at[over] for _, e in members])
-    half = np.interp(x, at, [e.parts.combined or 0.0 for _, e in members])
+    half = np.interp(x, at, [_reach(e)[1] for _, e in members])
     residual = closest.residual_rms if np.isfinite(closest.residual_rms) else 0.0
     band = np.hypot(half, 1.96 * residual)
     return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)

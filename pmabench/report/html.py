@@ -20,26 +20,11 @@ from pmabench import __version__
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.errors import RecordError
-from pmabench.report import provenance, tables
+from pmabench.report import provenance, tables, wording
 from pmabench.report.figures import front_pictures, kind_pictures
 from pmabench.report.pictures import Picture
 from pmabench.report.rounding import rounded
 from pmabench.report.svg import symbol_parts
-from pmabench.report.wording import (
-    AGREEMENT,
-    HEADLINES,
-    KINDS,
-    METHODS,
-    SYMBOLS,
-    clean,
-    in_order,
-    kind_title,
-    number,
-    point_shown,
-    point_text,
-    shown,
-    symbol_text,
-)
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -174,12 +159,12 @@ def css_text(text: object) -> Any:
     """Text inside a CSS string: everything but letters, digits and blanks as an escape."""
     from markupsafe import Markup
 
-    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x} " for c in clean(text, 90))
+    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x} " for c in wording.clean(text, 90))
     return Markup("".join(inert))  # noqa: S704
 
 
 def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str | None) -> dict[str, Any]:
-    order = in_order((a.kind for a in analyses), KINDS)
+    order = wording.in_order((a.kind for a in analyses), wording.KINDS)
     analyses = sorted(analyses, key=lambda a: order.index(a.kind))
     runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
     ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
@@ -190,14 +175,16 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     first_page = [figures.add(p) for p in front]
     sections = [_section(a, figures, used) for a in analyses]
     judged = [run for run in runs if provenance.accepts(run)]
-    failed = [clean(text) for text in verdicts(judged, analyses)]
+    failed = [wording.clean(text) for text in verdicts(judged, analyses)]
     accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}
     findings = tables.findings_table(analyses)
     specimens = provenance.specimens(runs)
-    kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
+    kinds = [wording.kind_title(a.kind) for a in analyses if a.kind != wording.AGREEMENT]
     tested = ", ".join(title.lower() if n else title for n, title in enumerate(kinds))
     name = (
-        clean(title, 200) if title else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
+        wording.clean(title, 200)
+        if title
+        else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
     )
     methods = list(dict.fromkeys(e.method for a in analyses for e in a.estimates))
     return {
@@ -212,7 +199,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "when": provenance.when(runs),
         "operators": provenance.operators(runs),
         "statuses": provenance.statuses(runs),
-        "missing": [clean(run, 200) for run in ids if run not in {r.id for r in runs}],
+        "missing": [wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
         "failed": failed,
         "accept": [f"{symbol} ± {100 * widest:g} %" for symbol, widest in accepted.items()],
         "verdicts": _first_findings(findings),
@@ -259,8 +246,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str]) -> Sect
     if isinstance(trials, int) and not isinstance(trials, bool):
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
-    section = Section(kind_title(analysis.kind), analysis.simulated, counts)
-    section.tables = [grid(t.frame, clean(t.caption)) for t in tables.other_tables(analysis)]
+    section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
+    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in tables.other_tables(analysis)]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used)]
     parts = tables.parts_table(analysis)
     section.parts = grid(parts) if len(parts) else None
@@ -319,7 +306,7 @@ def _first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]],
 def _tiles(analyses: Sequence[Analysis]) -> list[Tile]:
     """Key numbers: each headline symbol by the first primary method that gives it, at the middle of what was tested."""
     found = []
-    for symbol in HEADLINES:
+    for symbol in wording.HEADLINES:
         for analysis in analyses:
             known = [
                 e for e in analysis.estimates if e.symbol == symbol and e.value is not None and "frequency" not in e.at
@@ -334,24 +321,27 @@ def _tiles(analyses: Sequence[Analysis]) -> list[Tile]:
 
 
 def _tile(members: list[Estimate]) -> Tile:
-    varying = [name for name in in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1]
+    varying = [
+        name for name in wording.in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1
+    ]
     members = sorted(members, key=lambda e: [e.at[name] for name in varying])
     middle = members[len(members) // 2]
-    unit = shown(middle.quantity, middle.unit)
-    half = middle.parts.combined
-    value = rounded((middle.value or 0.0) / unit.scale, None if half is None else half / unit.scale)
-    shown_at = {name: middle.at[name] for name in (varying or in_order(middle.at, ("pressure", "setpoint"))[:1])}
+    unit = wording.shown(middle.quantity, middle.unit)
+    value = tables.cell(middle)
+    shown_at = {
+        name: middle.at[name] for name in (varying or wording.in_order(middle.at, ("pressure", "setpoint"))[:1])
+    }
     reach = ""
     if len(members) > 1 and len(varying) == 1:
-        _, at_unit = point_shown(varying[0])
+        _, at_unit = wording.point_shown(varying[0])
         ends = [(e.value or 0.0) / unit.scale for e in (members[0], members[-1])]
-        places = [number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
+        places = [wording.number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
         reach = (
             f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} from {places[0]} to {places[1]} {at_unit.unit}"
         )
-    name = SYMBOLS.get(middle.symbol, "")
-    where = ", ".join(part for part in (point_text(shown_at), clean(middle.method, 60)) if part)
-    return Tile(symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
+    name = wording.SYMBOLS.get(middle.symbol, "")
+    where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)
+    return Tile(wording.symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
@@ -375,8 +365,10 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
     """Names and descriptions; methods with one description stand together."""
     found: dict[str, list[str]] = {}
     for method in methods:
-        told = METHODS.get(method) or METHODS.get(method.partition(" above ")[0]) or "Not described here."
-        found.setdefault(told, []).append(clean(method, 120))
+        told = (
+            wording.METHODS.get(method) or wording.METHODS.get(method.partition(" above ")[0]) or "Not described here."
+        )
+        found.setdefault(told, []).append(wording.clean(method, 120))
     return [("; ".join(names), told) for told, names in found.items()]
 
 

@@ -30,19 +30,20 @@ WARN = "#a14a00"
 
 @dataclass(frozen=True)
 class Points:
-    """Values with half widths of their intervals (NaN: none), and a curve through them."""
+    """Values with what their intervals reach below and above them (NaN: none), and a curve through them."""
 
     label: str
     x: Array
     y: Array
-    half: Array
+    below: Array
+    above: Array
     primary: bool
     group: int
     """Colour."""
     mark: int
     """Marker."""
     curve: tuple[Array, Array, Array] | None = None
-    """x, y and half width of the band."""
+    """x, y and half width of the band (NaN: none)."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
             place.errorbar(
                 p.x + shift,
                 y,
-                yerr=np.nan_to_num(p.half),
+                yerr=np.nan_to_num([p.below, p.above]),
                 fmt=MARKERS[p.mark % len(MARKERS)],
                 color=color,
                 markerfacecolor=color if p.primary else "white",
@@ -173,9 +174,9 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
     ends: list[float] = []
     reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
     for p in points:
-        half = np.nan_to_num(p.half) if p.primary else 0 * p.y
-        half = np.minimum(half, max(2 * reach, 1.5 * float(np.median(half))))
-        ends += [*(p.y - half), *(p.y + half)]
+        below, above = (np.nan_to_num(bar) if p.primary else 0 * p.y for bar in (p.below, p.above))
+        most = max(2 * reach, 1.5 * float(np.median(above)))
+        ends += [*(p.y - np.minimum(below, most)), *(p.y + np.minimum(above, most))]
         if p.curve is not None and p.primary:
             ends += [float(np.min(p.curve[1])), float(np.max(p.curve[1]))]
     known = [end for end in ends if np.isfinite(end)]

@@ -33,6 +33,12 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
     return f"({text}){raised}" if half is not None else text + raised
 
 
+def cut(value: float, half: float) -> str:
+    """A value whose interval value ± half ends at 0, below which it cannot be: `0.022 (0 to 0.071)`."""
+    decimals = min(_decimals(half, 2), _decimals(value, MOST_DIGITS))
+    return f"{_fixed(value, decimals)} (0 to {_fixed(value + half, decimals)})"
+
+
 def half_width(half: float | None) -> str:
     """An interval's half width alone, with two significant digits; empty where it was not assessed."""
     if half is None or not (isfinite(half) and half >= 0):

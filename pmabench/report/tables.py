@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.report.rounding import half_width, rounded
+from pmabench.report.rounding import cut, half_width, rounded
 from pmabench.report.terminal import print_grid
 from pmabench.report.wording import (
     AGREEMENT,
@@ -52,6 +52,8 @@ def cell(estimate: Estimate) -> str:
     half = estimate.parts.combined
     if estimate.value is None:
         return "not identifiable"
+    if half is not None and estimate.positive and 0 <= estimate.value < half:
+        return cut(estimate.value / scale, half / scale)
     return rounded(estimate.value / scale, None if half is None else half / scale)
 
 
@@ -311,13 +313,18 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
         shown_estimates, beside = _without_comparison(analysis)
-        for names, members in _for_terminal(shown_estimates).items():
+        for names, (members, constant) in _for_terminal(shown_estimates).items():
             frame = _pivot(members) if names else _whole(members).drop(columns="quantity")
+            over = in_order(members[0].at, POINTS)
+            by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
+            at = f", at {point_text(constant)}" if constant else ""
             for method, rows in frame.groupby("method", sort=False):
-                console.print(Text(f"  {method}", style="italic"))
+                console.print(Text(f"  {method}, {by}{at}", style="italic"))
                 body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
                 cells = [[str(value) for value in row] for row in body.itertuples(index=False)]
                 print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
+                for reason in _reasons([e for e in members if clean(e.method) == method]):
+                    console.print(Text(f"  {reason}"))
         if beside:
             console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()
@@ -335,15 +342,26 @@ def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
     return kept, list(dict.fromkeys(beside))
 
 
-def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], list[Estimate]]:
-    """The estimates that fit the terminal: headline symbols by kind of operating point, its constants left out."""
+def _reasons(estimates: Sequence[Estimate]) -> list[str]:
+    """Why values or intervals are missing, the symbols with one reason together."""
+    found: dict[str, list[str]] = {}
+    for e in estimates:
+        if e.note and (e.value is None or e.parts.combined is None):
+            lack = "" if e.value is None else "no interval: "
+            found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
+    return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
+
+
+def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
+    """The estimates that fit the terminal: headline symbols by kind of operating point, and what is constant in it."""
     groups: dict[tuple[str, ...], list[Estimate]] = {}
     for e in estimates:
         if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
             groups.setdefault(tuple(sorted(e.at)), []).append(e)
-    told: dict[tuple[str, ...], list[Estimate]] = {}
+    told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
     for names, members in groups.items():
         moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
         kept = moving or in_order(names, POINTS)[:1]
-        told[names] = [replace(e, at={name: e.at[name] for name in kept}) for e in members]
+        constant = {name: members[0].at[name] for name in names if name not in kept and name != "mass"}
+        told[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
     return told

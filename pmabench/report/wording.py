@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
 
 SYMBOLS: dict[str, str] = {
@@ -101,20 +102,19 @@ KINDS: dict[str, str] = {
     "agreement": "Agreement of the tests",
 }
 
-POINTS: dict[str, tuple[str, str]] = {
-    "pressure": ("P", "pressure"),
-    "from": ("P before", "pressure"),
-    "contraction": ("x", "length"),
-    "setpoint": ("set-point", "length"),
-    "mean": ("mean x", "length"),
-    "amplitude": ("amplitude", "length"),
-    "frequency": ("f", "frequency"),
-    "load": ("F_L", "force"),
-    "bias": ("bias P", "pressure"),
-    "mass": ("moving mass", "mass"),
-    "displacement": ("x", "length"),
-    "cycles": ("cycles", "count"),
+_LABELS = {
+    "pressure": "P",
+    "from": "P before",
+    "contraction": "x",
+    "setpoint": "set-point",
+    "mean": "mean x",
+    "frequency": "f",
+    "load": "F_L",
+    "bias": "bias P",
+    "mass": "moving mass",
+    "displacement": "x",
 }
+POINTS = {name: (_LABELS.get(name, name), quantity) for name, quantity in POINT_QUANTITIES.items()}
 """Name of a coordinate of an operating point -> label and quantity; the order is that of columns."""
 
 SPOKEN: dict[str, str] = {"setpoint": "set-point", "mean": "mean contraction", "from": "pressure before"}

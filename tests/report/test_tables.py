@@ -115,6 +115,34 @@ def test_the_terminal_table_fits_80_columns_and_breaks_no_number():
     assert "SIMULATED" in out
 
 
+def test_tables_of_one_method_have_titles_of_their_own():
+    points = [{"pressure": 3e5, "mean": 0.01}, *({"pressure": 3e5, "mean": 0.01, "frequency": f} for f in (0.5, 3.0))]
+    found = tuple(Estimate("K", 6773.0, "N/m", "stiffness", "sine-harmonic", at, Parts(2.0)) for at in points)
+    lines = terminal([Analysis("sinusoidal-displacement", ("r",), False, found)]).splitlines()
+    titles = [line.strip() for line in lines if "sine-harmonic" in line]
+    assert titles == [
+        "sine-harmonic, by pressure, at mean x = 10 mm",
+        "sine-harmonic, by frequency, at P = 300 kPa, mean x = 10 mm",
+    ]
+
+
+def test_the_terminal_tells_why_a_value_or_an_interval_is_missing():
+    m = Estimate("m", 6e-4, "N/Pa", "force per pressure", "isometric-line", {"contraction": 0.0}, note="one test only")
+    K = Estimate("K", None, "N/m", "stiffness", "isometric-line", {"contraction": 0.0}, note="no oscillation")
+    known = Estimate("K_u", 6e7, "Pa/m", "gain", "isometric-line", {"contraction": 0.0}, Parts(1e6), note="quite so")
+    out = terminal([Analysis("isometric", ("r",), False, (m, K, known))])
+    assert "m: no interval: one test only" in out
+    assert "K: no oscillation" in out
+    assert "quite so" not in out
+
+
+def test_an_interval_that_ends_at_0_is_written_by_its_ends():
+    time = Estimate("t_d", 0.022, "s", "time", "onset", {"pressure": 3e5}, Parts(0.049), coordinate="command-to-motion")
+    assert tables.cell(time) == "0.022 (0 to 0.071)"
+    assert tables.cell(replace(time, parts=Parts(0.004))) == "0.0220 ± 0.0040"
+    assert tables.cell(replace(time, parts=Parts(None, 0.004))) == "0.02200"
+
+
 HOSTILE = ["[/dev/ttyUSB0]", "[bold]x[/]", "=1+1", "<script>alert(1)</script>", "a\x1b[31mb\x00c", "\u202egnp"]
 
 

@@ -1,0 +1,29 @@
+"""`process` ends with 6 and a sentence where nothing came out, with and without an `accept` in the protocol."""
+
+import json
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+
+OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def test_a_file_of_which_nothing_enters_a_fit_exits_6(tmp_path):
+    name = "10mm_13cm_Kinked4mm_Test10.csv"
+    files = [OLD / "isometric" / "rewritten" / name, OLD / "isometric" / name]
+    told = call("import", *files, "--map", OLD / "isometric.yaml", "--out", tmp_path, "--json").stdout
+    rewritten, good = (entry["run"] for entry in json.loads(told)["runs"])
+    result = call("process", rewritten, "--out", tmp_path / "a", code=6)
+    (line,) = [line for line in result.output.splitlines() if line.startswith("NOT ACCEPTED")]
+    assert "isometric: nothing came out" in line
+    assert "no whole counts" in line
+    assert (tmp_path / "a" / "isometric" / "analysis.json").exists()
+    call("process", good, "--out", tmp_path / "b")
