@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="check")
-@plan_options
+@plan_options()
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
 @click.option("--simulate", is_flag=True, help="Run the plan on a simulated bench and show the peaks.")
 @common

@@ -156,7 +156,7 @@ def _explain(ui: Ui, error: PmaError) -> None:
         say(f"{len(error.problems)} problems")
 
 
-def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """What a plan is made of: PROTOCOL, `--bench`, `--specimen`, `--set`."""
 
     def split(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -168,11 +168,16 @@ def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
             pairs.append((name, text))
         return pairs
 
-    for option in (
+    options = (
         click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
-        click.option("--specimen", required=True, help="Specimen file, or the name of a shipped one."),
-        click.option("--bench", required=True, help="Bench file, or the name of a shipped one."),
-        click.argument("protocol"),
-    ):
-        function = option(function)
-    return function
+        click.option("--specimen", required=required, help="Specimen file, or the name of a shipped one."),
+        click.option("--bench", required=required, help="Bench file, or the name of a shipped one."),
+        click.argument("protocol", required=required),
+    )
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in options:
+            function = option(function)
+        return function
+
+    return add

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
@@ -22,6 +23,8 @@ class Prepared:
     protocol_text: str
     deviations: tuple[str, ...] = ()
     """What was changed in the protocol for this run, in words."""
+    sources: dict[str, Any] = field(default_factory=dict)
+    """Which files it was made from, as absolute paths, and what was `set`: for going on later."""
 
     def warnings(self) -> list[str]:
         """What people must know before anything moves, a line each."""
@@ -54,7 +57,9 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
     document, model = read
     plan = compile_protocol(document, model, mounted)
     text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in document.texts.items())
-    return Prepared(plan, mounted, text, tuple(f"{name} set to {value}" for name, value in settings))
+    sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
+    sources["set"] = [list(pair) for pair in settings]
+    return Prepared(plan, mounted, text, tuple(f"{name} set to {value}" for name, value in settings), sources)
 
 
 def seeded(mounted: Mounted, seed: int) -> Mounted:

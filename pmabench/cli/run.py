@@ -2,71 +2,120 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common, plan_options
+from pmabench.cli.progress import CLEAR, progress_line
 
 if TYPE_CHECKING:
     from pmabench.cli.prepare import Prepared
-    from pmabench.engine.executor import Progress
     from pmabench.engine.operator import Operator
-    from pmabench.engine.run import Outcome
-
-CLEAR = "\r\x1b[2K"
-"""Takes the line of progress away."""
+    from pmabench.engine.run import Continues, Outcome
 
 
 @click.command(name="run")
-@plan_options
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@plan_options(required=False)
+@click.option("--out", default=None, type=click.Path(path_type=Path), help="Where run folders go.  [default: runs]")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
+@click.option("--resume", type=click.Path(path_type=Path, exists=True), help="Go on after the last trial of this run.")
+@click.option(
+    "--accept-changed",
+    "accept",
+    multiple=True,
+    type=click.Choice(["bench", "calibration", "specimen", "protocol"]),
+    help="With --resume: go on although this is not what it was.",
+)
 @common
 def command(
     ui: Ui,
-    protocol: str,
-    bench: str,
-    specimen: str,
-    out: Path,
+    protocol: str | None,
+    bench: str | None,
+    specimen: str | None,
+    out: Path | None,
     settings: list[tuple[str, str]],
     operator: str,
+    resume: Path | None,
+    accept: tuple[str, ...],
     *,
     yes: bool,
 ) -> int | None:
-    """Execute PROTOCOL on a bench with a specimen and record it."""
+    """Execute PROTOCOL on a bench with a specimen and record it.
+
+    With --resume RUN the files of that run are used again, and what is left of it is done in a new run.
+    """
     from pmabench.cli.prepare import prepare
 
+    if resume is not None:
+        from pmabench.engine.resume import sources
+
+        before = sources(resume) if None in {protocol, bench, specimen} else {}
+        protocol, bench, specimen = (
+            given or str(before[name])
+            for given, name in ((protocol, "protocol"), (bench, "bench"), (specimen, "specimen"))
+        )
+        settings = settings or [(name, value) for name, value in before.get("set", ())]
+        out = out or resume.resolve().parent
+    if protocol is None or bench is None or specimen is None:
+        raise UsageError("a run needs PROTOCOL, --bench and --specimen (or --resume RUN)")
     prepared = prepare(protocol, bench, specimen, settings)
-    outcome = execute(ui, prepared, out, operator_name=operator, yes=yes)
+    continues = None
+    if resume is not None:
+        from pmabench.engine.resume import continue_run
+
+        continues = continue_run(resume, prepared.plan, prepared.mounted, prepared.protocol_text, accept)
+    outcome = execute(ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues)
     ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
     return outcome.exit_code
 
 
-def execute(ui: Ui, prepared: Prepared, out: Path, *, operator_name: str = "", yes: bool = False) -> Outcome:
-    """Run a prepared plan with progress on the terminal."""
+def execute(
+    ui: Ui,
+    prepared: Prepared,
+    out: Path,
+    *,
+    operator_name: str = "",
+    yes: bool = False,
+    continues: Continues | None = None,
+    about: dict[str, Any] | None = None,
+) -> Outcome:
+    """Run a prepared plan: with a display of its own in real time, with a line of progress in virtual time."""
     from pmabench.engine.run import run_plan
 
     for warning in prepared.warnings():
         ui.note(warning)
+    options: dict[str, Any] = {
+        "out": out,
+        "protocol_text": prepared.protocol_text,
+        "deviations": prepared.deviations,
+        "operator_name": operator_name,
+        "about": {"sources": prepared.sources, **(about or {})},
+        "continues": continues,
+    }
+    if prepared.mounted.bench.realtime and not ui.quiet and not ui.json:
+        return _with_display(ui, prepared, options, yes=yes)
     with progress_line(ui, f"{prepared.plan.kind}") as progress:
-        return run_plan(
-            prepared.plan,
-            prepared.mounted,
-            _operator(yes=yes),
-            out=out,
-            protocol_text=prepared.protocol_text,
-            deviations=prepared.deviations,
-            operator_name=operator_name,
-            progress=progress,
-        )
+        return run_plan(prepared.plan, prepared.mounted, _operator(yes=yes), progress=progress, **options)
+
+
+def _with_display(ui: Ui, prepared: Prepared, options: dict[str, Any], *, yes: bool) -> Outcome:
+    """The display is a process that reads what the run writes; the run never waits for it."""
+    from pmabench.cli.operator import AtDisplay, Confirmed
+    from pmabench.display.child import Display
+    from pmabench.engine.run import run_plan
+
+    display = Display(color=ui.color)
+    answers = sys.stdin.isatty() and sys.stderr.isatty()
+    operator: Operator = Confirmed(display) if yes else AtDisplay(display, answers=answers)
+    try:
+        return run_plan(prepared.plan, prepared.mounted, operator, begun=display.start, **options)
+    finally:
+        display.close()
 
 
 def _operator(*, yes: bool) -> Operator:
@@ -77,31 +126,6 @@ def _operator(*, yes: bool) -> Operator:
     if sys.stdin.isatty():
         return AtTerminal(input, lambda text: click.echo(f"{CLEAR if sys.stderr.isatty() else ''}{text}", err=True))
     return Nobody()
-
-
-@contextmanager
-def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
-    """A line that is rewritten at most four times a second on a terminal; nothing elsewhere."""
-    live = sys.stderr.isatty() and not ui.quiet and not ui.json
-    started = last = time.monotonic()
-
-    def show(progress: Progress) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if not live or now - last < 0.25:
-            return
-        last = now
-        done = progress.t / (progress.t + progress.longest) if progress.t + progress.longest > 0 else 0.0
-        left = (now - started) * (1 - done) / done if done > 0.02 else None
-        trial = f"trial {progress.trial + 1} of {progress.trials}" if progress.trial is not None else progress.phase
-        bar = "#" * round(24 * done)
-        rest = f", {left:.0f} s left" if left is not None else ""
-        line = f"{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"
-        click.echo(CLEAR + line[: shutil.get_terminal_size().columns - 1], err=True, nl=False)
-
-    yield show
-    if live:
-        click.echo(CLEAR, err=True, nl=False)
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The run's side of its display: starts the process, talks to it, and is never held up by it. Standard library only.
 
-    display = Display(writer.folder)
-    display.start()                                  # at once; the picture comes half a second later
+    display = Display()
+    display.start(writer.folder)                            # at once; the picture comes half a second later
     ...
     asked = display.ask("Put 6 kg on the free end.", words=("clear",))
     while waiting:                                   # several times a second, as long as the run lasts
@@ -43,9 +43,8 @@ LEAVE = b"\x1b[0m\x1b[?25h\x1b[?1049l"
 class Display:
     """A display process and the link to it. No method but `close` waits for anything."""
 
-    def __init__(self, folder: Path, *, color: bool = True) -> None:
-        self._command = [sys.executable, "-P", "-m", "pmabench.display", str(folder)]
-        self._command += [] if color else ["--no-color"]
+    def __init__(self, *, color: bool = True) -> None:
+        self._color = color
         self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None
         self._before: terminal.Attributes | None = None
@@ -54,15 +53,17 @@ class Display:
         self._count = 0
         self._lost = False
 
-    def start(self) -> None:
-        """Start the process; it draws on standard error and reads keys from standard input, where these are a terminal.
+    def start(self, folder: Path) -> None:
+        """Start the process for a run's folder.
 
+        It draws on standard error and reads keys from standard input, where these are a terminal.
         Raises OSError where no process can be started.
         """
         ours, theirs = socket.socketpair()
         self._before = terminal.attributes(0)
         try:
-            command = [*self._command, "--link", str(theirs.fileno())]
+            command = [sys.executable, "-P", "-m", "pmabench.display", str(folder), "--link", str(theirs.fileno())]
+            command += [] if self._color else ["--no-color"]
             self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdout=subprocess.DEVNULL)
         except OSError:
             ours.close()

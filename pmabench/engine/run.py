@@ -18,10 +18,12 @@ from pmabench.bench.interface import CompiledBench
 from pmabench.engine.acquire import Acquisition, Forgiving, NoRecord, Recorder, Tripped
 from pmabench.engine.ending import exit_code, sentence, status_of
 from pmabench.engine.executor import Executor, Progress
+from pmabench.engine.load_check import LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.own import OwnDevices
 from pmabench.engine.proof import prove
 from pmabench.engine.signals import Signals
+from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.plan import Plan, Step
@@ -91,6 +93,7 @@ def run_plan(
     protocol_text: str = "",
     operator_name: str = "",
     deviations: Sequence[str] = (),
+    about: Mapping[str, Any] | None = None,
     progress: Callable[[Progress], None] = lambda _progress: None,
     continues: Continues | None = None,
     begun: Callable[[Path], None] = lambda _folder: None,
@@ -98,8 +101,9 @@ def run_plan(
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
 
-    `procedure` is what is done on the armed bench: the plan's steps, or something guided (session, calibration, jog)
-    that uses the same executor's guard, acquisition, operator and recorder, under the same watch and the same ending.
+    `about` goes into the manifest. `procedure` is what is done on the armed bench: the plan's steps, or something
+    guided (session, calibration, jog) that uses the same executor's guard, acquisition, operator and recorder, under
+    the same watch and the same ending.
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
     `begun` is told the folder before anything is commanded. Raises DeviceError, LimitRefused or RecordError only where
@@ -120,11 +124,11 @@ def run_plan(
         recorder: Recorder = NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            about: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
-            about |= {"deviations": list(deviations), "operator": operator_name or _user()}
+            told: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
+            told |= {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
             if continues is not None:
-                about["continues"] = dict(continues.manifest)
-            writer = _new_folder(plan, mounted, bench, out, protocol_text, about)
+                told["continues"] = dict(continues.manifest)
+            writer = _new_folder(plan, mounted, bench, out, protocol_text, told)
             recorder = writer
             begun(writer.folder)
         with Signals() as signals:
@@ -165,6 +169,7 @@ def _new_folder(
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
         "lacks": list(mounted.lacks),
+        "session": dict(mounted.in_session) if mounted.in_session is not None else None,
         "hazards": list(plan.hazards),
         "pmabench": __version__,
         **about,
@@ -227,6 +232,7 @@ class _Run:
         except BaseException as error:  # every way out leads through the safe state below
             cause = error
         gently = isinstance(cause, Interrupted) and self.signals.gently
+        gently = gently or isinstance(cause, LoadImplausible)
         if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
             self._controlled_stop()
         return self._end(cause)
@@ -272,6 +278,9 @@ class _Run:
         elif cause is not None and not isinstance(cause, Tripped):
             ending.event("ended-early", self.clock.now(), reason=sentence(cause))
         ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
+        zeros = self._zeros() if vent.confirmed else {}
+        if zeros:
+            ending.event("zero-check", self.clock.now(), channels=zeros)
         lost = cause if isinstance(cause, RecordError) else acquisition.lost or ending.lost
         try:
             acquisition.stop()
@@ -280,7 +289,7 @@ class _Run:
         status, why = status_of(cause)
         if not vent.confirmed and self.bench.safe_state:
             why = f"{why}; safe state {vent.result}".lstrip("; ")
-        lost = self._close(status, why, vent) or lost
+        lost = self._close(status, why, vent, zeros) or lost
         if lost is not None and not isinstance(cause, RecordError):
             status, why = "error", str(lost)
         return Outcome(
@@ -296,7 +305,17 @@ class _Run:
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
         )
 
-    def _close(self, status: str, why: str, vent: Vent) -> RecordError | None:
+    def _zeros(self) -> dict[str, dict[str, Any]]:
+        """The session's zeros at the end of the run; empty where it took none, or where nothing can be measured."""
+        zeroed = tuple(channel.name for channel in self.bench.channels if channel.zero is not None)
+        if not zeroed:
+            return {}
+        try:
+            return zero_check(self.acquisition, zeroed, unloaded=self.executor.unloaded)
+        except Exception:  # the run is over and vented; what is not measured is not there
+            return {}
+
+    def _close(self, status: str, why: str, vent: Vent, zeros: Mapping[str, Any]) -> RecordError | None:
         if self.writer is None:
             return None
         try:
@@ -307,6 +326,7 @@ class _Run:
                 counts=dict(self.acquisition.counts),
                 trials_failed=list(self.executor.failed),
                 bench_seconds=self.clock.now(),
+                **({"zero_check": zeros} if zeros else {}),
             )
         except RecordError as error:
             return error

@@ -1,0 +1,66 @@
+"""The operator at a display process: answers prompts, presses keys, types notes; never holds the run up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from pmabench.base.errors import Interrupted
+from pmabench.display.child import Display
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+
+
+class _Keys:
+    """What comes from the display."""
+
+    def __init__(self, display: Display) -> None:
+        self._display = display
+        self._answer: tuple[int, str] | None = None
+        self._keys: list[tuple[str, str]] = []
+
+    def poll(self) -> Sequence[tuple[str, str]]:
+        """Keys and notes since the last call."""
+        self._take()
+        keys, self._keys = self._keys, []
+        return keys
+
+    def _take(self) -> None:
+        for message in self._display.poll():
+            if "answer" in message:
+                self._answer = (message["answer"]["id"], message["answer"]["text"])
+            elif "key" in message:
+                self._keys.append(("key", message["key"]))
+            elif "note" in message:
+                self._keys.append(("note", message["note"]))
+
+
+class Confirmed(_Keys):
+    """`--yes`: every prompt counts as answered, and the record says so; keys and notes are heeded all the same."""
+
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
+        """Answered without a person."""
+        return ConfirmedBeforehand().ask(text, measured, wait)
+
+
+class AtDisplay(_Keys):
+    """A person in front of the display, or of what is left of it."""
+
+    def __init__(self, display: Display, *, answers: bool) -> None:
+        super().__init__(display)
+        self._answers = answers
+        """Whether there is a terminal to type at."""
+
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
+        """Show the prompt until it is answered; the bench is watched meanwhile. A lost terminal ends the run."""
+        if not self._answers:
+            return Nobody().ask(text, measured, wait)
+        number = self._display.ask(text)
+        try:
+            while self._answer is None or self._answer[0] != number:
+                if not self._display.alive:
+                    raise Interrupted("loss of the display while a prompt was open", 129)
+                wait()
+                self._display.live(measured)
+                self._take()
+        finally:
+            self._display.withdraw()
+        return self._answer[1]

@@ -1,0 +1,127 @@
+"""Going on after a run that ended before its plan did: what is left to do, and whether it is still the same test."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, Problem
+from pmabench.bench.compile import Mounted
+from pmabench.engine.run import Continues
+from pmabench.protocol.plan import Ask, Plan, Record, Step
+
+CHANGES = ("bench", "calibration", "specimen", "protocol")
+"""What may have changed since, and can be accepted by name."""
+
+
+def continue_run(
+    folder: Path, plan: Plan, mounted: Mounted, protocol_text: str, accept: Sequence[str] = ()
+) -> Continues:
+    """What a new run of `plan` must know to go on after `folder`, which is closed as interrupted if its writer died.
+
+    Raises InvalidFile where bench, calibrations, specimen or protocol are not what they were (unless the change is
+    accepted), or where nothing is left to do.
+    """
+    from pmabench.store.chain import continued, open_chain
+    from pmabench.store.folder import read_manifest
+
+    manifest = read_manifest(folder)
+    now = {**mounted.documents, "protocol.yaml": protocol_text, "plan.json": plan.to_json()}
+    changed = sorted(set(_changes(manifest.get("snapshots", {}), now)))
+    refused = [what for what in changed if what not in accept]
+    if refused:
+        raise InvalidFile(
+            [
+                Problem(
+                    str(folder),
+                    0,
+                    0,
+                    f"the {what} is not what it was in this run; begin a new one, or give --accept-changed {what}",
+                )
+                for what in refused
+            ]
+        )
+    link = continued(folder)
+    done = set(link["trials_done"])
+    steps = remaining(plan, done)
+    if not any(isinstance(step, Record) and step.trial is not None for step in steps):
+        raise InvalidFile([Problem(str(folder), 0, 0, "every trial of this run is finished: nothing is left to do")])
+    attempts: dict[int, int] = {}
+    for run in open_chain(folder):
+        for trial in run.trials:
+            attempts[trial.index] = attempts.get(trial.index, 0) + 1
+    return Continues({**link, "accepted_changes": changed}, steps, attempts)
+
+
+def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
+    """Which of the files a run is made of differ, as the words of `CHANGES`; bench.json holds zeros and is no file."""
+    for name in {*then, *now} - {"bench.json", "README.txt"}:
+        digest = hashlib.sha256(now[name].encode()).hexdigest() if name in now else None
+        if then.get(name) != digest:
+            kind = "calibration" if name.startswith("calibrations/") else Path(name).stem
+            yield "protocol" if kind == "plan" else kind
+
+
+def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
+    """The plan's steps without those of finished trials.
+
+    A request for hands stays where a trial is left before the next one; what comes before the first trial after it
+    (preconditioning, pressurising) stays too, and what lies right before a trial that is left. The preconditioning is
+    done again in any case: a run that goes on is a new start for the specimen.
+    """
+    kept: list[Step] = []
+    prepares = [step for step in plan.steps if step.phase == "precondition"]
+    for part in _parts(plan.steps):
+        trials = {step.trial for step in part if isinstance(step, Record) and step.trial is not None}
+        if trials <= done and trials:
+            continue
+        left = _left_of(part, done)
+        if not kept and not any(step.phase == "precondition" for step in left):
+            asks = sum(isinstance(step, Ask) for step in left)
+            left[asks:asks] = prepares
+        kept += left
+    return tuple(kept)
+
+
+def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:
+    """One part without its finished trials."""
+    kept: list[Step] = []
+    gap: list[Step] = []
+    inside: int | None = None
+    first = True
+    for step in part:
+        if isinstance(step, Record) and step.on and step.trial is not None:
+            inside = step.trial
+            kept += gap if first or inside not in done else ()
+            gap, first = [], False
+        if inside is None:
+            gap.append(step)
+        elif inside not in done:
+            kept.append(step)
+        if isinstance(step, Record) and not step.on:
+            inside = None
+    return kept + gap
+
+
+def _parts(steps: Sequence[Step]) -> list[list[Step]]:
+    """The steps from one request for hands to the next."""
+    parts: list[list[Step]] = [[]]
+    for step in steps:
+        if isinstance(step, Ask) and any(isinstance(other, Record) for other in parts[-1]):
+            parts.append([])
+        parts[-1].append(step)
+    return parts
+
+
+def sources(folder: Path) -> dict[str, Any]:
+    """Which files a run was made from, as its manifest says: `protocol`, `bench`, `specimen`, `set`."""
+    from pmabench.store.folder import read_manifest
+
+    found = read_manifest(folder).get("sources")
+    if not isinstance(found, dict) or not {"protocol", "bench", "specimen"} <= set(found):
+        raise InvalidFile(
+            [Problem(str(folder), 0, 0, "does not say which files it was made from; name protocol, bench and specimen")]
+        )
+    return found

@@ -1,0 +1,70 @@
+"""A run that goes on does each trial that is left, in order, once, with what it needs before it (R7)."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pmabench.cli.prepare import prepare
+from pmabench.engine.resume import remaining
+from pmabench.protocol.plan import Ask, Ramp, Record
+
+PLANS = {
+    kind: prepare(kind, "mock-actuator" if kind.startswith("sin") else "mock", "mas-20-250-paper0").plan
+    for kind in ("contraction-relaxation", "static-load", "sinusoidal-displacement", "ultimate-gain")
+}
+
+
+def begun(steps):
+    return [step.trial for step in steps if isinstance(step, Record) and step.on and step.trial is not None]
+
+
+@pytest.mark.parametrize("kind", PLANS)
+@given(data=st.data())
+def test_each_trial_that_is_left_stands_once_in_order(kind, data):
+    plan = PLANS[kind]
+    indices = begun(plan.steps)
+    done = data.draw(st.sets(st.sampled_from(indices)))
+    assert begun(remaining(plan, done)) == [index for index in indices if index not in done]
+
+
+@pytest.mark.parametrize("kind", PLANS)
+def test_nothing_done_is_the_whole_plan(kind):
+    assert remaining(PLANS[kind], set()) == PLANS[kind].steps
+
+
+@pytest.mark.parametrize("kind", PLANS)
+@given(data=st.data())
+def test_each_trial_has_the_load_that_it_has_in_the_plan(kind, data):
+    plan = PLANS[kind]
+
+    def loads(steps):
+        load, found = None, {}
+        for step in steps:
+            if isinstance(step, Ask):
+                load = step.load
+            if isinstance(step, Record) and step.on and step.trial is not None:
+                found[step.trial] = load
+        return found
+
+    done = data.draw(st.sets(st.sampled_from(begun(plan.steps))))
+    left = loads(remaining(plan, done))
+    assert left == {trial: load for trial, load in loads(plan.steps).items() if trial not in done}
+
+
+@pytest.mark.parametrize("kind", PLANS)
+@given(data=st.data())
+def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind, data):
+    plan = PLANS[kind]
+    done = data.draw(st.sets(st.sampled_from(begun(plan.steps)), max_size=len(begun(plan.steps)) - 1))
+    steps = remaining(plan, done)
+    if begun(steps):
+        before = steps[: next(n for n, step in enumerate(steps) if isinstance(step, Record))]
+        assert sum(step.phase == "precondition" for step in before) == sum(
+            step.phase == "precondition" for step in plan.steps
+        )
+    if kind == "sinusoidal-displacement":
+        where = 0.0
+        for step in steps:
+            if isinstance(step, Ramp) and step.output == "displacement":
+                assert step.origin == pytest.approx(where)
+                where = step.to
