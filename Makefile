@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint quick bench schemas lock clean
+.PHONY: demo test lint quick bench reliability schemas lock clean
 
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
@@ -24,6 +24,10 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable
+
+# All parts, or PART=kill,power; writes docs/reliability.md. See tests/reliability/README.md.
+reliability: $(STAMP)
+	$(BIN)/python -m tests.reliability $(PART)
 
 schemas: $(STAMP)
 	$(BIN)/python -m pmabench schema --all --out docs/schemas

@@ -1,0 +1,32 @@
+"""The table of the reliability harness: one line is one part; README.md beside this file says how to add one."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Part:
+    """Tests that are run with many cases on demand, and with few in every commit."""
+
+    name: str
+    promise: str
+    """Numbers of the promises that the part keeps."""
+    what: str
+    cases: int
+    """Cases on demand, for each test that asks `cases()`."""
+    tests: tuple[str, ...]
+    """What pytest is given."""
+
+
+PARTS = (
+    Part("kill", "R1, R2", "recorder killed (SIGKILL) at random instants", 1000, ("tests/store/test_killed.py",)),
+    Part("power", "R1", "power cut at random instants, ext4", 1000, ("tests/reliability/test_power_cut.py",)),
+    Part("disk", "R8", "full disk, read-only folder, n-th call fails", 40, ("tests/reliability/test_disk_faults.py",)),
+    Part("fsize", "R8", "limit on the size of files", 1000, ("tests/reliability/test_file_size.py",)),
+    Part("bytes", "R3", "one byte of a closed run changed", 1000, ("tests/store/test_damage.py::test_verify_finds_every_changed_byte_in_every_kind_of_file",)),
+    Part("cuts", "R1", "live stream cut at any length", 10**6, ("tests/store/test_damage.py::test_a_live_stream_cut_anywhere_gives_whole_batches_only",)),
+    Part("readme", "R10", "lines of README.txt during a run", 1000, ("tests/store/test_readme.py::test_a_run_under_way_gives_whole_batches_at_every_moment",)),
+    Part("notes", "R3", "note killed at every step", 1, ("tests/store/test_notes.py::test_a_note_that_is_killed_anywhere_is_there_whole_or_not_at_all",)),
+    Part("clocks", "R6", "offset and drift within what is stated", 1000, ("tests/store/test_clocks.py::test_the_stated_uncertainty_holds_in_nineteen_of_twenty_cases",)),
+    Part("same", "R4", "analysis again, byte by byte", 5, ("tests/reliability/test_same_bytes.py",)),
+    Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
+)  # fmt: skip

@@ -1,0 +1,42 @@
+"""A run whose files may not grow any more ends as failed, with all that was written (R8)."""
+
+import random
+
+import pytest
+
+from pmabench.base.errors import RecordError
+from pmabench.store.folder import MANIFEST
+from pmabench.store.reader import open_run
+from tests.reliability.cases import cases
+from tests.reliability.test_disk_faults import what_is_wrong
+from tests.store.runs import begin, block
+from tests.store.test_writer import _FileSizeLimit
+
+CASES = cases(30)
+
+
+@pytest.mark.timeout(60 + CASES)
+def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
+    rng = random.Random(6)
+    record_property("cases", CASES)
+    wrong = []
+    for number in range(CASES):
+        limit = rng.choice((rng.randrange(1, 3_000), rng.randrange(3_000, 40_000)))
+        parent = tmp_path / f"{number}"
+        rows, told = 0, ""
+        with _FileSizeLimit(limit):
+            try:
+                writer = begin(parent)
+                try:
+                    while rows < 20_000:
+                        writer.append("daq", *block(rows, 100))
+                        rows += 100
+                        writer.event("mark", rows / 500, rows=rows)
+                finally:
+                    writer.close("error", "the record failed")
+            except RecordError as error:
+                told = "told" if error.exit_code == 7 and "File too large" in str(error) else str(error)
+        wrong += [f"limit {limit}: {what}" for what in what_is_wrong(parent / "run", told or "said nothing", rows)]
+        if (parent / "run" / MANIFEST).exists() and open_run(parent / "run").status == "finished":
+            wrong.append(f"limit {limit}: is finished")
+    assert not wrong, "\n".join(wrong[:10])
