@@ -14,6 +14,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench, Load
 from pmabench.engine.acquire import Acquisition, Recorder, Samples
 from pmabench.engine.commanded import Commander, Commands
+from pmabench.engine.load_check import LoadCheck, LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.seek import run_seek
 from pmabench.protocol.plan import (
@@ -86,12 +87,15 @@ class Executor:
     """How often each trial was begun, also in the runs that this one continues."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
+    unloaded: bool = False
+    """Whether hands were asked last to take every load off."""
 
     def __post_init__(self) -> None:
         self._trial: int | None = None
         self._trial_status = "finished"
         self._value: dict[str, float] = {}
         self._pause = self._repeat = False
+        self._load = LoadCheck(self.bench)
         self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
         self._act: dict[type[Step], Callable[[Any], None]] = {
             Set: self._set,
@@ -118,13 +122,17 @@ class Executor:
                 self._stay_at_low_pressure()
             if isinstance(step, Record) and step.on and step.trial is not None:
                 begun = number
-            self._act[type(step)](step)
+            self.do(step)
             left -= step.longest()
             number += 1
             if self._repeat and isinstance(step, Record) and not step.on:
                 self._repeat = False
                 left += sum(again.longest() for again in steps[begun:number])
                 number = begun
+
+    def do(self, step: Step) -> None:
+        """One step, now."""
+        self._act[type(step)](step)
 
     def heed(self) -> None:
         """Take what the operator has typed: notes at once, pause and repeat at the end of the trial, vent now."""
@@ -199,7 +207,21 @@ class Executor:
         self.acquisition.pass_time(step.longest())
 
     def _hold(self, step: Hold) -> None:
-        self.acquisition.pass_time(step.duration)
+        self.acquisition.pass_time(step.duration, self._load.watch())
+        verdict = self._load.verdict()
+        if verdict is None:
+            return
+        self._event(
+            "load-check",
+            expected=verdict.expected,
+            measured=verdict.measured,
+            tolerance=verdict.tolerance,
+            ok=verdict.ok,
+            text=str(verdict),
+            trial=self._trial,
+        )
+        if not verdict.ok and self.bench.load_action == "stop":
+            raise LoadImplausible(str(verdict))
 
     def _record(self, step: Record) -> None:
         if step.on:
@@ -289,6 +311,8 @@ class Executor:
         if step.load is not None:
             self.guard.place(Load(*step.load))
             self._event("load", force=step.load[0], mass=step.load[1])
+            self._load.put_on(step.load[0], step.text, self.acquisition.latest.get("displacement"))
+            self.unloaded = step.load[0] == 0
         self.acquisition.pass_time(HANDS_OUT)
         if step.demands == "vented":
             self.guard.valves(closed=True)

@@ -161,8 +161,8 @@ class Compilation:
         if load[0] == 0:
             return "Take every weight off the free end."
         mass = load[0] / weights.g
-        made_of = f" ({self._stack.text(mass)})" if self._stack is not None and weights.plates else ""
-        return f"Put {mass:.3f} kg on the free end, hanger included{made_of}: {load[0]:.2f} N."
+        made_of = self._stack.text(mass) if self._stack is not None else ""
+        return f"Put {made_of or f'{mass:g} kg, hanger included,'} on the free end: {load[0]:.2f} N."
 
     def too_long(self) -> bool:
         """Whether the plan has more steps than can be; notes that as a problem."""

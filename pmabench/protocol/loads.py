@@ -69,7 +69,7 @@ class Stack:
         return len(near) == 1 and abs(near[0] - mass) <= TOLERANCE
 
     def text(self, mass: float) -> str:
-        """What makes a load that can be made, for instance `hanger + 1 x 5 kg + 1 x 2.5 kg`."""
+        """What makes a load that can be made, for instance `hanger 1 kg + 1 x 5 kg + 1 x 2.5 kg = 8.5 kg`."""
         if mass <= 0 or not self.plates:
             return ""
         left = min(self._sums, key=lambda plates: abs(self.hanger + plates * _GRID - mass))
@@ -78,7 +78,7 @@ class Stack:
             left, number = self._sums[left]
             used[number] = used.get(number, 0) + 1
         chosen = [f"{used[number]} x {self._heaviest_first[number][1]:g} kg" for number in sorted(used)]
-        return "hanger + " + " + ".join(chosen) if chosen else "hanger alone"
+        return " + ".join([f"hanger {self.hanger:g} kg", *chosen]) + (f" = {mass:g} kg" if chosen else " alone")
 
     def __str__(self) -> str:
         """The stack in words."""

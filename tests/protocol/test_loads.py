@@ -41,7 +41,7 @@ def test_the_plates_named_are_there_and_make_the_load(hanger, plates):
 def test_the_heaviest_plate_first_is_not_always_the_way():
     stack = Stack(1.0, [(1, 5.0), (4, 3.0)])
     assert stack.can_make(7.0)
-    assert stack.text(7.0) == "hanger + 2 x 3 kg"
+    assert stack.text(7.0) == "hanger 1 kg + 2 x 3 kg = 7 kg"
 
 
 def test_plates_that_are_not_told_forbid_only_less_than_the_hanger():
