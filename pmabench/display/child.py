@@ -127,7 +127,7 @@ class Display:
         self._asked = None
         return True
 
-    def close(self, end: Mapping[str, Any] | None = None, within: float = 1.0) -> None:
+    def close(self, end: Mapping[str, Any] | None = None, within: float = 3.0) -> None:
         """End the display and give the terminal back: politely, after `within` [s] by force. Harmless when repeated."""
         process, link = self._process, self._link
         if process is None or link is None:

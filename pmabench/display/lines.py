@@ -95,4 +95,4 @@ def _legend(lines: Sequence[TrialLine]) -> str:
     against = {"expected": "the specimen file", "repeats": "earlier repeats"}
     text = f"; % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
-    return text + ("; * one load only, the other from the specimen file" if starred else "")
+    return text + ("; * leans on the specimen file: one load does not tell K from F_ce" if starred else "")

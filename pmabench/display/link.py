@@ -39,7 +39,7 @@ class Link:
             return False
         self._out += line
         self.flush()
-        return True
+        return not self.closed
 
     def flush(self) -> None:
         """Send what waits, as far as it is taken."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step
+from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step, WaitUntil
 from pmabench.store.records import Event
 
 _TOLD = ("set", "ramp", "follow", "record", "ask", "seek")
@@ -26,7 +26,8 @@ class Progress:
                 self._steps.append(STEPS[fields.pop("step")](**fields))
         self._until = [0.0]
         for step in self._steps:
-            self._until.append(self._until[-1] + max(0.0, float(step.longest())))
+            usual = step.shortest() if isinstance(step, Ask | WaitUntil) else step.longest()
+            self._until.append(self._until[-1] + max(0.0, float(usual)))
         self._at = 0
         self._begun = False  # whether the step at the pointer has begun
         self._t = 0.0
@@ -35,8 +36,8 @@ class Progress:
         self._first: float | None = None
 
     @property
-    def longest(self) -> float:
-        """Longest duration of the whole plan [s], without the operator's time."""
+    def length(self) -> float:
+        """Duration of the whole plan [s] where every wait ends at once and every search lasts its longest."""
         return self._until[-1]
 
     def take(self, event: Event) -> None:
@@ -80,22 +81,22 @@ class Progress:
 
     def done(self, t: float) -> float:
         """Share of the plan that is behind [1], at `t` [s]."""
-        return min(1.0, self._behind(t) / self.longest) if self.longest > 0 else 0.0
+        return min(1.0, self._behind(t) / self.length) if self.length > 0 else 0.0
 
     def _behind(self, t: float) -> float:
-        """Longest duration of what is done [s]; the step under way counts no more than its longest duration."""
+        """Duration of what is done by the plan [s]; the step under way counts no more than its own."""
         after = range(self._at + self._begun, len(self._steps))
         ends = next((i for i in after if self._steps[i].kind in _TOLD), len(self._steps))
         since = 0.0 if self._asked is not None else max(0.0, t - self._t)
         return self._until[self._at] + min(since, self._until[ends] - self._until[self._at])
 
     def left(self, t: float) -> tuple[float, bool] | None:
-        """Time left at `t` [s] without the operator's, and whether that is the longest possible; None where unknown."""
-        if not self.longest:
+        """Time left at `t` [s] without the operator's, and whether that is by the pace so far; None where unknown."""
+        if not self.length:
             return None
         behind = self._behind(t)
-        rest = self.longest - behind
+        rest = self.length - behind
         taken = t - (self._first or 0.0) - self._hands
-        if behind < ENOUGH * self.longest or taken <= 0:
-            return rest, True
-        return rest * min(1.0, taken / behind), False
+        if behind < ENOUGH * self.length or taken <= 0:
+            return rest, False
+        return rest * taken / behind, True

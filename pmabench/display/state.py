@@ -83,6 +83,7 @@ class RunState:
         self._t = 0.0
         self._live: tuple[float, dict[str, float]] | None = None
         self._fault = ""
+        self._now = 0.0
 
     # -- what happened ------------------------------------------------------------------------------------------------
 
@@ -328,7 +329,7 @@ class RunState:
         """Bench time [s]; at a bench in real time it goes on between what is written."""
         written = max([s.written for s in self.files.streams.values()] + [self.files.journal.written], default=0.0)
         if self.status == "running" and self.files.bench.get("realtime") and written:
-            return self._t + min(60.0, max(0.0, self._now - written))
+            return self._t + max(0.0, self._now - written)
         return self._t
 
 

@@ -26,6 +26,12 @@ CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
 SYMBOLS = {"pressure": "P", "displacement": "x", "force": "F"}
 LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0}
 """Smallest range [SI] that a curve fills."""
+NARROWEST = 60
+"""Curves are drawn from this width on."""
+FIXED = 58
+"""Columns of a channel's line without its bar."""
+TALLEST = 16
+"""Most lines of the curves."""
 FRESH = 3.0
 """Age up to which a pressure may stand beside a question to hands [s]."""
 OLD = 1.0
@@ -119,11 +125,11 @@ def _time(state: RunState, width: int) -> Text:
     """Elapsed, left, and how far."""
     t = state.t
     told = Text(f"{clock(t)} elapsed")
-    if state.progress is None or not state.progress.longest or state.status != "running":
+    if state.progress is None or not state.progress.length or state.status != "running":
         return told
     done, left = state.progress.done(t), state.progress.left(t)
     if left is not None:
-        told.append(f", {'at most' if left[1] else 'about'} {clock(left[0])} left")
+        told.append(f", {'about' if left[1] else 'by the plan'} {clock(left[0])} left")
     room = max(5, min(40, width - told.cell_len - 8))
     full = round(room * done)
     told.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")
@@ -132,8 +138,8 @@ def _time(state: RunState, width: int) -> Text:
 
 def _channels(state: RunState, width: int) -> list[Text]:
     """One line per channel: value, range seen, bar between the limits, age."""
-    bar = width - 55
-    head = f"  {'':<16}{'now':>10}      {'seen':>15}"
+    bar = width - FIXED
+    head = f"  {'':<16}{'now':>9}      {'seen':>15}"
     lines = [_row(Text(head, FAINT), Text("age" if bar > 0 else "", FAINT), width)]
     lines += [_channel(state, channel, bar, width) for channel in state.channels.values()]
     return lines
@@ -146,7 +152,7 @@ def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
     style = ("", WARN, BAD)[alarm]
     line = Text((" ", "!", "!!")[alarm].ljust(2), style)
     name = clean(channel.name).replace("_command", " set")
-    line.append(f"{name[:16]:<16}").append(f"{value_text(channel.value, channel.quantity, span):>10}", style or STRONG)
+    line.append(f"{name[:16]:<16}").append(f"{value_text(channel.value, channel.quantity, span):>9}", style or STRONG)
     line.append(f" {q.shown_in:<5}")
     seen = "…".join(value_text(v, channel.quantity, span) for v in (channel.least, channel.most))
     line.append(f"{seen if channel.least is not None else '':>15}", FAINT)
@@ -216,20 +222,22 @@ def _counts(state: RunState) -> Text:
 
 def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text]:
     """Curves, trials and log share what is left: the log least, the curves most."""
+    drawn = curves and width >= NARROWEST and state.rows > 0
     notices = min(len(state.notices), 2 if room < 14 else max(3, room // 6))
-    trials = min(len(state.lines) + 1, max(3, (room - notices) // (2 if curves else 1)))
-    if not state.lines:
-        trials = 0
-    high = room - notices - trials - (1 if notices else 0)
+    gap = 1 if notices else 0
+    trials = 0
+    if state.lines:
+        trials = max(4, (room - notices - gap) * 2 // 5) if drawn else room
+        trials = min(trials, len(state.lines) * 3 + 1)
+    high = min(room - notices - gap - trials, TALLEST)
     lines: list[Text] = []
-    if curves and high >= 3 and width >= 60:
+    if drawn and high >= 3:
         lines += _curves(state, width, high)
     if trials:
-        lines += trial_table(state.lines, width, room - notices - (1 if notices else 0) - len(lines))
+        lines += trial_table(state.lines, width, room - notices - gap - len(lines))
     if notices:
-        rest = room - len(lines)
-        lines += [Text() for _ in range(0 if lines and rest <= notices else max(0, min(1, rest - notices)))]
-        lines += [_notice(n.t, n.text, n.level) for n in list(state.notices)[-min(notices, room - len(lines)) :]]
+        last = list(state.notices)[-(room - len(lines) - gap) :]
+        lines += [Text(), *(_notice(n.t, n.text, n.level) for n in last)]
     return lines
 
 
@@ -303,7 +311,7 @@ def _question(state: RunState, extra: Extra, width: int) -> list[Text]:
 def _footer(extra: Extra) -> Text | None:
     if extra.typing is not None:
         return Text("note: ", STRONG).append(f"{clean(extra.typing)}▏").append("  Enter keeps it, Esc drops it", FAINT)
-    return Text(clean(extra.footer), FAINT) if extra.footer else None
+    return Text(extra.footer, FAINT) if extra.footer else None
 
 
 def closing(state: RunState, width: int, most: int = 12) -> list[Text]:

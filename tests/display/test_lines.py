@@ -1,0 +1,109 @@
+"""The line of a trial says what was put in, and doubts what was made doubtful."""
+
+import pytest
+
+from pmabench.display.state import RunState
+from pmabench.store.records import Flag
+from tests.display.recorded import TAU, F_ce, K, Recorded
+
+LIGHT, HEAVY, P = 58.86, 107.91, 3e5
+
+
+def lines_of(folder):
+    state = RunState(folder)
+    while state.poll():
+        pass
+    return state.lines
+
+
+def numbers(line):
+    return {number.symbol: number for number in line.numbers}
+
+
+def test_numbers_of_a_trial_are_those_that_made_it(tmp_path):
+    run = Recorded(tmp_path, [(LIGHT, P), (HEAVY, P)])
+    run.trial(0)
+    run.trial(1)
+    first, second = lines_of(run.close())
+    assert first.ok, first.doubts
+    assert second.ok, second.doubts
+    one, two = numbers(first), numbers(second)
+    assert one["x_inf"].value == pytest.approx((F_ce(P) - LIGHT) / K(P), rel=1e-3)
+    assert one["x_inf"].reference == pytest.approx((F_ce(P) - LIGHT) / K(P), rel=1e-9)
+    assert one["tau"].value == pytest.approx(TAU, rel=1e-3)
+    assert one["K"].assumed
+    assert one["F_ce"].assumed
+    assert not two["K"].assumed
+    assert two["K"].value == pytest.approx(K(P), rel=1e-3)
+    assert two["F_ce"].value == pytest.approx(F_ce(P), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "doubt"),
+    [
+        ({"factor": 1.2}, "x_inf 20% above expected"),
+        ({"reached": 0.95}, "pressure not reached: 285 kPa of 300 kPa"),
+        ({"drift": 2e-3}, "still drifting"),
+        ({"flags": int(Flag.DROPOUT)}, "samples flagged DROPOUT"),
+        ({"factor": 0.0}, "did not lift the load"),
+        ({"status": "failed"}, "the trial is failed"),
+    ],
+)
+def test_what_speaks_against_a_trial_is_said(tmp_path, change, doubt):
+    run = Recorded(tmp_path, [(LIGHT, P)])
+    run.trial(0, **change)
+    (line,) = lines_of(run.close())
+    assert any(doubt in told for told in line.doubts), line.doubts
+
+
+def test_a_limit_that_was_reached_is_a_doubt_of_its_trial_only(tmp_path):
+    run = Recorded(tmp_path, [(LIGHT, P), (LIGHT, P)])
+    run.begin(0)
+    run.contract(0)
+    run.writer.event("limit-reached", run.t, phase="contract", trial=0, reason="waited 5 s for nothing")
+    run.end(0)
+    run.trial(1, repeat=1)
+    first, second = lines_of(run.close())
+    assert "waited 5 s for nothing" in first.doubts
+    assert second.ok
+
+
+def test_repeats_count_more_than_the_prediction(tmp_path):
+    """All are 20 % off the prediction: only the first is doubted for it; a fourth far from its repeats is doubted."""
+    run = Recorded(tmp_path, [(LIGHT, P)] * 5)
+    for index, factor in enumerate((1.200, 1.203, 1.197, 1.201, 1.23)):
+        run.trial(index, repeat=index, factor=factor)
+    lines = lines_of(run.close())
+    assert [line.ok for line in lines] == [False, True, True, True, False]
+    assert any("above its repeats" in doubt for doubt in lines[4].doubts)
+
+
+def test_without_a_prediction_the_repeats_stand_beside(tmp_path, monkeypatch):
+    monkeypatch.setattr("tests.display.recorded.SPECIMEN", "schema: pmabench.specimen/1\n")
+    run = Recorded(tmp_path, [(LIGHT, P)] * 2)
+    run.trial(0)
+    run.trial(1, factor=1.02)
+    first, second = (numbers(line)["x_inf"] for line in lines_of(run.close()))
+    assert first.reference is None
+    assert second.reference_is == "repeats"
+    assert second.off == pytest.approx(0.02, abs=1e-3)
+
+
+def test_lines_read_while_the_run_is_written_are_those_read_afterwards(tmp_path):
+    points = [(LIGHT, P), (HEAVY, P), (LIGHT, 2e5), (HEAVY, 2e5)]
+    run = Recorded(tmp_path, points)
+    state = RunState(run.folder)
+    for index in range(len(points)):
+        run.begin(index)
+        state.poll()
+        run.contract(index, until=1.0)
+        state.poll()
+        run.samples(index, 3.0)
+        assert len(state.lines) == index
+        run.end(index)
+        state.poll()
+        assert len(state.lines) == index + 1
+    folder = run.close()
+    state.poll()
+    assert state.ended
+    assert state.lines == lines_of(folder)

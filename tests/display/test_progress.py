@@ -1,0 +1,105 @@
+"""How far, and how long the rest takes, against plans that can be added up by hand."""
+
+import pytest
+
+from pmabench.display.progress import Progress
+from pmabench.store.records import Event
+from tests.display.recorded import BASELINE, HOLD, LENGTH, plan
+
+POINTS = [(58.86, 3e5)] * 10
+
+
+def events(*told):
+    return [Event(number, t, kind, data) for number, (t, kind, data) in enumerate(told)]
+
+
+def command(t, index, phase, value):
+    return t, "command", {"output": "pressure", "type": "set", "phase": phase, "trial": index, "value": value}
+
+
+def trial(index, start, pace=1.0):
+    """The events of one trial that takes `pace` times as long as planned."""
+    return [
+        (start, "trial-begin", {"trial": index}),
+        command(start + pace * BASELINE, index, "contract", 3e5),
+        command(start + pace * (BASELINE + HOLD), index, "vent", 0.0),
+        (start + pace * LENGTH, "trial-end", {"trial": index, "status": "finished"}),
+    ]
+
+
+def taken(progress, told):
+    for event in events(*told):
+        progress.take(event)
+    return progress
+
+
+@pytest.mark.parametrize("pace", [1.0, 1.5, 0.5])
+def test_after_half_of_the_trials_half_of_the_time_is_left(pace):
+    told = [entry for index in range(5) for entry in trial(index, index * pace * LENGTH, pace)]
+    data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
+    progress = taken(Progress(data), told)
+    now = 5 * pace * LENGTH
+    assert progress.done(now) == pytest.approx(0.5)
+    assert progress.left(now) == (pytest.approx(now), True)
+
+
+def test_inside_a_step_time_counts_and_stands_still_at_its_end():
+    progress = taken(Progress(plan(POINTS)), trial(0, 3.0)[:2])
+    half, end, late = (progress.done(3.0 + BASELINE + since) for since in (HOLD / 2, HOLD, 10 * HOLD))
+    assert half == pytest.approx((3.0 + BASELINE + HOLD / 2) / (3.0 + 10 * LENGTH))
+    assert end == late == pytest.approx((3.0 + BASELINE + HOLD) / (3.0 + 10 * LENGTH))
+
+
+def test_the_operators_time_does_not_count():
+    def left(hands):
+        told = [(0.0, "prompt", {"phase": "load"}), (hands, "answer", {}), *trial(0, hands + 3.0)]
+        return taken(Progress(plan(POINTS)), told).left(hands + 3.0 + LENGTH)
+
+    assert left(0.0) == (pytest.approx(9 * LENGTH), True)
+    assert left(500.0) == (pytest.approx(9 * LENGTH), True)
+
+
+def test_while_the_operator_is_asked_nothing_goes_on():
+    progress = taken(Progress(plan(POINTS)), [(0.0, "prompt", {"phase": "load"})])
+    assert progress.done(1000.0) == 0.0
+    assert progress.left(1000.0) == (pytest.approx(3.0 + 10 * LENGTH), False)
+
+
+def test_a_trial_that_is_begun_again_takes_the_pointer_back():
+    told = [*trial(0, 0.0), *trial(1, 10.0), (20.0, "trial-begin", {"trial": 0})]
+    assert taken(Progress(plan(POINTS)), told).done(20.0) == pytest.approx(3.0 / (3.0 + 10 * LENGTH))
+
+
+def test_steps_of_the_same_kind_are_told_apart_by_their_order():
+    """Preconditioning sets the same output in the same phase again and again."""
+    step = {"phase": "precondition", "output": "pressure"}
+    hold = {"step": "hold", "phase": "precondition", "duration": 2.0}
+    steps = [part for value in (4e5, 0.0, 4e5, 0.0) for part in ({"step": "set", "value": value, **step}, hold)]
+    told = [command(2.0 * k, None, "precondition", 0.0) for k in range(3)]
+    assert taken(Progress({"steps": steps}), told).done(5.0) == pytest.approx(5.0 / 8.0)
+
+
+def test_a_search_is_one_step_however_much_it_commands():
+    search = {
+        "step": "seek",
+        "phase": "lift",
+        "law": "ramp-until",
+        "output": "pressure",
+        "low": 0,
+        "high": 1,
+        "limit": 10.0,
+    }
+    data = {"steps": [search, {"step": "hold", "phase": "rest", "duration": 10.0}]}
+    ramps = [(t, "command", {"output": "pressure", "phase": "lift", "trial": 0}) for t in (0.0, 2.0, 4.0)]
+    progress = taken(Progress(data), ramps)
+    assert progress.done(5.0) == pytest.approx(0.25)
+    progress.take(Event(9, 6.0, "found", {"phase": "lift", "trial": 0}))
+    assert progress.done(6.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    "data", [{}, {"steps": None}, {"steps": [{"step": "later"}]}, {"steps": [{"phase": 1}]}, {"steps": 3}]
+)
+def test_a_plan_that_cannot_be_read_tells_nothing(data):
+    progress = taken(Progress(data), trial(0, 0.0))
+    assert (progress.done(1.0), progress.left(1.0)) == (0.0, None)

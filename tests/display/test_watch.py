@@ -1,0 +1,103 @@
+"""`pmabench watch` as it is typed."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from tests.display.recorded import Recorded
+
+POINTS = [(58.86, 3e5), (107.91, 3e5)]
+
+
+def pmabench(*args):
+    return CliRunner().invoke(main, ["watch", *map(str, args)])
+
+
+@pytest.fixture
+def ended(tmp_path):
+    run = Recorded(tmp_path / "runs", POINTS, name="first")
+    run.load()
+    run.trial(0)
+    run.trial(1, factor=1.3)
+    return run.close()
+
+
+def test_a_run_that_has_ended_is_told_in_plain_lines(ended):
+    told = pmabench(ended)
+    assert told.exit_code == 0
+    lines = told.output.splitlines()
+    assert lines[0] == "SIMULATED contraction-relaxation, MAS-20 TEST-1: first"
+    assert lines[1] == "0:00 armed: rig"
+    trials = [line for line in lines if line.startswith("trial ")]
+    assert trials[0].startswith(
+        "trial 1 of 2 (load 58.86 N, pressure 300 kPa): x_inf 31.59 mm (expected 31.59), tau 0.2500 s"
+    )
+    assert trials[0].endswith("; ok")
+    assert trials[1].endswith("; DOUBT: x_inf 30% above expected (24.6 mm)")
+    assert lines[-1] == "finished; 2 of 2 trials, 1 in doubt; 5,200 rows; vent confirmed"
+    assert "\x1b" not in told.output
+
+
+def test_json_is_one_object(ended):
+    told = json.loads(pmabench(ended, "--json").output)
+    assert (told["schema"], told["status"], told["rows"]) == ("pmabench.watch/1", "finished", 5200)
+    assert [trial["doubts"] for trial in told["trials"]] == [[], ["x_inf 30% above expected (24.6 mm)"]]
+    assert told["trials"][0]["numbers"][1]["value"] == pytest.approx(0.25, rel=1e-3)
+
+
+def test_of_a_folder_the_newest_run_is_meant(ended, tmp_path):
+    run = Recorded(tmp_path / "runs", POINTS, name="second")
+    run.trial(0)
+    run.close()
+    os.utime(ended / "manifest.json", (1.0, 1.0))
+    assert "TEST-1: second" in pmabench(tmp_path / "runs").output
+
+
+@pytest.mark.parametrize(("name", "why"), [("nowhere", "there is no such run"), ("empty", "holds no run")])
+def test_what_is_no_run_is_said(tmp_path, name, why):
+    (tmp_path / "empty").mkdir()
+    told = pmabench(tmp_path / name)
+    assert told.exit_code == 3
+    assert why in told.output
+    assert "--wait" in told.output
+
+
+def test_it_waits_follows_and_ends_by_itself(tmp_path):
+    """In a process of its own, while the run is written here."""
+    command = [sys.executable, "-m", "pmabench", "watch", str(tmp_path / "runs"), "--wait"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
+        assert watching.stderr.readline().startswith("no run in")
+        run = Recorded(tmp_path / "runs", POINTS)
+        first = watching.stdout.readline()
+        assert first.startswith("SIMULATED contraction-relaxation")
+        run.trial(0)
+        while not watching.stdout.readline().startswith("trial 1 of 2"):
+            pass
+        assert watching.poll() is None
+        run.trial(1)
+        run.close("aborted", "ended by Ctrl-C")
+        lines = watching.stdout.read().splitlines()
+        assert watching.wait(60) == 0
+    assert any(line.startswith("trial 2 of 2") for line in lines)
+    assert lines[-1] == "aborted: ended by Ctrl-C; 2 of 2 trials; 5,200 rows; vent confirmed"
+
+
+def test_a_reader_that_leaves_ends_it_quietly(tmp_path):
+    run = Recorded(tmp_path / "runs", POINTS)
+    command = [sys.executable, "-m", "pmabench", "watch", str(run.folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
+        watching.stdout.readline()
+        watching.stdout.close()
+        end = time.monotonic() + 60.0
+        while watching.poll() is None and time.monotonic() < end:
+            run.writer.event("note", run.t, text="x")
+            time.sleep(0.1)
+        assert watching.poll() == 0
+        assert watching.stderr.read() == ""
+    run.close()
