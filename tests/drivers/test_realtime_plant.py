@@ -3,12 +3,14 @@
 import itertools
 import math
 import time
+from pathlib import Path
 
 import pytest
 from pmabench_drivers.mock.client import MockClient
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
+from pmabench.bench.compile import mount
 from pmabench.bench.interface import (
     Device,
     Follower,
@@ -24,10 +26,11 @@ from pmabench.bench.interface import (
     Watchdog,
 )
 from tests.drivers.rig import record
-from tests.realtime import eventually, opened, plant_server
+from tests.realtime import CLIENT, eventually, opened, plant_server
 
 pytestmark = pytest.mark.realtime
 COUNT = 65.535
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -261,3 +264,34 @@ def test_the_clock_of_the_device_may_run_wrong(tmp_path):
         moments = client.collect().time
         assert 1.1 * before + 0.019 < moments[0] * 1e-9 < 1.1 * after + 0.021
         assert {b - a for a, b in itertools.pairwise(moments)} == {2_200_000}
+
+
+@pytest.mark.parametrize("name", ["mock-realtime", "mock-realtime-actuator"])
+def test_the_shipped_benches_lack_no_device_and_are_served(tmp_path, name):
+    mounted = mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", ROOT / "fixtures/specimens/mas-20-250-paper0.yaml")
+    assert mounted.bench.realtime
+    assert [lack for lack in mounted.lacks if not lack.startswith("no session")] == []
+    (device,) = mounted.bench.devices
+    assert device.driver == CLIENT
+    with plant_server(tmp_path, device) as plant, opened(plant.device) as client:
+        assert client.arm_watchdog(device.watchdog) == device.watchdog == 1.0
+        client.start(500.0)
+        time.sleep(0.02)
+        assert set(client.collect().columns) == {channel.name for channel in device.channels}
+        for output in device.outputs:
+            client.write(output.output, output.scale.to_raw(0.0))
+            client.halt(output.output)
+        for valve in device.valves:
+            client.switch(valve.output, on=valve.safe != valve.energised)
+        assert [client.level(interlock.input) for interlock in device.interlocks] == [True]
+
+
+def test_a_drive_stops_where_it_is(tmp_path):
+    with plant_server(tmp_path, record(actuator=True)) as plant, opened(plant.device) as client:
+        client.follow("displacement", Segment("ramp", client._clock.now(), 0.0, target=40.0, rate=20.0))
+        eventually(lambda: client.read_back("displacement") > 2.0)
+        client.halt("displacement")
+        stopped = client.read_back("displacement")
+        assert 2.0 < stopped < 39.0
+        time.sleep(0.1)
+        assert client.read_back("displacement") == stopped
