@@ -20,7 +20,7 @@ from pmabench.store.folder import files_of, read_manifest, read_seal, status_of
 from pmabench.store.journal import decode, summary
 
 CACHE = ".catalogue.sqlite"
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class Row:
     bench: str
     status: str
     """As in `RunData`; `running` while it is written, `damaged` where manifest or seal cannot be believed."""
+    why: str
+    """The cause of a status other than `finished`, in a sentence."""
     simulated: bool
     trials_finished: int
     trials_planned: int
@@ -119,6 +121,7 @@ def _read(folder: Path) -> Row:
         specimen=_label(manifest.get("specimen")),
         bench=_label(manifest.get("bench")),
         status=status,
+        why=str(told.get("why") or ""),
         simulated=bool(manifest.get("simulated")),
         trials_finished=int(told.get("trials_finished") or 0),
         trials_planned=int(told.get("trials_planned") or 0),

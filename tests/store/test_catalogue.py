@@ -10,7 +10,7 @@ import pytest
 
 from pmabench.store.catalogue import CACHE, catalogue
 from pmabench.store.folder import open_json, sealed_json
-from tests.store.runs import closed, unclosed
+from tests.store.runs import begin, closed, unclosed
 
 COUNT = 200
 
@@ -42,6 +42,7 @@ def test_rows_say_what_the_folders_say(parent):
     assert (row.trials_finished, row.trials_planned) == (1, 2)
     assert row.duration == pytest.approx(0.22)
     assert row.size > 5000
+    assert (row.status, row.why) == ("aborted", "")
     assert json.loads(json.dumps(vars(row)))["id"] == row.id
 
 
@@ -95,6 +96,13 @@ def test_rows_follow_what_happens_to_the_folders(tmp_path):
     shutil.rmtree(moved)
     (tmp_path / "runs" / "notes").mkdir()
     assert len(catalogue(tmp_path / "runs")) == 1
+
+
+def test_a_row_says_why_a_run_did_not_finish(tmp_path):
+    begin(tmp_path).close("tripped", "pressure 660 kPa is above its limit")
+    (row,) = catalogue(tmp_path)
+    assert (row.status, row.why) == ("tripped", "pressure 660 kPa is above its limit")
+    assert catalogue(tmp_path) == [row]
 
 
 def test_a_folder_without_runs_or_that_cannot_be_written_gives_no_error(tmp_path):
