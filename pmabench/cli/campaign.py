@@ -18,16 +18,17 @@ if TYPE_CHECKING:
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
+@click.option("--resume", is_flag=True, help="Leave out what is finished in --out, and go on with what is not.")
 @common
-def command(ui: Ui, file: str, out: Path, operator: str, *, yes: bool) -> int | None:
+def command(ui: Ui, file: str, out: Path, operator: str, *, yes: bool, resume: bool) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
     from pmabench.cli.run import outcome_json
     from pmabench.files.shipped import find_file
 
-    outcomes = run_campaign(ui, find_file("campaign", file), out, operator_name=operator, yes=yes)
+    outcomes = run_campaign(ui, find_file("campaign", file), out, operator_name=operator, yes=yes, resume=resume)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     ui.result(data, lambda: click.echo("\n".join(str(outcome.folder) for outcome in outcomes)))
-    return max((outcome.exit_code for outcome in outcomes), key=severity)
+    return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
 
 
 SEVERITY = (0, 6, 2, 129, 143, 130, 1, 4, 7, 5)
@@ -40,22 +41,57 @@ def severity(code: int) -> int:
 
 
 def run_campaign(
-    ui: Ui, file: Path, out: Path, *, operator_name: str = "", yes: bool = False, seed: int | None = None
+    ui: Ui,
+    file: Path,
+    out: Path,
+    *,
+    operator_name: str = "",
+    yes: bool = False,
+    seed: int | None = None,
+    resume: bool = False,
 ) -> list[Outcome]:
-    """Run the campaign; `seed` replaces that of simulated devices."""
+    """Run the campaign; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds of it."""
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
     from pmabench.protocol.campaign import plan_campaign
 
-    _, planned = plan_campaign(file)
+    name, planned = plan_campaign(file)
     outcomes: list[Outcome] = []
     for number, run in enumerate(planned):
         mounted = run.mounted if seed is None else seeded(run.mounted, seed + number)
-        ui.note(f"{number + 1} of {len(planned)}: {run.plan.name} on {mounted.bench.name}")
-        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations)
-        outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes)
+        title = f"{number + 1} of {len(planned)}: {run.plan.name} on {mounted.bench.name}"
+        continues = None
+        before = _before(out, name, number, run.plan.sha256) if resume else None
+        if before is not None:
+            folder, status = before
+            if status in {"finished", "failed"}:
+                ui.note(f"{title}: {status} already, in {folder.name}")
+                continue
+            from pmabench.engine.resume import continue_run
+
+            title += f", going on after {folder.name}"
+            continues = continue_run(folder, run.plan, mounted, run.protocol_text)
+        ui.note(title)
+        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources)
+        about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
+        outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about)
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")
             break
     return outcomes
+
+
+def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Path, str] | None:
+    """The newest run of this place in the campaign and its status, where `out` holds one."""
+    from pmabench.store.catalogue import catalogue
+    from pmabench.store.folder import read_manifest
+
+    for row in reversed(catalogue(out)):
+        if row.status == "damaged":
+            continue
+        manifest = read_manifest(out / row.folder)
+        place = manifest.get("campaign") or {}
+        if (place.get("name"), place.get("number"), manifest.get("plan_sha256")) == (campaign, number, plan_sha256):
+            return out / row.folder, row.status
+    return None

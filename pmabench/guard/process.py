@@ -15,6 +15,7 @@ import signal
 import socket
 import sys
 import time
+import traceback
 from array import array
 from contextlib import suppress
 from pathlib import Path
@@ -94,6 +95,7 @@ class Service:
             for message, _payload in peer.messages.feed(piece) if piece else ():
                 self._answer(peer, message)
         except (OSError, ValueError, TypeError, KeyError):
+            traceback.print_exc()  # goes to guard.log beside the state
             piece = b""
         if not piece:
             self._selector.unregister(peer.link)

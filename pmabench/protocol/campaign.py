@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -43,6 +43,8 @@ class PlannedRun:
     protocol_text: str
     deviations: tuple[str, ...]
     """What the campaign changes in the protocol, in words."""
+    sources: dict[str, Any] = field(default_factory=dict)
+    """Absolute paths of protocol, bench and specimen, and what was `set`."""
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:
@@ -72,16 +74,23 @@ def _plan(
     mounted: dict[str, Mounted],
 ) -> PlannedRun:
     settings = [(name, _yaml(value)) for name, value in run.set.items()]
-    protocol_document, protocol = read_protocol(_find(folder, "protocol", run.protocol), settings)
+    protocol_path = _find(folder, "protocol", run.protocol)
+    protocol_document, protocol = read_protocol(protocol_path, settings)
     bench = run.bench or campaign.benches.get(protocol.needs.free_end)
     if bench is None:
         message = f'names no bench whose free end is "{protocol.needs.free_end}", which "{run.protocol}" needs'
         raise InvalidFile([document.problem((*at, "protocol"), message)])
+    paths = {"bench": _find(folder, "bench", bench), "specimen": _find(folder, "specimen", campaign.specimen)}
     if bench not in mounted:
-        mounted[bench] = mount(_find(folder, "bench", bench), _find(folder, "specimen", campaign.specimen))
+        mounted[bench] = mount(paths["bench"], paths["specimen"])
     plan = compile_protocol(protocol_document, protocol, mounted[bench])
     text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in protocol_document.texts.items())
-    return PlannedRun(plan, mounted[bench], text, tuple(f"{name} set to {value}" for name, value in settings))
+    sources: dict[str, Any] = {
+        kind: str(path.resolve()) for kind, path in (("protocol", protocol_path), *paths.items())
+    }
+    sources["set"] = [list(pair) for pair in settings]
+    deviations = tuple(f"{name} set to {value}" for name, value in settings)
+    return PlannedRun(plan, mounted[bench], text, deviations, sources)
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:
