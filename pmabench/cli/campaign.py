@@ -87,7 +87,7 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
     from pmabench.store.catalogue import catalogue
     from pmabench.store.folder import read_manifest
 
-    for row in reversed(catalogue(out)):
+    for row in sorted(catalogue(out), key=lambda row: row.date, reverse=True):
         if row.status == "damaged":
             continue
         manifest = read_manifest(out / row.folder)
