@@ -54,7 +54,7 @@ def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
 
 def _row(line: TrialLine, names: Sequence[str]) -> Text:
     """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
-    text = Text("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.index + 1:>5}", "bold")
+    text = Text().append("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.index + 1:>5}", "bold")
     for name in names:
         value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
         text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")
@@ -93,6 +93,6 @@ def _legend(lines: Sequence[TrialLine]) -> str:
     """What percent and star mean in these lines."""
     kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
     against = {"expected": "the specimen file", "repeats": "earlier repeats"}
-    text = f"; % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
+    text = f"  % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
     return text + ("; * leans on the specimen file: one load does not tell K from F_ce" if starred else "")

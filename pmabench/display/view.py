@@ -106,10 +106,10 @@ def _head(state: RunState, width: int) -> list[Text]:
         lines.append(Text(clean(state.why), BAD if status != "finished" else ""))
     trial = state.trial
     if trial is not None:
-        where = Text(f"trial {trial.index + 1} of {state.trials}", STRONG)
+        where = Text().append(f"trial {trial.index + 1} of {state.trials}", STRONG)
         where.append(f"  {point_text(trial.point)}" + (f", repeat {trial.repeat + 1}" if trial.repeat else ""))
     else:
-        where = Text(_done(state), STRONG)
+        where = Text().append(_done(state), STRONG)
         where.append("  not in a trial: nothing is recorded" if status == "running" else "")
     lines += [_row(where, Text(clean(state.phase) if status == "running" else "", STRONG), width), _time(state, width)]
     return lines
@@ -150,7 +150,7 @@ def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
     span = max(abs(v) for v in (*channel.axis(), 0.0) if isfinite(v)) or 1.0
     alarm = channel.alarm
     style = ("", WARN, BAD)[alarm]
-    line = Text((" ", "!", "!!")[alarm].ljust(2), style)
+    line = Text().append((" ", "!", "!!")[alarm].ljust(2), style)
     name = clean(channel.name).replace("_command", " set")
     line.append(f"{name[:16]:<16}").append(f"{value_text(channel.value, channel.quantity, span):>9}", style or STRONG)
     line.append(f" {q.shown_in:<5}")
@@ -193,7 +193,7 @@ def _bar(channel: Channel, width: int) -> Text:
 
 
 def _settings(state: RunState) -> Text:
-    line = Text("commanded ", FAINT)
+    line = Text().append("commanded ", FAINT)
     if not state.settings:
         return line.append("nothing yet")
     return line.append("   ".join(_setting(setting) for setting in state.settings.values()))
@@ -211,7 +211,7 @@ def _setting(setting: Setting) -> str:
 
 def _counts(state: RunState) -> Text:
     rate = max((stream.rate for stream in state.files.streams.values()), default=0.0)
-    line = Text("samples   ", FAINT).append(f"{state.rows:,}" + (f" at {rate:g} Hz" if rate else ""))
+    line = Text().append("samples   ", FAINT).append(f"{state.rows:,}" + (f" at {rate:g} Hz" if rate else ""))
     for name, count in state.counts.items():
         line.append("   ").append(f"{name} {count:,}", WARN if count and name != "slack" else "")
     for stream in state.files.streams.values():
@@ -310,7 +310,7 @@ def _question(state: RunState, extra: Extra, width: int) -> list[Text]:
 
 def _footer(extra: Extra) -> Text | None:
     if extra.typing is not None:
-        return Text("note: ", STRONG).append(f"{clean(extra.typing)}▏").append("  Enter keeps it, Esc drops it", FAINT)
+        return Text.assemble(("note: ", STRONG), f"{clean(extra.typing)}▏", ("  Enter keeps it, Esc drops it", FAINT))
     return Text(extra.footer, FAINT) if extra.footer else None
 
 

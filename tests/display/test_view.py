@@ -51,6 +51,7 @@ def test_the_picture_of_a_running_trial(running, size):
     path = PICTURES / f"running-{width}x{height}.txt"
     if not path.exists():
         path.write_text("\n".join(lines) + "\n", "utf-8")
+        pytest.fail(f"{path.name} was made anew: look at it, and keep it where it is good")
     assert lines == path.read_text("utf-8").splitlines()
 
 
@@ -99,6 +100,17 @@ def test_without_colour_nothing_is_lost_but_colour(running):
     assert not re.search(r"\x1b\[(?:[0-9;]*;)?(?:3[0-7]|4[0-7]|9[0-7]|10[0-7])(?:;[0-9]+)*m", "".join(plain))
     strip = re.compile(r"\x1b\[[0-9;]*m")
     assert [strip.sub("", line) for line in plain] == [strip.sub("", line) for line in coloured]
+
+
+def test_a_mark_colours_itself_only(running):
+    """An `ok` is green, the numbers beside it are not; an alarm marks sign and value, not the line."""
+    state = poll(running)
+    state.channels["pressure"].value = 700e3
+    told = rendered(screen(state, 100, 30), 100, color=True)
+    (row,) = [line for line in told if "ok" in line and "31.59" in line]
+    assert row.index("\x1b[0m") < row.index("31.59")
+    (pressure,) = [line for line in told if "pressure    " in line]
+    assert "\x1b[1;37;41m!!\x1b[0mpressure" in pressure
 
 
 def test_only_the_sixteen_colours_are_used(running):
