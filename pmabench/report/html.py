@@ -24,6 +24,7 @@ from pmabench.report import provenance, tables, wording
 from pmabench.report.figures import front_pictures, kind_pictures
 from pmabench.report.pictures import Picture
 from pmabench.report.rounding import rounded
+from pmabench.report.run_notes import notes_of
 from pmabench.report.svg import symbol_parts
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
@@ -209,6 +210,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "front": first_page,
         "protocol": grid(provenance.protocol_table(runs, names)),
         "deviations": provenance.deviations(runs, names),
+        "notes": notes_of(runs, names),
         "coefficients": grid(tables.primary_table(analyses)),
         "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
         "curves": grid(tables.curves_table(analyses), group=True),

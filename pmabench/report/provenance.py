@@ -197,6 +197,11 @@ def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
         answered = sum(e.kind == "answer" and "--yes" in str(e.data.get("answer", "")) for e in run.events)
         if answered:
             say(run, f"prompts to the operator confirmed beforehand (--yes): {answered}")
+        for channel, how in run.interpolated.items():
+            say(run, f"{text_of(channel)}: {how}")
+        if run.manifest.get("guard"):
+            result = text_of(get(run.manifest, "guard", "vent", "result"))
+            say(run, f"the program died; the guard vented the bench after that: {result}")
         vent = get(run.manifest, "end", "vent", "result")
         if vent not in (None, "confirmed"):
             say(run, f"the safe state at the end was {text_of(vent)}")
