@@ -133,15 +133,11 @@ def _at(campaign: Campaign, P: float, steps: Sequence[Step], primary: Fit, optio
         if not members:
             continue
         of_loads = [step.load for step in members]
-        tau, half, (low, high) = mean_over([step.fit.tau for step in members], of_loads)
+        tau, half, ends = mean_over([step.fit.tau for step in members], of_loads)
         several = len(set(of_loads)) > 1
-        note = (
-            f"from {show(low, 'time', 3)} to {show(high, 'time', 3)} over the loads, half of which is the method part"
-            if several
-            else "no method part: one load"
-        )
+        note = _spread("the loads", ends) if several else "no method part: one load"
         once = "" if half is not None else ONCE
-        parts = Parts(half, (high - low) / 2 if several else None)
+        parts = Parts(half, max(ends[1] - tau, tau - ends[0]) if several else None)
         add(f"tau_{symbol}", tau, parts, members, {}, {}, sentences(once, note))
         if regression is not None:
             both = None if half is None or half_K is None else hypot(regression.K * half, tau * half_K)
@@ -207,11 +203,16 @@ def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
     return (Finding("note", text + " and holds friction for a smaller F_ce"),)
 
 
+def _spread(over: str, ends: tuple[float, float]) -> str:
+    low, high = (show(end, "time", 3) for end in ends)
+    return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
+
+
 def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
     """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
 
     The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
-    are for all of them.
+    are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
     """
     found: dict[str, list[tuple[int, float]]] = {}
     for number, trial in enumerate(campaign.trials):
@@ -242,11 +243,10 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     numbers = [number for number, _ in group]
     motion = kind.endswith("motion")
     conditions = [float(campaign.cells[n]) if motion else campaign.trials[n].point["pressure"] for n in numbers]
-    mean, half, (low, high) = mean_over([value for _, value in group], conditions)
-    note = ""
-    if len(set(conditions)) > 1:
-        over = "the loads" if at else "loads and pressures" if motion else "the pressures"
-        note = f"mean over {over}, from {show(low, 'time', 3)} to {show(high, 'time', 3)} among them"
+    mean, half, ends = mean_over([value for _, value in group], conditions)
+    over = "the loads" if at else "loads and pressures" if motion else "the pressures"
+    note = _spread(over, ends) if len(set(conditions)) > 1 else ""
+    reach = max(ends[1] - mean, mean - ends[0])
     return Estimate(
         symbol="t_d",
         value=mean,
@@ -254,7 +254,7 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
         quantity="time",
         method=ONSET,
         at=at,
-        parts=Parts(repeats=half, method=0.5 / campaign.rate, calibration=0.0),
+        parts=Parts(repeats=half, method=hypot(0.5 / campaign.rate, reach), calibration=0.0),
         n=len(group),
         note=sentences(ONCE if half is None else "", note),
         trials=tuple(campaign.name(number) for number in numbers),
