@@ -59,6 +59,8 @@ class Registers:
         cells = dict(self._held)
         quantities = self._plant.quantities()
         for register in self._map.inputs.values():
+            if (register.table, register.address) in self._held:
+                continue  # it shows what is commanded
             for offset, word in enumerate(self._input(register, quantities)):
                 key = register.table, register.address + offset
                 merged = register.bit >= 0 and key in cells

@@ -1,0 +1,148 @@
+"""Devices of two wires as records, and a raw TCP peer whose answers are written by hand."""
+
+import contextlib
+import socket
+import threading
+import time
+from dataclasses import replace
+
+from pmabench_drivers.emulator import Emulator
+from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.serial_ascii import SerialIndicator
+
+from pmabench.base.clock import RealClock
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+
+MODBUS = "pmabench_drivers.modbus:ModbusDevice"
+TEXT = "pmabench_drivers.serial_ascii:SerialIndicator"
+
+MAP = {
+    "unit_id": 7,
+    "rate": "200 Hz",
+    "identity": {"maker": "Acme", "constant": {"address": 110, "type": "uint32", "expect": "0x00112233"}},
+    "inputs": {
+        "pressure": {"table": "input", "address": 0, "type": "float32"},
+        "spare": {"table": "input", "address": 2, "type": "int16"},
+        "e_stop": {"table": "discrete", "address": 0},
+    },
+    "outputs": {"pressure": {"address": 10, "type": "float32"}, "dump": {"table": "coil", "address": 0}},
+    "watchdog": {
+        "timeout": {"address": 20},
+        "resolution": "10 ms",
+        "trigger": {"address": 21},
+        "on": 1,
+        "off": 0,
+    },
+}
+
+
+def regulator(address="127.0.0.1:0", options=None, **changes):
+    """A pressure regulator in kPa with dump valve, emergency stop and watchdog; `changes` to its map."""
+    return DeviceRecord(
+        "regulator",
+        MODBUS,
+        address,
+        {"map": {**MAP, **changes}, **(options or {})},
+        (ChannelRecord("pressure", "pressure", "regulator", "pressure", "float64", "kPa", Scale(1e3), -50e3, 1e6),),
+        (OutputRecord("pressure", "pressure", "regulator", "pressure", Scale(1e3), 0.01, 0.0, 0.0, 6e5),),
+        (ValveRecord("dump_valve", "regulator", "dump"),),
+        (InterlockRecord("e-stop", "regulator", "e_stop"),),
+        0.5,
+    )
+
+
+CELL = {
+    "baud": 115200,
+    "poll": "P\r",
+    "pattern": r"(?P<status>ST|US),(?P<value>[+-]\d{5}\.\d{2}) (?P<unit>[A-Za-z]{1,3})",
+    "good_status": ["ST", "US"],
+    "rate": "100 Hz",
+    "timeout": "50 ms",
+    "slowest": "150 ms",
+    "emulate": "ST,%+09.2f N\r",
+}
+GAUGE = {
+    "baud": 115200,
+    "pattern": r"(?P<value>[+-]\d{3}\.\d{3})(?P<unit>mm|in)",
+    "rate": "100 Hz",
+    "terminator": "\r\n",
+    "emulate": "%+08.3fmm\r\n",
+}
+
+
+def cell(address, **changes):
+    """A polled load cell indicator."""
+    channel = ChannelRecord("force", "force", "cell", "value", "float64", "N", Scale(), -50.0, 1950.0)
+    return DeviceRecord("cell", TEXT, str(address), {**CELL, **changes}, (channel,))
+
+
+def gauge(address, **changes):
+    """A displacement gauge that sends by itself."""
+    channel = ChannelRecord("displacement", "length", "gauge", "value", "float64", "mm", Scale(1e-3), -5e-3, 0.09)
+    return DeviceRecord("gauge", TEXT, str(address), {**GAUGE, **changes}, (channel,))
+
+
+@contextlib.contextmanager
+def emulated(*devices, **options):
+    """An emulator of the devices, and each device with the address that it really has."""
+    emulator = Emulator(devices, **options)
+    try:
+        yield emulator, [replace(device, address=emulator.devices[device.name].address) for device in devices]
+    finally:
+        emulator.close()
+
+
+@contextlib.contextmanager
+def opened(record):
+    """The driver of a device, open."""
+    driver = (ModbusDevice if record.driver == MODBUS else SerialIndicator)(record, RealClock())
+    try:
+        driver.open()
+        yield driver
+    finally:
+        driver.close()
+
+
+class Peer:
+    """A TCP server that answers each request with whatever `reply(request)` gives: bytes, or (delay [s], bytes) pairs."""
+
+    def __init__(self, reply):
+        self.reply, self.requests = reply, []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+    def _accept(self):
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection):
+        with connection, contextlib.suppress(OSError):
+            while request := connection.recv(300):
+                self.requests.append(request)
+                answer = self.reply(request)
+                for delay, data in [(0.0, answer)] if isinstance(answer, bytes) else answer:
+                    time.sleep(delay)
+                    connection.sendall(data)
+
+
+def timed(call, *arguments, **keywords):
+    """How long a call takes [s], and what it gave or raised."""
+    start = time.monotonic()
+    try:
+        outcome = call(*arguments, **keywords)
+    except Exception as error:
+        outcome = error
+    return time.monotonic() - start, outcome

@@ -1,0 +1,116 @@
+"""`pmabench emulate` as a process: what it prints, serves and refuses, and that it cleans up."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+
+from pmabench.bench.compile import mount
+from tests.drivers.wires.rigs import opened
+from tests.drivers.wires.test_options import SPECIMEN, bench
+
+pytestmark = pytest.mark.realtime
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
+def own_bench(tmp_path):
+    path = bench(tmp_path, "127.0.0.1:15020", f"127.0.0.1:{free_port()}")
+    path.write_text(path.read_text().replace("/tmp/pmabench-wires", str(tmp_path / "ports")))
+    return path
+
+
+@contextmanager
+def emulate(path, *options):
+    command = [sys.executable, "-m", "pmabench", "emulate", str(path), "--json", "-q", *options]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        text = ""
+        while not text.endswith("\n}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            text += line
+        yield process, json.loads(text)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ask(address, **wanted):
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as link, link.makefile("rw") as stream:
+        stream.write(json.dumps(wanted) + "\n")
+        stream.flush()
+        return json.loads(stream.readline())
+
+
+def test_a_bench_is_served_where_its_file_says_and_the_drivers_find_it(tmp_path):
+    path, log = own_bench(tmp_path), tmp_path / "log.jsonl"
+    devices = {device.name: device for device in mount(path, SPECIMEN).bench.devices}
+    with emulate(path, "--log", str(log)) as (_process, said):
+        assert said["devices"] == {name: device.address for name, device in devices.items()}
+        for device in devices.values():
+            with opened(device) as driver:
+                driver.start(50.0)
+        with opened(devices["regulator"]) as regulator:
+            regulator.switch("dump_valve", on=True)
+            regulator.write("pressure", 1234.0)
+        assert ask(said["control"], load={"force": 58.86, "mass": 8.0}) == {"ok": True}
+        assert ask(said["control"], device="regulator", fault="drop") == {"ok": True}
+        assert "did you mean" in ask(said["control"], device="regulator", fault="drops")["why"]
+        assert "did you mean" in ask(said["control"], plant="bursts")["why"]
+        assert ask(said["control"], log="set")["entries"][0]["si"] == pytest.approx(123400.0)
+        assert ask(said["control"], nothing=1)["ok"] is False
+    logged = [json.loads(line) for line in log.read_text().splitlines()]
+    assert [(e["output"], e["raw"]) for e in logged if e["kind"] == "set"] == [("pressure", 1234.0)]
+    assert all(a["t"] <= b["t"] for a, b in pairwise(logged))
+    assert not list((tmp_path / "ports").iterdir())
+
+
+def refused(*arguments):
+    command = [sys.executable, "-m", "pmabench", "emulate", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stderr
+
+
+def test_what_cannot_be_served_is_refused_in_a_sentence(tmp_path):
+    code, why = refused("mock")
+    assert code == 2
+    assert "no device with the driver modbus or serial-ascii" in why
+    path = own_bench(tmp_path)
+    text = path.read_text()
+    elsewhere = tmp_path / "elsewhere.yaml"
+    elsewhere.write_text(text.replace("address: 127.0.0.1:", "address: 192.168.0.5:"))
+    code, why = refused(elsewhere)
+    assert code == 2
+    assert 'an emulator serves only "127.0.0.1:PORT"' in why
+    occupied = tmp_path / "ports"
+    occupied.mkdir()
+    (occupied / "gauge").write_text("something of value")
+    code, why = refused(path)
+    assert code == 2
+    assert "is no link of an emulator" in why
+    assert (occupied / "gauge").read_text() == "something of value"
+    assert refused("nothing")[0] == 3
+
+
+def test_the_port_may_be_taken(tmp_path):
+    path = own_bench(tmp_path)
+    port = int(path.read_text().split("address: 127.0.0.1:")[1].split()[0])
+    with socket.create_server(("127.0.0.1", port)):
+        code, why = refused(path)
+    assert code == 2
+    assert f"cannot serve regulator at 127.0.0.1:{port}" in why

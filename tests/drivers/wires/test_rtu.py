@@ -1,0 +1,122 @@
+"""Modbus RTU on a pseudo-terminal: late answers are never taken for the answer to a later question."""
+
+import itertools
+import random
+import time
+
+import pytest
+from pmabench_drivers.modbus import ModbusDevice
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError
+from tests.drivers.wires.rigs import emulated, opened, regulator, timed
+
+pytestmark = pytest.mark.realtime
+
+TIMEOUT = 0.03
+SERIAL = {"baud": 115200}
+
+
+def line(tmp_path, **changes):
+    quick = {"timeout": "30 ms", "slowest": "100 ms", **changes}
+    return regulator(str(tmp_path / "regulator"), SERIAL, **quick)
+
+
+def test_it_measures_and_commands(tmp_path):
+    with emulated(line(tmp_path), preset="ideal") as (emulator, [record]), opened(record) as device:
+        device.switch("dump", on=True)
+        device.start(50.0)
+        device.write("pressure", 250.0)
+        time.sleep(0.4)
+        assert device.collect().columns["pressure"][-1] == pytest.approx(250.0, abs=1e-3)
+        assert device.level("e_stop")
+        assert [entry["raw"] for entry in emulator.log.of("set")] == [250.0]
+
+
+def test_late_answers_are_never_taken_for_new_ones(tmp_path):
+    """200 requests, each answered 0.5 to 3 time-outs late: every value that comes back is the one asked for.
+
+    The registers hold different numbers, and each is read in turn, so that an answer to another question shows.
+    """
+    inputs = {f"r{i}": {"table": "holding", "address": 200 + i} for i in range(4)}
+    outputs = {
+        "pressure": {"address": 10, "type": "float32"},
+        "dump": {"table": "coil", "address": 0},
+        **{f"r{i}": {"address": 200 + i} for i in range(4)},
+    }
+    chance = random.Random(5)
+    record = line(tmp_path, outputs=outputs, inputs={**inputs, **line_inputs()})
+    with emulated(record) as (emulator, [record]), opened(record) as device:
+        for i in range(4):
+            device._put(device._map.outputs[f"r{i}"], 1000 + i)
+        right = refused = 0
+        for number in itertools.islice(itertools.cycle(range(4)), 200):
+            emulator.devices["regulator"].faults.set("slow", chance.uniform(0.5, 3.0) * TIMEOUT, count=1)
+            took, outcome = timed(device._get, device._map.inputs[f"r{number}"])
+            assert took < 0.3
+            if isinstance(outcome, DeviceError):
+                refused += 1
+            else:
+                assert outcome == 1000 + number
+                right += 1
+    assert right + refused == 200
+    assert right >= 10
+    assert refused >= 50
+
+
+def line_inputs():
+    return {
+        "pressure": {"table": "input", "address": 0, "type": "float32"},
+        "e_stop": {"table": "discrete", "address": 0},
+    }
+
+
+def test_a_vent_does_not_wait_for_a_late_answer(tmp_path):
+    with emulated(line(tmp_path, slowest="2 s")) as (emulator, [record]), opened(record) as device:
+        device.write("pressure", 100.0)
+        emulator.devices["regulator"].faults.set("deaf", count=1)
+        with pytest.raises(DeviceError, match="no answer"):
+            device.level("e_stop")
+        with pytest.raises(DeviceError, match="not taken for a new one"):
+            device.level("e_stop")
+        took, outcome = timed(device.write, "pressure", 0.0)
+        assert outcome is None
+        assert took < 0.3
+        assert emulator.log.of("set")[-1]["raw"] == 0.0
+
+
+def test_a_lost_answer_is_settled_by_another_kind_of_question(tmp_path):
+    with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
+        for number in range(10):
+            emulator.devices["regulator"].faults.set("mute", count=1)
+            device.write("pressure", 50.0 + number)
+        assert [entry["raw"] for entry in emulator.log.of("set")] == [50.0 + number for number in range(10)]
+
+
+@pytest.mark.parametrize("kind", ["deaf", "mute", "garbage", "cut", "slow"])
+def test_every_call_ends_in_time(tmp_path, kind):
+    with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
+        for call in (lambda: device.write("pressure", 5.0), lambda: device.level("e_stop"), device.feed_watchdog):
+            emulator.devices["regulator"].faults.set(kind, 2.0 if kind == "cut" else 0.2)
+            took, outcome = timed(call)
+            assert took < 0.3
+            assert outcome is None or isinstance(outcome, DeviceError | bool)
+            emulator.devices["regulator"].faults.set("clear")
+            time.sleep(0.25)
+            assert device.level("e_stop")
+
+
+def test_a_port_that_is_gone_is_said(tmp_path):
+    with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
+        emulator.devices["regulator"].faults.set("drop")
+        outcomes = [timed(device.level, "e_stop") for _ in range(3)]
+        assert all(took < 0.3 for took, _ in outcomes)
+        assert all(isinstance(outcome, DeviceError) for _, outcome in outcomes)
+        assert "no connection to" in str(outcomes[-1][1])
+
+
+def test_one_port_one_program(tmp_path):
+    with emulated(line(tmp_path)) as (_, [record]), opened(record):
+        other = ModbusDevice(record, RealClock())
+        with pytest.raises(DeviceError, match="no connection to"):
+            other.open()
