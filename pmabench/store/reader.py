@@ -57,7 +57,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
             interpolated |= dict.fromkeys(wanted, told) if how else {}
     until = np.inf
     if folder.seal is None or not all(stream.whole for stream in streams):
-        until = min((s.t[-1] + 2.0 / s.rate if len(s.t) and s.rate > 0 else -np.inf for s in streams), default=-np.inf)
+        told = [stream for stream in streams if stream is main or stream.rate > 0 or not len(stream.t)]
+        until = min((_reaches(stream) for stream in told), default=-np.inf)
     try:
         trials = cut_trials(folder.manifest["id"], events, main.t, channels, flags, until)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
@@ -81,6 +82,11 @@ def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
         clocks={stream.name: stream.clock for stream in streams},
         interpolated=interpolated,
     )
+
+
+def _reaches(stream: Samples) -> float:
+    """Until when a stream is recorded for certain [s]."""
+    return float(stream.t[-1]) + 2.0 / stream.rate if len(stream.t) and stream.rate > 0 else -np.inf
 
 
 def _base(streams: list[Samples]) -> Samples:

@@ -10,7 +10,7 @@ from pmabench.store.records import Flag
 from pmabench.store.timebase import onto
 from pmabench.store.writer import RunWriter
 from tests.cli.test_cli import call
-from tests.store.runs import COLUMNS
+from tests.store.runs import COLUMNS, begin, block, die
 
 GAP = int(Flag.GAP)
 
@@ -113,3 +113,17 @@ def test_show_says_what_was_interpolated(two_rates):
     assert "interpolated from the stream a-valve (100 Hz)" in call("runs", "show", two_rates).stdout
     shown = json.loads(call("runs", "show", two_rates, "--json").stdout)
     assert set(shown["interpolated"]) == {"pressure"}
+
+
+def test_a_trial_of_a_dead_run_is_finished_only_where_every_stream_reaches_its_end(tmp_path):
+    writer = begin(tmp_path)
+    writer.open_stream("gauge", [dict(COLUMNS[2], name="supply")], 50.0)
+    for trial in range(2):
+        writer.event("trial-begin", trial, trial=trial, point={}, repeat=0, reference=False)
+        writer.event("trial-end", trial + 0.99, trial=trial, status="finished")
+    writer.append("daq", *block(0, 1000))
+    writer.append("gauge", np.arange(50) * 20_000_000, {"supply": np.zeros(50)}, np.zeros(50, np.uint16))
+    die(writer)
+    assert [trial.status for trial in open_run(writer.folder).trials] == ["finished", "interrupted"]
+    (writer.folder / "streams" / "gauge.arrows").write_bytes(b"")
+    assert [trial.status for trial in open_run(writer.folder).trials] == ["interrupted", "interrupted"]
