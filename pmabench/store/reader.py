@@ -57,8 +57,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
             interpolated |= dict.fromkeys(wanted, told) if how else {}
     until = np.inf
     if folder.seal is None or not all(stream.whole for stream in streams):
-        told = [stream for stream in streams if stream is main or stream.rate > 0 or not len(stream.t)]
-        until = min((_reaches(stream) for stream in told), default=-np.inf)
+        regular = [stream for stream in streams if stream is main or stream.rate > 0 or not len(stream.t)]
+        until = min((_reaches(stream) for stream in regular), default=-np.inf)
     try:
         trials = cut_trials(folder.manifest["id"], events, main.t, channels, flags, until)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
