@@ -45,9 +45,9 @@ Found = tuple[list[Measured], list[str]]
 
 @dataclass
 class Quick:
-    """What is remembered from trial to trial: final contractions over loads, by pressure [Pa]."""
+    """What is remembered: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
 
-    ends: dict[float, list[tuple[float, float]]] = field(default_factory=dict)
+    ends: dict[float, dict[int, tuple[float, float]]] = field(default_factory=dict)
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
@@ -81,8 +81,8 @@ def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quic
     x = step.fit.end
     doubts += _drift(trial, step.fit.start)
     if trial.status == "finished":
-        quick.ends.setdefault(round(P), []).append((load, x))
-    ends = np.array(quick.ends.get(round(P), []))
+        quick.ends.setdefault(round(P), {})[trial.index] = load, x
+    ends = np.array(list(quick.ends.get(round(P), {}).values()))
     line = regress(ends[:, 0], ends[:, 1]) if len(ends) else None
     found: list[Measured] = [
         Measured(

@@ -68,6 +68,9 @@ class RunState:
         self.rows = 0
         self.phase = ""
         self.trial: Trial | None = None
+        self.paused = False
+        self.wanted: set[str] = set()
+        """Keys of the operator that wait for the end of the trial: `pause`, `repeat`."""
         self.prompt = ""
         """What the operator is asked and has not answered."""
         self.notices: deque[Notice] = deque(maxlen=LOG)
@@ -168,6 +171,11 @@ class RunState:
             self.prompt = str(data.get("text", ""))
         elif kind in ("answer", "trip", "ended-early", "end"):
             self.prompt = ""
+        elif kind == "key":
+            (self.wanted.add if data.get("on") else self.wanted.discard)(str(data.get("key")))
+        elif kind in ("pause", "goes-on"):
+            self.paused = kind == "pause"
+            self.wanted.discard("pause")
         if kind == "limit-reached" and self.trial is not None:
             self.trial.at_limit.append(str(data.get("reason", "limit reached")))
         if kind == "end":
@@ -176,6 +184,7 @@ class RunState:
             self.trial.events.append(event)
         if kind == "trial-end":
             self._close_trial(event)
+            self.wanted.discard("repeat")
         told = event_text(event)
         if told is not None:
             self.tell(told[0], told[1], event.t)
@@ -225,7 +234,7 @@ class RunState:
             self._waiting.pop(0)
             line = self._line(trial)
             if line is not None:
-                self.lines.append(line)
+                self.lines = [*(before for before in self.lines if before.index != line.index), line]
                 self.fresh.append(line)
 
     def _line(self, trial: Trial) -> TrialLine | None:

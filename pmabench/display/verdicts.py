@@ -70,7 +70,8 @@ class Verdicts:
 
     expected: Expected | None = None
     _quick: Quick = field(default_factory=Quick)
-    _earlier: dict[tuple[tuple[str, float], ...], list[dict[str, float]]] = field(default_factory=dict)
+    _earlier: dict[tuple[tuple[str, float], ...], dict[int, dict[str, float]]] = field(default_factory=dict)
+    """Operating point -> trial -> its numbers."""
 
     def judge(self, run: RunData, trial: TrialData, at_limit: Sequence[str] = ()) -> TrialLine:
         """The line of a trial; `at_limit` are the reasons of its `limit-reached` events."""
@@ -85,15 +86,16 @@ class Verdicts:
         doubts += [reason for reason in reasons if reason not in doubts]
         doubts += _not_reached(trial)
         key = tuple(sorted((name, round(value, 6)) for name, value in trial.point.items()))
-        before = self._earlier.setdefault(key, [])
+        before = self._earlier.setdefault(key, {})
+        before.pop(trial.index, None)  # done again
         for item in measured:
-            number, doubt = _compare(item, [seen[item.symbol] for seen in before if item.symbol in seen])
+            number, doubt = _compare(item, [seen[item.symbol] for seen in before.values() if item.symbol in seen])
             numbers.append(number)
             if doubt:
                 doubts.append(doubt)
         if trial.status == "finished":
             kept = {m.symbol: m.value for m in measured if m.value is not None and not m.pooled and isfinite(m.value)}
-            before.append(kept)
+            before[trial.index] = kept
         return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, tuple(numbers), tuple(doubts))
 
 

@@ -32,6 +32,8 @@ FIXED = 58
 """Columns of a channel's line without its bar."""
 TALLEST = 16
 """Most lines of the curves."""
+WANTED = (("pause", "will pause"), ("repeat", "will repeat this trial"))
+"""Keys of the operator that wait for the end of the trial, in words."""
 FRESH = 3.0
 """Age up to which a pressure may stand beside a question to hands [s]."""
 OLD = 1.0
@@ -111,8 +113,20 @@ def _head(state: RunState, width: int) -> list[Text]:
     else:
         where = Text().append(_done(state), STRONG)
         where.append("  not in a trial: nothing is recorded" if status == "running" else "")
-    lines += [_row(where, Text(clean(state.phase) if status == "running" else "", STRONG), width), _time(state, width)]
+    lines += [_row(where, _doing(state), width), _time(state, width)]
     return lines
+
+
+def _doing(state: RunState) -> Text:
+    """The phase, or what the operator's keys have brought about."""
+    if state.status != "running":
+        return Text()
+    if state.paused:
+        return Text(" PAUSED: p goes on ", WARN)
+    wanted = [
+        words for key, words in (("pause", "will pause"), ("repeat", "will repeat this trial")) if key in state.wanted
+    ]
+    return Text.assemble((f" {', '.join(wanted)} ", WARN) if wanted else "", " ", (clean(state.phase), STRONG))
 
 
 def _done(state: RunState) -> str:

@@ -73,39 +73,50 @@ def point_text(point: Mapping[str, float]) -> str:
     return ", ".join(shown)
 
 
+_ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key")
+"""Events that are shown in another way than in the log."""
+_TOLD = {
+    "armed": ("armed: ", "bench", "info"),
+    "prompt": ("asked: ", "text", "info"),
+    "answer": ("answered: ", "answer", "info"),
+    "limit-reached": ("limit reached: ", "reason", "doubt"),
+    "warning": ("warning: ", "reason", "doubt"),
+    "trip": ("TRIPPED: ", "reason", "fault"),
+    "ended-early": ("ended early: ", "reason", "fault"),
+    "note": ("note: ", "text", "info"),
+    "pause": ("paused at low pressure", "", "info"),
+    "goes-on": ("goes on", "", "info"),
+    "controlled-stop": ("controlled stop", "", "info"),
+}
+"""Kind of event -> words, the entry of its data behind them, and how bad it is."""
+
+
 def event_text(event: Event) -> tuple[str, str] | None:
     """An event as a sentence, and how bad it is: `info`, `doubt`, `fault`; None for what is shown elsewhere."""
     data, kind = event.data, event.kind
-    if kind in ("command", "clock", "found", "trial-begin", "trial-end", "start", "heartbeat"):
+    if kind in _ELSEWHERE:
         return None
-    if kind == "armed":
-        return f"armed: {clean(data.get('bench', ''))}", "info"
-    if kind == "prompt":
-        return f"asked: {clean(data.get('text', ''))}", "info"
-    if kind == "answer":
-        return f"answered: {clean(data.get('answer', ''))}", "info"
+    if kind in _TOLD:
+        words, entry, level = _TOLD[kind]
+        lines = str(data.get(entry, "")).strip().splitlines() if entry else []
+        return words + clean(lines[-1] if lines else ""), level  # of a traceback the last line says what it was
     if kind == "load":
         force, mass = data.get("force"), data.get("mass")
         told = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
         return told + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
-    if kind == "limit-reached":
-        return f"limit reached: {clean(data.get('reason', ''))}", "doubt"
-    if kind == "trip":
-        return f"TRIPPED: {clean(data.get('reason', ''))}", "fault"
-    if kind == "ended-early":
-        lines = str(data.get("reason", "")).strip().splitlines()
-        return f"ended early: {clean(lines[-1] if lines else '')}", "fault"
     if kind == "vent":
         result = clean(data.get("result", ""))
         return f"vent {result}", "info" if result == "confirmed" else "fault"
-    if kind == "note":
-        return f"note: {clean(data.get('text', ''))}", "info"
     if kind == "end":
-        why = clean(data.get("why", ""))
-        status = clean(data.get("status", ""))
+        why, status = clean(data.get("why", "")), clean(data.get("status", ""))
         return f"{status}{f': {why}' if why else ''}", "info" if status == "finished" else "fault"
-    told = ", ".join(f"{clean(key)} {clean(value)}" for key, value in data.items())
-    return clean(f"{kind}: {told}" if told else kind), "doubt" if "warn" in kind or "lost" in kind else "info"
+    level = "doubt" if data.get("ok") is False or "warn" in kind or "lost" in kind else "info"
+    told = data.get("text") or data.get("reason") or ", ".join(f"{key} {_short(value)}" for key, value in data.items())
+    return clean(f"{kind}: {told}" if told else kind), level
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def wrapped(text: str, width: int) -> list[str]:

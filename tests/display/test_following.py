@@ -156,3 +156,38 @@ def test_samples_are_not_kept_for_ever(tmp_path):
     t, _ = state.samples.trace("pressure")
     assert state.rows == round(60 * 5.2 * RATE)
     assert state.t - t[0] < 140.0
+
+
+def test_what_the_operators_keys_bring_about_is_shown(live):
+    def shown_after(kind, **data):
+        live.writer.event(kind, live.t, **data)
+        return shown(read(live.folder))
+
+    live.begin(1, repeat=1)
+    live.contract(1)
+    assert "will repeat this trial" in shown_after("key", key="repeat", on=True)
+    assert "will pause, will repeat this trial" in shown_after("key", key="pause", on=True)
+    assert "will repeat" not in shown_after("key", key="repeat", on=False)
+    live.end(1)
+    assert "PAUSED: p goes on" in shown_after("pause", pressure=3e5)
+    text = shown_after("goes-on")
+    assert "PAUSED" not in text
+    assert "will" not in text
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "sign", "words"),
+    [
+        ("load-check", {"ok": False, "text": "the load cell reads 70 N"}, "!", "load-check: the load cell reads 70 N"),
+        ("load-check", {"ok": True, "text": "the load cell reads 59 N"}, " ", "load-check: the load cell reads 59 N"),
+        ("warning", {"reason": "force 1700 N above 1600 N", "value": 1.0}, "!", "warning: force 1700 N above 1600 N"),
+        ("vent", {"result": "commanded"}, "!!", "vent commanded"),
+        ("vent", {"result": "confirmed"}, " ", "vent confirmed"),
+        ("ended-early", {"reason": "Traceback:\n  File x\nValueError: it"}, "!!", "ended early: ValueError: it"),
+        ("new-kind", {"a": 1.23456789, "b": None}, " ", "new-kind: a 1.235, b None"),
+    ],
+)
+def test_events_are_told_with_a_sign(live, kind, data, sign, words):
+    live.writer.event(kind, 61.0, **data)
+    line = shown(read(live.folder)).splitlines()[-1]
+    assert line.rstrip() == f"   1:01 {sign:<2} {words}"

@@ -107,3 +107,14 @@ def test_lines_read_while_the_run_is_written_are_those_read_afterwards(tmp_path)
     state.poll()
     assert state.ended
     assert state.lines == lines_of(folder)
+
+
+def test_a_trial_that_is_done_again_takes_the_place_of_the_first(tmp_path):
+    """The first is neither in the table nor among the repeats that later ones are held against."""
+    run = Recorded(tmp_path, [(LIGHT, P), (LIGHT, P)])
+    run.trial(0, factor=1.4)
+    run.trial(0)
+    run.trial(1, repeat=1)
+    lines = lines_of(run.close())
+    assert [(line.index, line.ok) for line in lines] == [(0, True), (1, True)]
+    assert numbers(lines[1])["tau"].reference == pytest.approx(TAU, rel=1e-3)
