@@ -71,7 +71,8 @@ def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
 
 
 def _compile(c: Compilation, path: Path) -> Mounted:
-    measured, commanded, switched = channels(c), outputs(c), valves(c)
+    measured = channels(c)
+    commanded, switched = outputs(c, measured), valves(c)
     trip_records = tuple(trips(c, measured, commanded))
     actions = safe_state(c, measured, commanded, switched)
     missing = (*lacks(c, measured, commanded), *lacks_session(c))

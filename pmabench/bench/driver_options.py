@@ -1,8 +1,8 @@
 """What a driver says about the options that a bench file gives it, before anything is opened.
 
-A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for all that is wrong. A place
-starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks` by
-name). It must touch no device and import nothing heavy.
+A driver may have a class method `check(device: DeviceRecord)` that yields (place, message) for all that is wrong. A
+place starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
+by name). It must touch no device and import nothing heavy.
 
 The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place.
 """
@@ -14,10 +14,9 @@ from importlib import import_module
 from pathlib import Path
 
 from pmabench.base.errors import InvalidFile
-from pmabench.bench.calibration import document_text
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord
-from pmabench.files.document import Document, Location, read_document
+from pmabench.files.document import Document, Location, document_text, read_document
 
 MAP = "map"
 

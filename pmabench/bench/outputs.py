@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.calibration import fit_line
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.interface import OutputRecord, ValveRecord
+from pmabench.bench.interface import ChannelRecord, OutputRecord, ValveRecord
 from pmabench.files.document import Location
 
 SET_POINTS = ("pressure", "displacement")
 """The outputs that take values, by name; every other name is a valve's and needs `energised`."""
+LEAST_ROOM = 1e-3
+"""A driven end stays below the specimen's contraction limit by the channel's uncertainty, at least by so much [1]."""
 
 
-def outputs(c: Compilation) -> dict[str, OutputRecord]:
+def outputs(c: Compilation, channels: Mapping[str, ChannelRecord]) -> dict[str, OutputRecord]:
     """Every output that takes values and has no problem, by name."""
-    return {name: output for name in c.bench.set_points if (output := _output(c, name))}
+    return {name: output for name in c.bench.set_points if (output := _output(c, name, channels.get(name)))}
 
 
 def valves(c: Compilation) -> dict[str, ValveRecord]:
@@ -30,7 +34,7 @@ def valves(c: Compilation) -> dict[str, ValveRecord]:
     return found
 
 
-def _output(c: Compilation, name: str) -> OutputRecord | None:
+def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> OutputRecord | None:
     file = c.bench.set_points[name]
     at: Location = ("outputs", name)
     if name not in SET_POINTS:
@@ -58,7 +62,7 @@ def _output(c: Compilation, name: str) -> OutputRecord | None:
     safe = 0.0 if file.safe is None else c.si(file.safe, quantity, (*at, "safe"))
     if len(c.problems) > before:
         return None
-    low, low_from, high, high_from = _limits(c, name, quantity, [point[1] for point in points])
+    low, low_from, high, high_from = _limits(c, name, quantity, [point[1] for point in points], measured)
     if len(c.problems) > before:
         return None
     if low >= high:
@@ -74,7 +78,9 @@ def _output(c: Compilation, name: str) -> OutputRecord | None:
     )
 
 
-def _limits(c: Compilation, name: str, quantity: str, ends: list[float]) -> tuple[float, str, float, str]:
+def _limits(
+    c: Compilation, name: str, quantity: str, ends: list[float], measured: ChannelRecord | None
+) -> tuple[float, str, float, str]:
     """The highest of the lower limits and the lowest of the upper ones [SI], each with its place."""
     scale = c.place("outputs", name, "scale")
     lows, highs = [(min(ends), scale)], [(max(ends), scale)]
@@ -90,7 +96,9 @@ def _limits(c: Compilation, name: str, quantity: str, ends: list[float]) -> tupl
         place = c.specimen_place("limits", "pressure", "command")
         highs.append((c.specimen.limits.pressure.command, place))
     elif c.length is not None:
-        highs.append((c.specimen.limits.contraction * c.length, c.specimen_place("limits", "contraction")))
+        most = c.specimen.limits.contraction * c.length
+        room = measured.calibration.uncertainty(most) if measured is not None else 0.0
+        highs.append((most - max(room, LEAST_ROOM * most), c.specimen_place("limits", "contraction")))
     if c.bench.actuator is not None and name == "displacement":
         stroke = c.bench.actuator.stroke
         lows.append((stroke[0], c.place("actuator", "stroke", 0)))

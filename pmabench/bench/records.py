@@ -43,6 +43,10 @@ class CalibrationRecord:
     """First-order lag of the sensor [s]."""
     sha256: str = ""
 
+    def uncertainty(self, value: float) -> float:
+        """Expanded uncertainty of a reading of `value` [SI unit of the channel]."""
+        return self.offset_uncertainty + self.gain_uncertainty * abs(value)
+
 
 @dataclass(frozen=True)
 class ChannelRecord:

@@ -122,9 +122,9 @@ def _above_commands(
     output = outputs.get(LIMIT_CHANNEL[name])
     if output is None:
         return
-    margin = channel.calibration.offset_uncertainty + channel.calibration.gain_uncertainty * abs(high)
+    margin = channel.calibration.uncertainty(high)
     margin += c.bench.air.overshoot if name == "pressure" else 0.0
-    if high <= output.high or high < output.high + margin:
+    if high <= output.high or high < output.high + margin * (1 - 1e-9):
         shown, least = show(high, channel.quantity), show(margin, channel.quantity)
         c.fault(
             ("limits", name, "trip"),

@@ -160,7 +160,11 @@ def test_the_specimen_s_contraction_binds_a_driven_end(tmp_path):
         "  - {set: pressure, to: 0 kPa, within: 1 s}\n  - {open: dump_valve, within: 1 s}\n"
         "  - {confirm: pressure, below: 20 kPa, within: 5 s}\n",
     )
-    assert "must lie at least" in refused(path, specimen(tmp_path, "contraction: 28 %", "contraction: 12 %"))
+    short = mount(path, specimen(tmp_path, "contraction: 28 %", "contraction: 12 %")).bench
+    output = next(output for output in short.outputs if output.name == "displacement")
+    assert output.high == pytest.approx(0.030 - 30e-6)  # 12 % of 250 mm, less 0.1 % (MOCK-X: 20 um)
+    assert "specimen.yaml" in output.high_from
+    assert [trip.high for trip in short.trips if trip.channel == "displacement"] == [pytest.approx(0.030)]
     fine = mount(path, SPECIMEN).bench
     assert next(output for output in fine.outputs if output.name == "displacement").high == pytest.approx(0.05)
     assert fine.safe_state[0].do == "stop"
