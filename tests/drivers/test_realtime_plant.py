@@ -218,12 +218,12 @@ def test_the_watchdog_vents_when_nobody_speaks(client, shared):
     assert client.arm_watchdog(1.0) == 1.0
     for _ in range(12):
         time.sleep(0.1)
+        last = time.monotonic()
         client.feed_watchdog()
     assert not shared.commands("watchdog")
-    last = time.monotonic()
     eventually(lambda: shared.state()["bitten"])  # who only looks does not feed it
     (bite,) = shared.commands("watchdog")
-    assert bite["t"] - last > 0.999
+    assert bite["t"] - last > 1.0
     assert 1.0 < bite["silent"] < 5.0
     assert bite["pressure"] > 299e3
     state = shared.state()
