@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.base.quantities import show
 from pmabench.bench.files import CalibrationFile
 from pmabench.bench.interface import CalibrationRecord, Scale
-from pmabench.files.document import Document, read_document, validate
+from pmabench.files.document import document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
 
@@ -91,13 +91,3 @@ def fit_line(raw: list[float], value: list[float]) -> Scale:
     if slope == 0:
         raise ValueError("the readings do not change with the reference: they make no line")
     return Scale(slope, value_mean - slope * raw_mean)
-
-
-def document_text(document: Document) -> str:
-    """The text of a document, with the texts that it includes behind it."""
-    (first, *rest) = sorted(document.texts.items(), key=lambda item: item[0] != document.path)
-    return first[1] + "".join(f"\n# ---- {path} ----\n" + _commented(text) for path, text in rest)
-
-
-def _commented(text: str) -> str:
-    return "".join(f"# {line}\n" for line in text.splitlines())

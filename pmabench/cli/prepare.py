@@ -9,6 +9,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
+from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
 from pmabench.protocol.compile import compile_protocol, read_protocol
 from pmabench.protocol.plan import Plan
@@ -56,7 +57,7 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
         raise InvalidFile(problems)
     document, model = read
     plan = compile_protocol(document, model, mounted)
-    text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in document.texts.items())
+    text = document_text(document)
     sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
     sources["set"] = [list(pair) for pair in settings]
     return Prepared(plan, mounted, text, tuple(f"{name} set to {value}" for name, value in settings), sources)

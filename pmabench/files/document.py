@@ -335,3 +335,13 @@ def _unwrapped(annotation: Any) -> list[Any]:
 
 
 __all__ = ["Document", "Location", "Strict", "check_schema", "read_document", "validate"]
+
+
+def document_text(document: Document) -> str:
+    """The text of a document, with the texts that it includes behind it; the same wherever the files lie."""
+    (first, *rest) = sorted(document.texts.items(), key=lambda item: item[0] != document.path)
+    return first[1] + "".join(f"\n# ---- {Path(path).name} ----\n" + _commented(text) for path, text in rest)
+
+
+def _commented(text: str) -> str:
+    return "".join(f"# {line}\n" for line in text.splitlines())

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
-from pmabench.files.document import Document, Location, Strict, read_document, validate
+from pmabench.files.document import Document, Location, Strict, document_text, read_document, validate
 from pmabench.files.shipped import find_file
 from pmabench.protocol.compile import compile_protocol, read_protocol
 from pmabench.protocol.plan import Plan
@@ -84,7 +84,7 @@ def _plan(
     if bench not in mounted:
         mounted[bench] = mount(paths["bench"], paths["specimen"])
     plan = compile_protocol(protocol_document, protocol, mounted[bench])
-    text = "".join(f"# ---- {name} ----\n{part}\n" for name, part in protocol_document.texts.items())
+    text = document_text(protocol_document)
     sources: dict[str, Any] = {
         kind: str(path.resolve()) for kind, path in (("protocol", protocol_path), *paths.items())
     }
