@@ -125,14 +125,14 @@ BUGS = (
         "pmabench/engine/watch.py",
         "outside = ~np.isfinite(samples)",
         "outside = np.zeros(len(samples), dtype=bool)",
-        ("tests/engine",),
+        ("tests/engine/test_watch_range.py",),
     ),
     Bug(
         "a pressure at its limit is inside",
         "pmabench/engine/watch.py",
         "outside |= samples >= limit.high",
         "outside |= samples > 1.05 * limit.high",
-        ("tests/engine",),
+        ("tests/engine/test_watch_range.py",),
     ),
     Bug(
         "revolutions are taken for radians",
