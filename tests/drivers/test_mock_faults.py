@@ -169,7 +169,7 @@ def test_plugs_may_be_swapped():
         ({"errors": {"pressure": 2}}, "errors of pressure are given as"),
         ({"errors": {"pressure": {"end": "top"}}}, "option end"),
         ({"faults": {"mute_at": 1.0}}, "mock-realtime"),
-        ({"clock_ppm": 50}, "mock-realtime"),
+        ({"clock_ppm": 50}, 'no option "clock_ppm"'),
         ({"slow_vent": 0}, "slow_vent"),
     ],
 )
