@@ -9,7 +9,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from pmabench.display.console import Console, Terminate, quiet_signals
+from pmabench.display.console import Console, Terminate, tidy_signals
 from pmabench.display.link import Link
 
 
@@ -20,13 +20,13 @@ def main() -> int:
     parser.add_argument("--link", type=int, required=True, metavar="FD", help="an inherited socket")
     parser.add_argument("--no-color", action="store_true")
     given = parser.parse_args()
-    quiet_signals()
     with suppress(OSError):
         os.nice(5)  # the bench goes first
     link = Link(socket.socket(fileno=given.link))
     color = not given.no_color and "NO_COLOR" not in os.environ
-    console = Console(given.run, sys.stderr, link=link, color=color, plain=not sys.stderr.isatty())
-    with suppress(Terminate, BrokenPipeError):
+    plain = not sys.stderr.isatty() or os.environ.get("TERM") == "dumb"
+    console = Console(given.run, sys.stderr, link=link, color=color, plain=plain)
+    with suppress(Terminate, BrokenPipeError), tidy_signals(child=True):
         console.run()
     return 0
 

@@ -11,6 +11,7 @@ import select
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,10 +22,11 @@ from rich.console import Console as Rich
 from rich.text import Text
 
 from pmabench.base import terminal
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import Interrupted, UsageError
 from pmabench.display.child import LEAVE
 from pmabench.display.link import Link
 from pmabench.display.plain import first_line, last_line, plain_line
+from pmabench.display.quantities import prepare
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, Question, closing, screen
 
@@ -40,20 +42,28 @@ PRESSED = {"r": "repeat this trial", "p": "pause at low pressure, or go on", "v"
 class Terminate(Exception):
     """A signal ends the display."""
 
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(signal.Signals(number).name)
 
-def quiet_signals() -> None:
-    """As a child of the run: Ctrl-C is the run's; other ends are tidy; the background stops nobody."""
 
-    def ended(_number: int, _frame: object) -> None:
-        raise Terminate
+@contextmanager
+def tidy_signals(*, child: bool) -> Iterator[None]:
+    """Ends by signals are tidy, and the background stops nobody; Ctrl-C of a run's child is the run's."""
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("SIGTERM", "SIGHUP", "SIGQUIT"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), ended)
-    for name in ("SIGTTIN", "SIGTTOU", "SIGTSTP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    def ended(number: int, _frame: object) -> None:
+        raise Terminate(number)
+
+    ignored = ("SIGINT", "SIGTTIN", "SIGTTOU", "SIGTSTP") if child else ("SIGTTIN", "SIGTTOU")
+    wanted: dict[str, Any] = dict.fromkeys(("SIGTERM", "SIGHUP", "SIGQUIT"), ended)
+    wanted |= dict.fromkeys(ignored, signal.SIG_IGN)
+    numbers = {getattr(signal, name): handler for name, handler in wanted.items() if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) for number, handler in numbers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Painter:
@@ -185,9 +195,13 @@ class Console:
         return self.state
 
     def _run_drawn(self, painter: Painter) -> None:
+        preparing: threading.Thread | None = None
         while not self._over:
             started = time.monotonic()
             behind = self.state.poll()
+            if preparing is None and self.state.kind:
+                preparing = threading.Thread(target=prepare, args=(self.state.kind,))
+                preparing.start()
             self._listen()
             size = painter.size()
             painter.draw(screen(self.state, *size, self._extra()), size)
@@ -341,6 +355,13 @@ def _edited(text: str, key: str, longest: int) -> str:
 
 
 def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> RunState:
-    """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines."""
-    console = Console(folder, sys.stdout, color=color, plain=plain or not sys.stdout.isatty())
-    return console.run(quiet=quiet)
+    """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines.
+
+    Raises Interrupted at a signal that ends it.
+    """
+    plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"
+    try:
+        with tidy_signals(child=False):
+            return Console(folder, sys.stdout, color=color, plain=plain).run(quiet=quiet)
+    except Terminate as end:
+        raise Interrupted(str(end), 128 + end.number) from None

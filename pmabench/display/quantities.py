@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from math import pi
 from typing import Any
 
@@ -48,6 +49,20 @@ class Quick:
     """What is remembered: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
 
     ends: dict[float, dict[int, tuple[float, float]]] = field(default_factory=dict)
+
+
+_NEEDS = {
+    "contraction-relaxation": ("segments", "steps"),
+    "sinusoidal-displacement": ("sine_loop",),
+    "ultimate-gain": ("gain_levels",),
+}
+"""Kind of run -> modules of the analysis that its rule uses."""
+
+
+def prepare(kind: str) -> None:
+    """Import what the rule of a kind needs, which takes a second; so that the first trial's line holds up no key."""
+    for name in _NEEDS.get(kind, ()):
+        import_module(f"pmabench.analysis.{name}")
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -101,3 +101,14 @@ def test_a_reader_that_leaves_ends_it_quietly(tmp_path):
         assert watching.poll() == 0
         assert watching.stderr.read() == ""
     run.close()
+
+
+def test_a_signal_ends_it_with_its_own_code(tmp_path):
+    run = Recorded(tmp_path / "runs", POINTS)
+    command = [sys.executable, "-m", "pmabench", "watch", str(run.folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
+        watching.stdout.readline()
+        watching.terminate()
+        assert watching.wait(60) == 143
+        assert watching.stderr.read() == "ended by SIGTERM\n"
+    run.close()
