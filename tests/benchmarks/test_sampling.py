@@ -1,0 +1,41 @@
+"""R9: sampling at 500 Hz in real time beside a busy process, against a loop that sleeps relatively. Printed, with -s."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+RATE = 500.0
+SECONDS = 10.0
+BUSY = "while True: pass"
+
+
+def sampled(how):
+    """Times of the samples [s] and missed deadlines of a loop in its own process, beside a busy one."""
+    busy = subprocess.Popen([sys.executable, "-c", BUSY])
+    try:
+        command = [sys.executable, Path(__file__).with_name("sampling.py"), how, str(SECONDS)]
+        done = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    finally:
+        busy.kill()
+        busy.wait()
+    return np.array(done["times"]), done["missed"]
+
+
+@pytest.mark.parametrize("how", ["absolute", "relative"])
+def test_sampling_at_500_hz(benchmark, how):
+    times, missed = benchmark.pedantic(sampled, args=(how,), rounds=1)
+    span = times[-1] - times[0]
+    rate = (len(times) - 1) / span
+    place = (times - times[0]) * RATE
+    late = (place - np.round(place)) / RATE if how == "absolute" else times - times[0] - np.arange(len(times)) / RATE
+    told = f"{how}: {rate:.2f} Hz ({100 * (rate / RATE - 1):+.3f} %), {missed} deadlines missed and counted, "
+    told += f"lateness p50 {1e3 * np.percentile(late, 50):.2f}, p99 {1e3 * np.percentile(late, 99):.2f} ms, "
+    print(told + f"most {1e3 * late.max():.2f} ms")
+    benchmark.extra_info.update(rate=rate, missed=missed, p99=float(np.percentile(late, 99)))
+    if how == "absolute":
+        made = (len(times) - 1 + missed) / span
+        assert abs(made / RATE - 1) < 1e-3  # every deadline is either kept or counted
