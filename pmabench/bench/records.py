@@ -70,6 +70,11 @@ class ChannelRecord:
     zero: float | None = None
     """What the session's zero took off the calibration's `scale.offset` [SI]; None: no zero was taken."""
 
+    @property
+    def calibrated(self) -> Scale:
+        """The scale of the calibration, without any zero: what the device itself knows."""
+        return Scale(self.scale.slope, self.scale.offset + (self.zero or 0.0))
+
 
 @dataclass(frozen=True)
 class OutputRecord:

@@ -24,27 +24,28 @@ class Channel:
         self.counts = record.raw_type == "int32"
         self._sigma = sigma
         self._noise = NoiseSource(seed, INPUTS.index(record.input))
-        self.ends = float(record.scale.to_raw(record.low)), float(record.scale.to_raw(record.high))
+        self.scale = record.calibrated
+        self.ends = float(self.scale.to_raw(record.low)), float(self.scale.to_raw(record.high))
         self.low, self.high = round(min(self.ends)), round(max(self.ends))
 
     def raw(self, si: NDArray[np.float64], first: int) -> Column:
         """Device units of consecutive samples in SI, the first of which has the number `first`."""
         if self._sigma:
             si = si + self._sigma * self._noise.samples(first, len(si))
-        return self._given(self.record.scale.to_raw(si))
+        return self._given(self.scale.to_raw(si))
 
     def raw_one(self, si: float, number: int) -> float:
         """The same for one sample."""
         if self._sigma:
             si += self._sigma * self._noise.one(number)
-        raw = self.record.scale.to_raw(si)
+        raw = self.scale.to_raw(si)
         return min(max(round(raw), self.low), self.high) if self.counts else float(raw)
 
     def wrong(self, raw: NDArray[Any], error: SensorError) -> NDArray[Any]:
         """What the device gives instead of `raw` when its sensor has that error."""
         if error.end:
             return np.full(raw.shape, self._given(np.array(self.ends[error.end == "high"])), dtype=raw.dtype)
-        scale = self.record.scale
+        scale = self.scale
         return self._given(scale.to_raw(error.factor * scale.to_si(raw) + error.offset))
 
     def _given(self, raw: Any) -> NDArray[Any]:

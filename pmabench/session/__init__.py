@@ -1,0 +1,14 @@
+"""What is done once before runs, and beside them, on the armed bench; each is a run of its own under the same guard.
+
+- `session`: before the first run, again when it has run out: self-test, warm-up, zeros; `ensure` is its face, `state`
+  keeps it beside the bench, `zeros` takes and applies zeros
+- `self_test`: the start check; made of `at_rest` (channels without pressure), `stepping` (pressure in steps), `checks`
+  (one line of the table)
+- `calibration`: guided calibration of a channel or of the regulator; `fit` is its arithmetic
+- `jog`: pressure and actuator by hand, inside the set-up pressure
+- shared: `listening` (means, noise, drift over a stretch of time), `response` (a step as in ISO 10094, delays)
+"""
+
+from pmabench.session.session import ensure
+
+__all__ = ["ensure"]

@@ -1,0 +1,94 @@
+"""The start check of a bench, before the first pressure of a session: a table of checks; one that fails ends it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+
+from pmabench.base.quantities import show
+from pmabench.bench.compile import Mounted
+from pmabench.engine.executor import Executor
+from pmabench.protocol.plan import Ask
+from pmabench.session.at_rest import at_rest
+from pmabench.session.checks import FAILED, NOT_MEASURED, Check, SelfTestFailed, refuse
+from pmabench.session.listening import listen
+from pmabench.session.stepping import MOVED, Stepping
+from pmabench.session.words import load_text, moving_mass
+
+PHASE = "self-test"
+REST = 1.0
+"""How long channels at rest are listened to [s]."""
+
+
+def self_test(executor: Executor, mounted: Mounted, told: Callable[[Sequence[Check]], None]) -> list[Check]:
+    """Every check of the session's self-test; `told` gets the table as far as it came, also when one has failed.
+
+    Raises SelfTestFailed with the wire to look at.
+    """
+    checks = [*_interlocks(mounted), _relief(mounted)]
+    try:
+        _test(executor, mounted, checks)
+    finally:
+        executor.recorder.event("self-test", executor.clock.now(), checks=[asdict(check) for check in checks])
+        told(checks)
+    return checks
+
+
+def _test(executor: Executor, mounted: Mounted, checks: list[Check]) -> None:
+    test = mounted.session.self_test if mounted.session is not None else None
+    assert test is not None  # noqa: S101  (asked for by who calls)
+    acquisition, load = executor.acquisition, 0.0
+    before_hands = at_rest(mounted, listen(acquisition, REST), test.noise, unloaded=False)
+    if any(check.verdict == FAILED for check in before_hands):
+        checks += before_hands
+        refuse(checks)
+    weights = mounted.bench_file.weights
+    if weights is not None:
+        executor.do(Ask(PHASE, load_text(mounted, 0.0), "vented", (0.0, moving_mass(mounted, 0.0))))
+    series = listen(acquisition, REST)
+    checks += at_rest(mounted, series, test.noise, unloaded=weights is not None)
+    refuse(checks)
+    if not any(output.name == "pressure" for output in mounted.bench.outputs):
+        return
+    if test.load is not None and weights is not None:
+        load = test.load * mounted.bench.gravity
+        executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
+        series = listen(acquisition, REST)
+    Stepping(executor, mounted, test, series).run(checks, load)
+    checks.append(_leak())
+    refuse(checks)
+
+
+def refuse_backwards(executor: Executor, stood: float) -> None:
+    """Raise SelfTestFailed where the displacement, at `stood` [m] without pressure, has fallen under pressure."""
+    change = executor.acquisition.latest["displacement"] - stood
+    if change < -MOVED:
+        channel = next(c for c in executor.bench.channels if c.name == "displacement")
+        raise SelfTestFailed(
+            f"the displacement falls by {show(-change, 'length', 3)} under the pressure of the warm-up: the sign of "
+            "the contraction is wrong: swap the wires of "
+            f"{channel.device}.{channel.input}, or the ends of its calibration"
+        )
+
+
+def _interlocks(mounted: Mounted) -> Iterator[Check]:
+    """Arming has refused a bench with an open one; the table says which there are."""
+    names = [interlock.name for device in mounted.bench.devices for interlock in device.interlocks]
+    if names:
+        yield Check("interlocks", f"{', '.join(names)} closed", "all closed")
+    else:
+        yield Check("interlocks", "", "", NOT_MEASURED, "none on this bench")
+
+
+def _relief(mounted: Mounted) -> Check:
+    """The compiler has refused one that opens too late; it is not tried here."""
+    opens, never = mounted.bench_file.air.relief_valve, mounted.specimen_file.limits.pressure.never_above
+    if opens == "none":
+        return Check("relief valve", "", "", NOT_MEASURED, "none on this bench")
+    value = f"opens at {show(float(opens), 'pressure')} (bench file)"
+    return Check("relief valve", value, f"below {show(never, 'pressure')}")
+
+
+def _leak() -> Check:
+    name = "leak"
+    return Check(name, "", "", NOT_MEASURED, "cannot be measured on this bench: no isolation valve that is switched")

@@ -1,0 +1,74 @@
+"""The start check names each fault of the bench by the wire to look at; nothing runs then."""
+
+import pytest
+
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.session import ensure, state
+from pmabench.session.session import SessionFailed
+from pmabench.store.reader import open_run
+from tests.engine.benches import mounted
+
+FAULTS = {
+    "pressure and force swapped": (
+        {"errors": {"pressure": {"reads": "force"}, "force": {"reads": "pressure"}}},
+        "plugs of pressure and force are swapped (plant.pressure and plant.force)",
+        0.0,
+    ),
+    "force and displacement swapped": (
+        {"errors": {"force": {"reads": "displacement"}, "displacement": {"reads": "force"}}},
+        "plugs of force and displacement are swapped",
+        0.0,
+    ),
+    "pressure and displacement swapped": (
+        {"errors": {"pressure": {"reads": "displacement"}, "displacement": {"reads": "pressure"}}},
+        "plugs of pressure and displacement are swapped",
+        0.0,
+    ),
+    "sign of pressure": ({"errors": {"pressure": {"factor": -1}}}, "sign of the pressure is wrong", 25e3),
+    "sign of force": ({"errors": {"force": {"factor": -1}}}, "sign of the force is wrong", 100e3),
+    "sign of displacement": ({"errors": {"displacement": {"factor": -1}}}, "sign of the contraction is wrong", 300e3),
+    "dead regulator": ({"faults": {"regulator_stuck_at": 0.0}}, "regulator does not follow its command", 25e3),
+    "leak": ({"leak": 1.0}, "a leak, too little supply", 100e3),
+    "slow regulator": ({"regulator_lag": 1.5}, "settling not within 1.5 s", 100e3),
+    "noise": ({"noise": 20}, "shield and ground of the wire to plant.pressure", 0.0),
+    "supply low": ({"supply": 500e3}, "look at the supply", 0.0),
+    "cut wire of the force": ({"errors": {"force": {"end": "low"}}}, "look at the wire plant.force", 0.0),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_and_ends_the_session_where_it_is_seen(tmp_path, name):
+    options, said, highest = FAULTS[name]
+    with pytest.raises(SessionFailed) as refused:
+        ensure(mounted("mock-session", **options), ConfirmedBeforehand(), tmp_path / "runs")
+    assert said in str(refused.value)
+    run = open_run(refused.value.outcome.folder)
+    commanded = [e.data["value"] for e in run.events if e.kind == "command" and e.data["output"] == "pressure"]
+    assert max(commanded, default=0.0) == pytest.approx(highest)
+    checks = next(e.data["checks"] for e in run.events if e.kind == "self-test")
+    failed = [check for check in checks if check["verdict"] == "failed"]
+    assert failed or name == "sign of displacement"
+    assert state.kept(mounted("mock-session").bench.name) == {}
+
+
+def test_a_good_bench_passes_with_every_seed(tmp_path):
+    for seed in range(5):
+        ensure(mounted("mock-session", seed=seed), ConfirmedBeforehand(), tmp_path / "runs", anew=True)
+
+
+def test_the_free_end_driven(tmp_path):
+    """The actuator holds the free end: the force answers, nothing moves, and the delay can be told."""
+    from dataclasses import replace
+
+    from pmabench.bench.session import SelfTest, Session, Zero
+
+    bench = mounted("mock-actuator")
+    noise = {channel.name: 0.005 * (channel.high - channel.low) for channel in bench.bench.channels}
+    test = SelfTest((50e3, 100e3), 1.5, None, noise, 0.05, 0.02, 80.0)
+    bench = replace(bench, session=Session(test, None, {"pressure": Zero(5e3), "force": Zero(5.0)}))
+    tables = []
+    ready = ensure(bench, ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    table = {check.name: check for check in tables[0]}
+    assert table["force at 100 kPa"].value == "rises by 59 N"  # 1.08 x 100 - 49
+    assert abs(float(table["time of force against pressure"].value.split()[0])) < 5.0
+    assert set(ready.in_session["zeros"]) == {"pressure", "force"}
