@@ -55,8 +55,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
-            text = f"at {where}: calibration parts are without that of the pressure, for K and B over it are not known"
-            findings.append(Finding("note", text))
+            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     told = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
     if estimates and (lack := scales.lack(told)):
         findings.append(Finding("note", lack))
