@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import PmaError
+from pmabench.base.errors import PmaError, RecordError
 from pmabench.bench.interface import CompiledBench, Stream
 from pmabench.guard.guard import Guard
 from pmabench.guard.safe import Vent
@@ -48,6 +48,6 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     why = UNCLEAN if unclean else why
     if not vent.confirmed:
         why = f"{why}; safe state {vent.result}"
-    with suppress(OSError):
+    with suppress(RecordError):
         station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
     return vent

@@ -23,7 +23,7 @@ from types import FrameType
 from typing import Any
 
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError, LimitRefused, PmaError
+from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Load, Stream
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
@@ -113,6 +113,8 @@ class Service:
         if act is None:
             raise ValueError("not something that the guard does")
         if act not in {self.do_vent, self.do_status}:
+            if self._engine not in {None, peer}:
+                raise ValueError("there is an engine already")
             self._engine, self._served = peer, True
             self._heard = time.monotonic()
         payload = b""
@@ -262,7 +264,8 @@ class Service:
         self._vent = vent
         why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
         latched = self.guard.state is State.TRIPPED or not vent.confirmed
-        self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)
+        with suppress(RecordError):
+            self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)
         if self._engine is None and self.guard.run:
             about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
             with suppress(OSError):
@@ -274,6 +277,15 @@ class Service:
 
     def _collect(self, name: str) -> Block:
         return self.guard.collect(name)
+
+    def measure(self) -> dict[str, float]:
+        """Newest values [SI] after a tenth of a second, for a safe state that the loop does not advance."""
+        self.guard.latest.clear()
+        time.sleep(2 * LOOK)
+        for name in self._streams():
+            with suppress(PmaError):
+                self._collect(name)
+        return self.guard.latest
 
 
 def _slept() -> float:
@@ -299,8 +311,13 @@ def main() -> None:
     sys.stdout.write(json.dumps(here) + "\n")
     sys.stdout.close()
     guard = Guard(bench, RealClock(given["start"]), threads=True)
+    service = Service(guard, station, listener, token)
     try:
-        Service(guard, station, listener, token).serve()
+        service.serve()
+    except BaseException as error:  # an error in the guard itself: the bench is made safe before it is told
+        vent = guard.safe_state(service.measure, tripped=True)
+        station.note("tripped", why=f"the guard failed: {type(error).__name__}: {error}", vent=vars(vent))
+        raise
     finally:
         guard.close()
         station.remove("guard")

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import DeviceError
+from pmabench.base.errors import DeviceError, RecordError
 from pmabench.base.system import try_lock
 
 UNCLEAN = "the program ended without saying that the bench was safe"
@@ -57,15 +57,18 @@ class Station:
             )
 
     def write(self, file: str, data: Mapping[str, Any]) -> None:
-        """Keep `data` in `file`.json: whole, synced, readable by this user only."""
+        """Keep `data` in `file`.json: whole, synced, readable by this user only. Raises RecordError."""
         path = self.folder / f"{file}.json"
         part = path.with_suffix(".part")
-        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump(data, stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
+        try:
+            handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                json.dump(data, stream)
+                stream.flush()
+                os.fsync(stream.fileno())
+            part.replace(path)
+        except OSError as error:
+            raise RecordError(f"cannot write {path}: {error.strerror}; the state of the bench is not kept") from error
 
     def read(self, file: str) -> dict[str, Any]:
         """What `file`.json holds; empty where there is none that can be read."""
@@ -87,7 +90,7 @@ class Station:
             {"why": before.get("why"), "since": before.get("since")} if before.get("what") == what else {"since": now}
         )
         self.write("state", {**line, **first} if what == "tripped" else line)
-        with (self.folder / "journal.jsonl").open("a", encoding="utf-8") as stream:
+        with suppress(OSError), (self.folder / "journal.jsonl").open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
 
     def latched(self) -> str:
