@@ -13,6 +13,9 @@ from pmabench.bench.interface import CalibrationRecord, Scale
 from pmabench.files.document import document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
+MOST = 1e100
+"""Largest number that is believed; its square can still be reckoned with."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -82,6 +85,8 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
 
 def fit_line(raw: list[float], value: list[float]) -> Scale:
     """Least-squares line through reference points, value against raw; ValueError where they make none."""
+    if any(abs(number) > MOST for number in (*raw, *value)):
+        raise ValueError("a number is out of all range")
     n = len(raw)
     raw_mean, value_mean = sum(raw) / n, sum(value) / n
     spread = sum((r - raw_mean) ** 2 for r in raw)

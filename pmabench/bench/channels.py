@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from pmabench.base.errors import InvalidFile, did_you_mean
@@ -10,6 +11,9 @@ from pmabench.bench.calibration import Calibration, read_calibration
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import CalibrationRecord, ChannelRecord, Scale
 from pmabench.files.document import Location
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+"""What a calibration may be called: it is a file's name."""
 
 
 def channels(c: Compilation) -> dict[str, ChannelRecord]:
@@ -54,9 +58,12 @@ def _channel(c: Compilation, name: str) -> ChannelRecord | None:
 
 
 def _calibration(c: Compilation, name: str, quantity: str, location: Location) -> Calibration | None:
+    if not NAME.fullmatch(name):
+        c.fault(location, "the id of a calibration is expected: letters, digits, points and dashes")
+        return None
     folders = _folders(c, location)
     path = next((folder / f"{name}.yaml" for folder in folders if (folder / f"{name}.yaml").is_file()), None)
-    if path is None or Path(name).name != name:
+    if path is None:
         near = sorted({file.stem for folder in folders if folder.is_dir() for file in folder.glob("*.yaml")})
         c.fault(location, f'no calibration "{name}" in calibrations/{did_you_mean(name, near)}')
         return None

@@ -50,10 +50,11 @@ def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> Output
         return None
     if file.scale[1][0][1] != raw_unit:
         c.fault((*at, "scale", 1, 0), f"both device values in one unit, here {raw_unit}")
-    if points[0][0] == points[1][0] or points[0][1] == points[1][1]:
-        c.fault((*at, "scale"), "the two points do not make a line")
+    try:
+        scale = fit_line([point[0] for point in points], [point[1] for point in points])
+    except ValueError as error:
+        c.fault((*at, "scale"), str(error))
         return None
-    scale = fit_line([point[0] for point in points], [point[1] for point in points])
     resolution = 0.0
     if file.resolution is not None:
         resolution = file.resolution[0]

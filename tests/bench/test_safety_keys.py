@@ -202,6 +202,18 @@ def test_a_faulty_calibration_is_one_problem_without_others_behind_it(tmp_path, 
     assert len(caught.value.problems) == (2 if says == "" else 1), caught.value  # an unknown key is a missing one too
 
 
+@pytest.mark.parametrize("name", ["../calibrations/MOCK-P", "x" * 500, '"\\0"', "calibrations/MOCK-P"])
+def test_the_id_of_a_calibration_is_a_name_and_not_a_path(tmp_path, name):
+    error = refused(rig(tmp_path, f"channels: {{pressure: {{calibration: {name}}}}}\n"))
+    assert "letters, digits" in str(error)
+    assert len(error.problems) == 1
+
+
+def test_a_scale_beyond_all_range_is_refused(tmp_path):
+    error = refused(rig(tmp_path, "outputs: {pressure: {scale: [[-1e308 V, 0 kPa], [1e308 V, 1000 kPa]]}}\n"))
+    assert "out of all range" in str(error)
+
+
 def test_an_unknown_device_is_one_problem(tmp_path):
     error = refused(rig(tmp_path, "channels: {pressure: {device: dac}}\n"))
     assert len(error.problems) == 1, error
