@@ -118,3 +118,18 @@ def test_a_trial_that_is_done_again_takes_the_place_of_the_first(tmp_path):
     lines = lines_of(run.close())
     assert [(line.index, line.ok) for line in lines] == [(0, True), (1, True)]
     assert numbers(lines[1])["tau"].reference == pytest.approx(TAU, rel=1e-3)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_long_run_that_is_read_piece_by_piece_gets_the_same_lines(tmp_path, monkeypatch, closed):
+    """The events are known at once, the samples come later: no line is made before its samples are there."""
+    points = [(LIGHT, P), (HEAVY, P), (LIGHT, 2e5)]
+    run = Recorded(tmp_path, points)
+    for index in range(3):
+        run.trial(index)
+    folder = run.close() if closed else run.folder
+    at_once = lines_of(folder)
+    assert all(line.ok for line in at_once)
+    monkeypatch.setattr("pmabench.display.follow.MOST_BYTES", 3000)
+    monkeypatch.setattr("pmabench.display.follow.MOST_ROWS", 700)
+    assert lines_of(folder) == at_once
