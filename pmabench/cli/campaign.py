@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common, say
+from pmabench.cli.common import Ui, common, say, session_options
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -19,13 +19,18 @@ if TYPE_CHECKING:
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", is_flag=True, help="Leave out what is finished in --out, and go on with what is not.")
+@session_options
 @common
-def command(ui: Ui, file: str, out: Path, operator: str, *, yes: bool, resume: bool) -> int | None:
+def command(
+    ui: Ui, file: str, out: Path, operator: str, session: dict[str, Any], *, yes: bool, resume: bool
+) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
     from pmabench.cli.run import outcome_json
     from pmabench.files.shipped import find_file
 
-    outcomes = run_campaign(ui, find_file("campaign", file), out, operator_name=operator, yes=yes, resume=resume)
+    outcomes = run_campaign(
+        ui, find_file("campaign", file), out, operator_name=operator, yes=yes, resume=resume, session=session
+    )
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     ui.result(data, lambda: click.echo("\n".join(str(outcome.folder) for outcome in outcomes)))
     return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
@@ -49,6 +54,7 @@ def run_campaign(
     yes: bool = False,
     seed: int | None = None,
     resume: bool = False,
+    session: dict[str, Any] | None = None,
 ) -> list[Outcome]:
     """Run the campaign; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds of it."""
     from pmabench.cli.prepare import Prepared, seeded
@@ -74,7 +80,16 @@ def run_campaign(
         ui.note(title)
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
-        outcome = execute(ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about)
+        outcome = execute(
+            ui,
+            prepared,
+            out,
+            operator_name=operator_name,
+            yes=yes,
+            continues=continues,
+            about=about,
+            session=session if number == 0 else None,
+        )
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")

@@ -181,3 +181,18 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
         return function
 
     return add
+
+
+def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """How the session before a run is held; together one argument `session`."""
+
+    @click.option("--new-session", is_flag=True, help="Warm-up, self-test and zeros again, though a session counts.")
+    @click.option("--skip-warm-up", is_flag=True, help="Leave the warm-up of the session out; with --because.")
+    @click.option("--because", default="", help="Why the warm-up is left out; the record says so.")
+    @wraps(function)
+    def command(*args: Any, new_session: bool, skip_warm_up: bool, because: str, **kwargs: Any) -> Any:
+        if skip_warm_up != bool(because.strip()):
+            raise click.UsageError("--skip-warm-up and --because TEXT belong together")
+        return function(*args, session={"anew": new_session, "skip_warm_up": because.strip()}, **kwargs)
+
+    return command

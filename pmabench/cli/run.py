@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common, plan_options
+from pmabench.cli.common import Ui, common, plan_options, session_options
 from pmabench.cli.progress import CLEAR, progress_line
 
 if TYPE_CHECKING:
+    from pmabench.bench.compile import Mounted
     from pmabench.cli.prepare import Prepared
     from pmabench.engine.operator import Operator
     from pmabench.engine.run import Continues, Outcome
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     type=click.Choice(["bench", "calibration", "specimen", "protocol"]),
     help="With --resume: go on although this is not what it was.",
 )
+@session_options
 @common
 def command(
     ui: Ui,
@@ -42,6 +46,7 @@ def command(
     operator: str,
     resume: Path | None,
     accept: tuple[str, ...],
+    session: dict[str, Any],
     *,
     yes: bool,
 ) -> int | None:
@@ -69,7 +74,9 @@ def command(
         from pmabench.engine.resume import continue_run
 
         continues = continue_run(resume, prepared.plan, prepared.mounted, prepared.protocol_text, accept)
-    outcome = execute(ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues)
+    outcome = execute(
+        ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
+    )
     ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
     return outcome.exit_code
 
@@ -83,37 +90,52 @@ def execute(
     yes: bool = False,
     continues: Continues | None = None,
     about: dict[str, Any] | None = None,
+    session: dict[str, Any] | None = None,
 ) -> Outcome:
-    """Run a prepared plan: with a display of its own in real time, with a line of progress in virtual time."""
+    """Run a prepared plan, after a session where its bench has one and none counts.
+
+    With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
+    """
     from pmabench.engine.run import run_plan
+    from pmabench.session.session import ensure
 
     for warning in prepared.warnings():
         ui.note(warning)
-    options: dict[str, Any] = {
-        "out": out,
-        "protocol_text": prepared.protocol_text,
-        "deviations": prepared.deviations,
-        "operator_name": operator_name,
-        "about": {"sources": prepared.sources, **(about or {})},
-        "continues": continues,
-    }
-    if prepared.mounted.bench.realtime and not ui.quiet and not ui.json:
-        return _with_display(ui, prepared, options, yes=yes)
-    with progress_line(ui, f"{prepared.plan.kind}") as progress:
-        return run_plan(prepared.plan, prepared.mounted, _operator(yes=yes), progress=progress, **options)
+    mounted = prepared.mounted
+    if mounted.session is not None:
+        with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
+            mounted = ensure(
+                mounted, operator, out, operator_name=operator_name, say=ui.note, **shown, **(session or {})
+            )
+    with _operated(ui, mounted, prepared.plan.kind, yes=yes) as (operator, shown):
+        return run_plan(
+            prepared.plan,
+            mounted,
+            operator,
+            out=out,
+            protocol_text=prepared.protocol_text,
+            deviations=prepared.deviations,
+            operator_name=operator_name,
+            about={"sources": prepared.sources, **(about or {})},
+            continues=continues,
+            **shown,
+        )
 
 
-def _with_display(ui: Ui, prepared: Prepared, options: dict[str, Any], *, yes: bool) -> Outcome:
-    """The display is a process that reads what the run writes; the run never waits for it."""
+@contextmanager
+def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tuple[Operator, dict[str, Any]]]:
+    """Who answers, and how it is shown; a display is a process that reads what the run writes, never waited for."""
+    if not mounted.bench.realtime or ui.quiet or ui.json:
+        with progress_line(ui, title) as progress:
+            yield _operator(yes=yes), {"progress": progress}
+        return
     from pmabench.cli.operator import AtDisplay, Confirmed
     from pmabench.display.child import Display
-    from pmabench.engine.run import run_plan
 
     display = Display(color=ui.color)
     answers = sys.stdin.isatty() and sys.stderr.isatty()
-    operator: Operator = Confirmed(display) if yes else AtDisplay(display, answers=answers)
     try:
-        return run_plan(prepared.plan, prepared.mounted, operator, begun=display.start, **options)
+        yield Confirmed(display) if yes else AtDisplay(display, answers=answers), {"begun": display.start}
     finally:
         display.close()
 
