@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, SetPoint, Stream, Switch, Watchdog
 from pmabench.files.document import Document, Location, document_text, read_document
 
 MAP = "map"
@@ -36,6 +36,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     except (ImportError, AttributeError) as error:
         c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}')
         return device
+    if _lacks_a_capability(c, device, driver):
+        return device
     check = getattr(driver, "check", None)
     if check is None:
         return device
@@ -50,6 +52,29 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         else:
             c.fault((*at, *place), message)
     return device
+
+
+def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> bool:
+    """Whether the bench file wants of a device what its driver cannot do, which is then a problem at its place."""
+    wants: list[tuple[Location, type, str]] = []
+    wants += [(("channels", channel.name, "device"), Stream, "measures nothing") for channel in device.channels]
+    wants += [(("outputs", output.name, "device"), SetPoint, "takes no set-points") for output in device.outputs]
+    wants += [(("outputs", valve.name, "device"), Switch, "switches no valves") for valve in device.valves]
+    for index, file in enumerate(c.bench.interlocks):
+        if file.input.device == device.name:
+            wants.append((("interlocks", index, "input", "device"), Inputs, "has no digital inputs"))
+    if device.watchdog:
+        wants.append((("devices", device.name, "watchdog"), Watchdog, "has no watchdog"))
+    outputs = {output.name for output in device.outputs}
+    for index, action in enumerate(c.bench.safe_state):
+        if action.ramp_down in outputs:
+            wants.append((("safe_state", index, "ramp_down"), Follower, "cannot follow a ramp by itself"))
+        if action.drive_quick_stop in outputs:
+            wants.append((("safe_state", index, "drive_quick_stop"), Motion, "cannot stop a motion by itself"))
+    missing = [(place, text) for place, capability, text in wants if not issubclass(driver, capability)]
+    for place, text in missing:
+        c.fault(place, f'the driver "{c.bench.devices[device.name].driver}" {text}')
+    return bool(missing)
 
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:

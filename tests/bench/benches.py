@@ -14,7 +14,7 @@ free_end: weights
 weights: {hanger: 1.1 kg, plates: [10 x 5 kg], catch_height: 50 mm}
 air: {supply: 690 kPa, relief_valve: 680 kPa, overshoot: 10 kPa}
 devices:
-  daq: {driver: mock, watchdog: 1 s}
+  daq: {driver: mock-realtime, watchdog: 1 s}
 channels:
   pressure: {device: daq, input: pressure, range: [0 count, 65535 count], calibration: MOCK-P}
   displacement: {device: daq, input: displacement, range: [-5 mm, 90 mm], calibration: MOCK-X}

@@ -155,6 +155,26 @@ def test_a_supply_valve_is_left_closed_and_stands_open_in_a_run(tmp_path):
     assert found == {"dump_valve": "open", "supply_valve": "closed"}
 
 
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ("devices: {daq: {driver: mock}}\n", "has no watchdog"),
+        ("outputs: {pressure: {device: cell}}\n", "takes no set-points"),
+        ("outputs: {dump_valve: {device: cell}}\n", "switches no valves"),
+        ("interlocks:\n  - {name: a, input: {device: cell, input: x}}\n", "has no digital inputs"),
+    ],
+)
+def test_what_a_driver_cannot_do_is_refused_before_it_is_opened(tmp_path, changes, says):
+    options = "{poll: P, pattern: '(?P<value>[0-9]+)', rate: 10 Hz}"
+    cell = f"  cell: {{driver: serial-ascii, address: /dev/ttyUSB0, options: {options}}}\n"
+    path = rig(tmp_path, old="devices:\n", new="devices:\n" + cell)
+    (tmp_path / "bench.yaml").write_text("include: rig.yaml\n" + changes)
+    assert path.name == "rig.yaml"
+    error = refused(tmp_path / "bench.yaml")
+    assert says in error.problems[0].message
+    assert all('the driver "' in problem.message for problem in error.problems)
+
+
 # -- calibrations ---------------------------------------------------------------------------------------------------
 
 
@@ -235,7 +255,7 @@ def test_a_calibration_that_has_expired_is_lacking_from_the_day_after(tmp_path):
     ("old", "new", "says"),
     [
         ("relief_valve: 680 kPa, ", "", "no relief valve"),
-        ("{driver: mock, watchdog: 1 s}", "{driver: mock}", "no watchdog of daq"),
+        ("{driver: mock-realtime, watchdog: 1 s}", "{driver: mock-realtime}", "no watchdog of daq"),
         ("  - {name: e-stop, input: {device: daq, input: e_stop}, safe: high}\n", "", "no interlock"),
         ("proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}\n", "", "no proof"),
         (", catch_height: 50 mm", "", "no catch height"),

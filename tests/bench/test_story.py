@@ -8,7 +8,7 @@ from tests.bench.benches import BENCHES, SPECIMEN, rig
 
 NO_DUMP = "outputs: {dump_valve: {energised: open}}\n"
 NO_WATCHDOG = "devices: {daq: {watchdog: null}}\n"
-DUMP_ELSEWHERE = "  io: {driver: mock, watchdog: 2 s}\noutputs: {dump_valve: {device: io}}\n"
+DUMP_ELSEWHERE = "  io: {driver: mock-realtime, watchdog: 2 s}\noutputs: {dump_valve: {device: io}}\n"
 
 
 def story(tmp_path, changes=""):
