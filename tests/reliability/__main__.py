@@ -62,7 +62,17 @@ def _run(part: Part) -> tuple[str, bool]:
     commit = _commit()
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout=3600"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "--timeout=3600",
+            "-o",
+            "junit_family=xunit1",
+        ]
         environment = {**os.environ, VARIABLE: str(part.cases)}
         began = time.monotonic()
         code = subprocess.run(

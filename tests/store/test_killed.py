@@ -30,7 +30,7 @@ def test_every_survivor_opens_and_loses_at_most_a_quarter_of_a_second(killed, re
     parent, told = killed
     assert len(told) == KILLS
     record_property("cases", KILLS)
-    assert sum(run["sure"] > 0 for run in told) > KILLS / 3, "enough were killed late enough to have lost something"
+    assert any(run["sure"] > 0 for run in told), "some were killed late enough to have lost something"
     for run in told:
         kept = read_stream(parent / run["name"], raw=True)
         assert run["sure"] <= len(kept) <= run["most"], run
