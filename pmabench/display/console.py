@@ -36,7 +36,12 @@ LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
 LINKED = "r repeat this trial   p pause or go on   n note   v vent now   Ctrl-C stop and vent"
 ALONE = "q quits; the run goes on"
-PRESSED = {"r": "repeat this trial", "p": "pause at low pressure, or go on", "v": "vent now", "q": "quit"}
+PRESSED = {
+    "r": "repeat this trial",
+    "p": "pause at low pressure, or go on",
+    "v": "vent now",
+    "q": "Ctrl-C stops and vents",
+}
 
 
 class Terminate(Exception):

@@ -22,6 +22,8 @@ SPREADS = 3.0
 """Standard deviations from three and more repeats that are doubted ..."""
 LEAST = 0.01
 """... where they are more than this, relative."""
+USED = ("finished", "failed")
+"""Only trials that came to their end have numbers."""
 REACHED = (0.02, 3e3)
 """A pressure counts as reached within this share of the command, at least this [Pa]."""
 
@@ -78,6 +80,8 @@ class Verdicts:
         doubts = [] if trial.status == "finished" else [f"the trial is {trial.status}"]
         doubts += at_limit
         doubts += _flagged(trial)
+        if trial.status not in USED:
+            return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, (), tuple(doubts))
         numbers: list[Number] = []
         try:
             measured, reasons = measure(run, trial, self.expected, self._quick)

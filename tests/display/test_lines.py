@@ -109,6 +109,15 @@ def test_lines_read_while_the_run_is_written_are_those_read_afterwards(tmp_path)
     assert state.lines == lines_of(folder)
 
 
+def test_a_trial_that_was_cut_short_is_doubted_for_that_alone(tmp_path):
+    run = Recorded(tmp_path, [(LIGHT, P)])
+    run.begin(0)
+    run.contract(0, until=0.3)
+    run.writer.event("trial-end", run.t + 0.5, trial=0, status="interrupted")
+    (line,) = lines_of(run.close("aborted", "ended by Ctrl-C"))
+    assert (line.numbers, line.doubts) == ((), ("the trial is interrupted",))
+
+
 def test_a_trial_that_is_done_again_takes_the_place_of_the_first(tmp_path):
     """The first is neither in the table nor among the repeats that later ones are held against."""
     run = Recorded(tmp_path, [(LIGHT, P), (LIGHT, P)])
