@@ -9,7 +9,7 @@ from rich.text import Text
 from pmabench.display.verdicts import Number, TrialLine
 from pmabench.display.wording import POINT, clean, quantity, wrapped
 
-FAINT, WARN, GOOD = "dim", "black on yellow", "green"
+FAINT, WARN, GOOD = "dim", "bold black on yellow", "green"
 VALUE, OFF, PLACE = 7, 6, 7
 """Widths of a value, of its distance from what it is compared with, and of a part of the operating point."""
 WIDE = 108

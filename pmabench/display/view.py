@@ -19,7 +19,7 @@ from pmabench.display.state import RunState
 from pmabench.display.wording import clean, clock, point_text, quantity, value_text, wrapped
 from pmabench.store.records import Array
 
-WARN, BAD, GOOD, STRONG, FAINT = "black on yellow", "bold white on red", "black on green", "bold", "dim"
+WARN, BAD, GOOD, STRONG, FAINT = "bold black on yellow", "bold white on red", "black on green", "bold", "dim"
 LEVELS = {"info": "", "doubt": WARN, "fault": BAD}
 SIGNS = {"info": " ", "doubt": "!", "fault": "!!"}
 CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
