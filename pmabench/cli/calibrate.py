@@ -1,0 +1,182 @@
+"""`pmabench calibrate`: guided calibration of a channel or of the regulator; writes a new calibration file."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from datetime import date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import CHANNEL_QUANTITY
+from pmabench.cli.common import Ui, common, say
+
+if TYPE_CHECKING:
+    from pmabench.bench.compile import Mounted
+    from pmabench.session.calibration import Calibrated, Request
+
+
+@click.command(name="calibrate")
+@click.argument("channel")
+@click.option("--bench", required=True, help="Bench file, or the name of a shipped one.")
+@click.option(
+    "--specimen", required=True, help="Specimen file, or the name of a shipped one: its limits hold here too."
+)
+@click.option("--reference", required=True, metavar="TEXT", help="What it is compared with, and its certificate.")
+@click.option("--reference-uncertainty", required=True, metavar="QUANTITY", help="Of the reference, k = 2: 0.5 N.")
+@click.option("--points", required=True, metavar="LIST", help='Reference points: "0 N, 58.86 N, 107.91 N".')
+@click.option("--cycles", default=2, show_default=True, help="How often up and down.")
+@click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
+@click.option(
+    "--into", default="calibrations", show_default=True, type=click.Path(path_type=Path), help="Where the file goes."
+)
+@click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
+@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@click.option(
+    "--yes", is_flag=True, help="Simulated benches: the nominal value counts as the reading of the reference."
+)
+@common
+def command(
+    ui: Ui,
+    channel: str,
+    bench: str,
+    specimen: str,
+    reference: str,
+    reference_uncertainty: str,
+    points: str,
+    cycles: int,
+    hold: str,
+    into: Path,
+    valid_until: datetime | None,
+    out: Path,
+    operator: str,
+    *,
+    yes: bool,
+) -> int:
+    """Calibrate CHANNEL (force, pressure, displacement, or pressure_command for the regulator) by reference points."""
+    from pmabench.bench.compile import mount
+    from pmabench.files.shipped import find_file
+    from pmabench.session.calibration import Request
+
+    quantity = CHANNEL_QUANTITY.get(channel, "force")
+    request = Request(
+        channel,
+        tuple(_quantity(text, quantity, "--points") for text in points.split(",")),
+        reference,
+        _quantity(reference_uncertainty, quantity, "--reference-uncertainty"),
+        cycles,
+        nominal=yes,
+        hold=_quantity(hold, "pressure", "--hold"),
+    )
+    if request.reference_uncertainty < 0:
+        raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
+    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    done = _run(ui, mounted, request, out, operator, yes=yes)
+    path = None
+    if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
+        path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
+    _tell(ui, request, done, path, quantity)
+    return done.outcome.exit_code
+
+
+def _quantity(text: str, quantity: str, option: str) -> float:
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        return parse_quantity(text.strip(), quantity)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from error
+
+
+def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *, yes: bool) -> Calibrated:
+    from pmabench.cli.lines import AtLines
+    from pmabench.cli.progress import progress_line
+    from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+    from pmabench.session.calibration import calibrate
+
+    lines = AtLines(realtime=mounted.bench.realtime)
+    quantity = CHANNEL_QUANTITY[request.channel]
+
+    def typed(text: str, nominal: float, wait: Callable[[], None]) -> float:
+        while True:
+            answer = lines.line(f"{text} ", wait)
+            try:
+                return _quantity(answer, quantity, "reading")
+            except UsageError as error:
+                say(str(error))
+
+    def nominal_counts(_text: str, nominal: float, _wait: Callable[[], None]) -> float:
+        return nominal
+
+    def nobody(text: str, _nominal: float, _wait: Callable[[], None]) -> float:
+        raise UsageError(f"a reading is needed ({text}) and there is no terminal; --yes is for simulated benches")
+
+    there = sys.stdin.isatty()
+    with progress_line(ui, "calibration") as progress:
+        return calibrate(
+            mounted,
+            request,
+            ConfirmedBeforehand() if yes else lines if there else Nobody(),
+            nominal_counts if yes else typed if there else nobody,
+            out,
+            operator_name=operator,
+            progress=progress,
+        )
+
+
+def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, until: date | None) -> Path:
+    from pmabench.session.calibration_file import write_calibration
+
+    assert done.fit is not None and done.outcome.folder is not None  # noqa: S101, PT018  (looked at before)
+    read = " (not read: nominal values, --yes)" if request.nominal and request.channel != "pressure_command" else ""
+    lag = next((c.calibration.sensor_lag for c in mounted.bench.channels if c.name == request.channel), 0.0)
+    return write_calibration(
+        into,
+        request.channel,
+        CHANNEL_QUANTITY[request.channel],
+        done.raw_unit,
+        done.fit,
+        reference=request.reference + read,
+        run=done.outcome.folder.name,
+        today=date.today(),
+        valid_until=until,
+        sensor_lag=lag,
+    )
+
+
+def _tell(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
+    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.report.terminal import print_grid
+    from pmabench.session.calibration import REGULATOR, as_json, budget
+
+    data: dict[str, Any] = {
+        "schema": "pmabench.calibrated/1",
+        "channel": request.channel,
+        "file": str(path) if path is not None else None,
+        "fit": as_json(done.fit) if done.fit is not None else None,
+        "outcome": outcome_json(done.outcome),
+    }
+
+    def human() -> None:
+        if done.fit is not None:
+            console = ui.console()
+            rows = [[name, value] for name, value in budget(done.fit, quantity, done.raw_unit)]
+            print_grid(
+                console, [f"calibration of {request.channel}", ""], rows, (f"calibration of {request.channel}", "")
+            )
+        print_outcome(done.outcome)
+        if path is None:
+            return
+        click.echo(str(path))
+        if request.channel == REGULATOR and done.fit is not None:
+            ends = [done.fit.points[0][0], done.fit.points[-1][0]]
+            pairs = [f"[{raw:.8g} {done.raw_unit}, {done.fit.scale.to_si(raw) / 1e3:.8g} kPa]" for raw in ends]
+            click.echo(f"in the bench file, for the output pressure: scale: [{', '.join(pairs)}]")
+        else:
+            click.echo(f'in the bench file, for the channel {request.channel}: "calibration: {path.stem}"')
+
+    ui.result(data, human, [str(path)] if path is not None else [])

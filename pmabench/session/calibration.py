@@ -1,0 +1,263 @@
+"""Guided calibration of a channel, or of the regulator, as a run of kind `calibration`; writes no file itself.
+
+Reference points are applied up and down in cycles, each waited for until it is steady, and averaged. The regulator and
+a driven free end go there by themselves; loads and everything else are put on by hands, vented.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
+from pmabench.bench.compile import Mounted
+from pmabench.bench.interface import ChannelRecord, OutputRecord
+from pmabench.engine.executor import Executor, Progress
+from pmabench.engine.operator import Operator
+from pmabench.engine.run import Outcome, run_plan
+from pmabench.protocol.loads import Stack
+from pmabench.protocol.plan import Ask, Hold, Ramp, Set
+from pmabench.session.fit import DOWN, UP, Fit, Point, fit
+from pmabench.session.listening import steady
+from pmabench.session.session import guided_plan
+from pmabench.session.words import load_text, moving_mass
+
+PHASE = "calibration"
+REGULATOR = "pressure_command"
+"""The name under which the regulator is calibrated: its command against the measured pressure."""
+CALIBRATED = ("force", "pressure", "displacement", REGULATOR)
+DRIFT = 5e-4
+"""Most drift while a point is read, of the channel's range."""
+TRAVEL = 0.1
+"""Speed of a driven free end between points, of its highest."""
+
+Read = Callable[[str, float, Callable[[], None]], float]
+"""Gives the reading of the reference [SI] for a text, the value that is meant to be there, and a way to pass time."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is calibrated at which points [SI], how often, how well the reference is known (k = 2, SI)."""
+
+    channel: str
+    points: tuple[float, ...]
+    reference: str
+    reference_uncertainty: float
+    cycles: int = 2
+    seconds: float = 2.0
+    """How long each point is averaged [s]."""
+    nominal: bool = False
+    """Nobody reads the reference: the nominal value counts; for simulated benches."""
+    hold: float = 0.0
+    """Pressure that lifts a load off its support [Pa]; 0: loads pull at the cell without it."""
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What came of it; `fit` is None where the run ended early."""
+
+    outcome: Outcome
+    fit: Fit | None
+    raw_unit: str
+
+
+def calibrate(
+    mounted: Mounted,
+    request: Request,
+    operator: Operator,
+    read: Read,
+    out: Path | None,
+    *,
+    operator_name: str = "",
+    progress: Callable[[Progress], None] = lambda _progress: None,
+    begun: Callable[[Path], None] = lambda _folder: None,
+) -> Calibrated:
+    """Calibrate; raises UsageError where the bench cannot, before anything is opened."""
+    channel, output = check(mounted, request)
+    points: list[Point] = []
+    fits: list[Fit] = []
+
+    def procedure(executor: Executor) -> None:
+        if request.nominal and channel is not None and not executor.bench.simulated:
+            raise UsageError("--yes: on a real bench somebody has to read the reference")
+        executor.recorder.event("calibration", executor.clock.now(), **asdict(request))
+        executor.acquisition.record(on=True)
+        work = _Work(executor, mounted, request, read, channel, output)
+        for number, (target, way, cycle) in enumerate(order(request.points, request.cycles)):
+            steps = 2 * request.cycles * len(request.points)
+            executor.progress(Progress(number, steps, None, 0, executor.clock.now(), 0.0, f"{way} {number + 1}"))
+            point = work.point(target, way, cycle)
+            points.append(point)
+            executor.recorder.event("calibration-point", executor.clock.now(), **asdict(point))
+        executor.acquisition.record(on=False)
+        found = fit(points, work.reference_uncertainty)
+        fits.append(found)
+        executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
+
+    plan = guided_plan(mounted, "calibration", f"calibration of {request.channel}", {"points": list(request.points)})
+    outcome = run_plan(
+        plan,
+        mounted,
+        operator,
+        out=out,
+        operator_name=operator_name,
+        progress=progress,
+        begun=begun,
+        procedure=procedure,
+    )
+    raw_unit = channel.raw_unit if channel is not None else _raw_unit(mounted)
+    return Calibrated(outcome, fits[0] if fits else None, raw_unit)
+
+
+def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
+    """Up and down, the ends once each way: (target, way, cycle)."""
+    rising = sorted(points)
+    return [
+        (target, way, cycle)
+        for cycle in range(cycles)
+        for way, series in ((UP, rising), (DOWN, rising[::-1]))
+        for target in series
+    ]
+
+
+def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, OutputRecord | None]:
+    """The channel (None for the regulator) and the output that goes to the points (None: hands do)."""
+    bench = mounted.bench
+    channels = {channel.name: channel for channel in bench.channels}
+    outputs = {output.name: output for output in bench.outputs}
+    name = request.channel
+    if name not in CALIBRATED:
+        raise UsageError(f'"{name}" cannot be calibrated; what can: {", ".join(CALIBRATED)}')
+    wanted = "pressure" if name == REGULATOR else name
+    if wanted not in channels or (name == REGULATOR and "pressure" not in outputs):
+        raise UsageError(f'"{bench.name}" has no {"regulator and pressure channel" if name == REGULATOR else name}')
+    quantity = CHANNEL_QUANTITY[wanted]
+    if len(set(request.points)) < 2:
+        raise UsageError("at least two reference points are needed; three or more show whether it is a straight line")
+    if request.cycles < 1 or request.cycles > 20:
+        raise UsageError("one to twenty cycles are expected; two or more show the repeatability")
+    output = outputs.get(wanted)
+    channel = channels[wanted]
+    for value in request.points:
+        if output is not None and not output.low <= value <= output.high:
+            raise UsageError(
+                f"{show(value, quantity)} is outside what may be commanded, {show(output.low, quantity)} to "
+                f"{show(output.high, quantity)} ({output.high_from})"
+            )
+        if output is None and not channel.low <= value <= channel.high:
+            raise UsageError(f"{show(value, quantity)} is outside the range of {wanted}")
+    if request.hold and ("pressure" not in outputs or request.hold > outputs["pressure"].high or name != "force"):
+        raise UsageError("a pressure that holds the loads up belongs to the force, and within the command limit")
+    weights = mounted.bench_file.weights
+    if name == "force" and weights is not None:
+        stack = Stack(weights.hanger, weights.plates)
+        for value in request.points:
+            mass = value / weights.g
+            if not stack.can_make(mass):
+                near = " or ".join(f"{load * weights.g:.6g} N ({load:g} kg)" for load in stack.around(mass))
+                raise UsageError(f"{value:g} N ({mass:g} kg) cannot be made of {stack}; nearest: {near}")
+    return (None if name == REGULATOR else channel), output
+
+
+class _Work:
+    """Goes to points and reads them."""
+
+    def __init__(
+        self,
+        executor: Executor,
+        mounted: Mounted,
+        request: Request,
+        read: Read,
+        channel: ChannelRecord | None,
+        output: OutputRecord | None,
+    ) -> None:
+        self._executor, self._mounted, self._request, self._read = executor, mounted, request, read
+        self._channel, self._output = channel, output
+        self._measured = next(
+            c for c in executor.bench.channels if c.name == ("pressure" if channel is None else channel.name)
+        )
+        self._stands = output.safe if output is not None else 0.0
+        self._at: float | None = None
+
+    @property
+    def reference_uncertainty(self) -> float:
+        """Of the reference, k = 2 [SI]: what was said; the measured pressure's for the regulator."""
+        if self._channel is not None:
+            return self._request.reference_uncertainty
+        known = self._measured.calibration
+        of_channel = known.offset_uncertainty + known.gain_uncertainty * max(abs(p) for p in self._request.points)
+        return max(of_channel, self._request.reference_uncertainty)
+
+    def point(self, target: float, way: str, cycle: int) -> Point:
+        """Go there, wait until it is steady, average, read the reference."""
+        nominal = self._go(target)
+        most = DRIFT * (self._measured.high - self._measured.low)
+        reading = steady(
+            self._executor.acquisition, self._measured.name, most, seconds=self._request.seconds, within=60.0
+        )
+        if self._channel is None:
+            assert self._output is not None  # noqa: S101  (the regulator has one)
+            return Point(target, reading.mean, float(self._output.scale.to_raw(nominal)), way, cycle)
+        raw = float(self._channel.scale.to_raw(reading.mean))
+        quantity = self._channel.quantity
+        text = f"{self._request.reference}: what does it read at {show(nominal, quantity)}?"
+        reference = self._read(text, nominal, self._wait)
+        return Point(target, reference, raw, way, cycle)
+
+    def _wait(self) -> None:
+        self._executor.acquisition.pass_time(0.1)
+
+    def _go(self, target: float) -> float:
+        """Bring the quantity to `target` [SI]; what is meant to be there then."""
+        if self._at == target:
+            return self._stands if self._output is not None else target
+        self._at = target
+        if self._output is not None:
+            if self._output.rate:
+                self._executor.do(Ramp(PHASE, self._output.name, self._stands, target, TRAVEL * self._output.rate))
+            else:
+                self._executor.do(Set(PHASE, self._output.name, target))
+            self._executor.do(Hold(PHASE, 1.0))
+            self._stands = self._executor.guard.value_sent(self._output.name, target)
+            return self._stands
+        weights = self._mounted.bench_file.weights
+        quantity = self._measured.quantity
+        text, load = f"Bring {self._measured.name} to {show(target, quantity)} of the reference.", None
+        if self._measured.name == "force" and weights is not None:
+            mass = target / weights.g
+            text, load = load_text(self._mounted, mass), (target, moving_mass(self._mounted, mass))
+        has_pressure = any(output.name == "pressure" for output in self._executor.bench.outputs)
+        if has_pressure:
+            self._executor.do(Set(PHASE, "pressure", 0.0))
+        self._executor.do(Ask(PHASE, text, "vented", load))
+        if has_pressure and self._request.hold and target > 0:
+            self._executor.do(Set(PHASE, "pressure", self._request.hold))
+            self._executor.do(Hold(PHASE, 5.0))
+        return target
+
+
+def _raw_unit(mounted: Mounted) -> str:
+    """What the regulator's command is given in."""
+    return str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
+
+
+def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:
+    """What the uncertainty is made of, for people."""
+    return [
+        ("slope", f"{found.scale.slope:.8g} {QUANTITIES[quantity].unit}/{raw_unit}"),
+        ("offset", show(found.scale.offset, quantity)),
+        ("largest residual", show(found.residual, quantity, 3)),
+        ("hysteresis", show(found.hysteresis, quantity, 3)),
+        ("repeatability (1 s)", show(found.repeatability, quantity, 3)),
+        ("drift", show(found.drift, quantity, 3)),
+        ("reference (k = 2)", show(found.reference, quantity, 3)),
+        ("expanded (k = 2)", show(found.expanded, quantity, 3)),
+    ]
+
+
+def as_json(found: Fit) -> dict[str, Any]:
+    """Plain data [SI]."""
+    return asdict(found)

@@ -1,0 +1,154 @@
+"""Calibration: errors of the simulated sensors are found within the stated uncertainty; files are new, never changed."""
+
+from datetime import date
+
+import numpy as np
+import pytest
+
+from pmabench.base.errors import RecordError, UsageError, VerdictFailed
+from pmabench.bench.calibration import read_calibration
+from pmabench.bench.interface import Scale
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+from pmabench.session.calibration import Request, calibrate
+from pmabench.session.calibration_file import write_calibration
+from pmabench.session.fit import DOWN, UP, Point, fit
+from pmabench.store.reader import open_run
+from tests.engine.benches import mounted
+
+FORCE = tuple(9.81 * mass for mass in (0.0, 1.1, 6.0, 16.0, 26.0))
+CASES = {
+    "force": ("mock", Request("force", FORCE, "weights", 0.02, hold=400e3), 2.5, "length"),
+    "pressure": ("mock", Request("pressure", (0.0, 150e3, 300e3, 450e3, 600e3), "gauge", 200.0), 4e3, "pressure"),
+    "displacement": (
+        "mock-actuator",
+        Request("displacement", (0.0, 10e-3, 20e-3, 30e-3), "blocks", 4e-6),
+        0.3e-3,
+        "length",
+    ),
+}
+
+
+def truth(text, nominal, wait):
+    """Who reads a perfect reference: the weights, the regulator and the drive of the simulation are exact."""
+    return nominal
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", CASES)
+def test_slope_and_offset_errors_are_recovered_within_the_stated_uncertainty(name, seed):
+    bench, request, spread, _ = CASES[name]
+    random = np.random.default_rng(seed)
+    factor, offset = float(random.uniform(0.97, 1.03)), float(random.uniform(-spread, spread))
+    made = mounted(bench, seed=seed, errors={name: {"factor": factor, "offset": offset}})
+    old = next(c for c in made.bench.channels if c.name == name).scale
+    done = calibrate(made, request, ConfirmedBeforehand(), truth, None)
+    assert done.outcome.exit_code == 0, done.outcome.why
+    span = max(request.points)
+    for true in np.linspace(0, span, 9):
+        raw = old.to_raw(factor * true + offset)  # what the sensor gives
+        assert abs(done.fit.scale.to_si(raw) - true) <= done.fit.expanded
+    assert done.fit.expanded < 0.005 * span  # and it says something
+    wrong = abs(factor * span + offset - span)
+    assert wrong > done.fit.expanded or seed  # the old line would have failed
+
+
+def test_regulator_command_to_pressure_is_held_against_the_calibrated_channel():
+    """The output takes 65.535 counts for 1 kPa; the pressure channel is known to 1.5 kPa and 0.2 %."""
+    request = Request("pressure_command", (0.0, 200e3, 400e3, 600e3), "channel pressure", 0.0)
+    done = calibrate(mounted("mock"), request, Nobody(), truth, None)
+    assert done.fit.scale.slope == pytest.approx(1e6 / 65535, rel=1e-3)
+    assert done.raw_unit == "count"
+    assert done.fit.reference == pytest.approx(1500.0 + 0.002 * 600e3)
+    assert done.fit.expanded >= done.fit.reference
+
+
+def points(ways, f, cycles=2, noise=0.0, seed=0):
+    random = np.random.default_rng(seed)
+    return [
+        Point(x, x, f(x, way, cycle) + noise * random.standard_normal(), way, cycle)
+        for cycle in range(cycles)
+        for way in ways
+        for x in (np.arange(5.0) if way == UP else np.arange(5.0)[::-1])
+    ]
+
+
+def test_each_part_of_the_uncertainty_alone():
+    """raw = 2 x + 1: 0.5 per count; each part is given exactly."""
+    line = lambda x, way, cycle: 2 * x + 1  # noqa: E731
+    exact = fit(points((UP, DOWN), line), 0.3)
+    assert (exact.scale.slope, exact.scale.offset) == pytest.approx((0.5, -0.5))
+    assert exact.expanded == pytest.approx(0.3)
+    loop = fit(points((UP, DOWN), lambda x, way, cycle: line(x, way, cycle) + (0.1 if way == UP else -0.1)), 0.0)
+    assert loop.hysteresis == pytest.approx(0.1)  # 0.2 counts
+    assert loop.expanded == pytest.approx(2 * 0.1 / 2 / 3**0.5)
+    bent = fit(points((UP, DOWN), lambda x, way, cycle: line(x, way, cycle) + 0.02 * (x - 2) ** 2), 0.0)
+    assert bent.residual == pytest.approx(0.02, rel=0.05)  # of 0.02 (x-2)^2 a line leaves at most 0.04 counts
+    assert bent.expanded == pytest.approx(2 * bent.residual / 3**0.5, rel=1e-6)
+    shift = fit(points((UP, DOWN), lambda x, way, cycle: line(x, way, cycle) + 0.2 * cycle), 0.0)
+    assert shift.drift == pytest.approx(0.1)
+    assert shift.repeatability == pytest.approx(0.1 / 2**0.5)
+
+
+def test_repeatability_is_the_scatter_between_cycles():
+    found = fit(points((UP, DOWN), lambda x, way, cycle: 2 * x, cycles=200, noise=0.04), 0.0)
+    assert found.repeatability == pytest.approx(0.02, rel=0.05)
+
+
+def test_readings_that_do_not_change_are_no_calibration():
+    with pytest.raises(VerdictFailed, match="make no line"):
+        fit(points((UP,), lambda x, way, cycle: 3.0), 0.1)
+
+
+def test_the_file_is_what_a_bench_reads_and_is_never_written_over(tmp_path):
+    found = fit(points((UP, DOWN), lambda x, way, cycle: 200 * x + 10, noise=1.0), 0.01)
+    about = {"reference": 'cell "7", no. 3: ok', "run": "20261121-x", "today": date(2026, 11, 21)}
+    first = write_calibration(tmp_path / "c", "force", "force", "count", found, **about)
+    second = write_calibration(
+        tmp_path / "c", "force", "force", "count", found, valid_until=date(2027, 11, 21), **about
+    )
+    assert (first.stem, second.stem) == ("FORCE-20261121", "FORCE-20261121-2")
+    read = read_calibration(second, "force")
+    assert read.scale.slope == pytest.approx(found.scale.slope, rel=1e-6)
+    assert read.scale.offset == pytest.approx(found.scale.offset, rel=1e-6, abs=1e-9)
+    assert read.record.offset_uncertainty >= found.expanded * (1 - 1e-9)
+    assert (read.record.reference, read.record.valid_until, read.raw_unit) == (
+        about["reference"],
+        "2027-11-21",
+        "count",
+    )
+
+
+def test_a_folder_that_cannot_be_written_is_a_sentence(tmp_path):
+    (tmp_path / "c").write_text("a file")
+    found = fit(points((UP, DOWN), lambda x, way, cycle: 200 * x), 0.01)
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_calibration(
+            tmp_path / "c", "force", "force", "count", found, reference="", run="", today=date(2026, 11, 21)
+        )
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        (Request("temperature", (0.0, 1.0), "", 0.0), "cannot be calibrated"),
+        (Request("pressure", (0.0, 700e3), "", 0.0), "outside what may be commanded"),
+        (Request("force", (0.0, 50.0), "", 0.0), "cannot be made of"),
+        (Request("pressure", (1e5,), "", 0.0), "at least two"),
+        (Request("pressure", (0.0, 1e5), "", 0.0, hold=1e5), "belongs to the force"),
+        (Request("pressure", (0.0, 1e5), "", 0.0, cycles=0), "cycles"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_said_before_anything_moves(request_, said):
+    with pytest.raises(UsageError, match=said):
+        calibrate(mounted("mock"), request_, Nobody(), truth, None)
+
+
+def test_the_record_of_a_calibration_holds_every_point(tmp_path):
+    request = Request("pressure", (0.0, 100e3), "gauge 7", 100.0, cycles=1)
+    done = calibrate(mounted("mock"), request, Nobody(), truth, tmp_path)
+    run = open_run(done.outcome.folder)
+    assert (run.kind, run.status) == ("calibration", "finished")
+    found = [event.data for event in run.events if event.kind == "calibration-point"]
+    assert [(p["target"], p["way"]) for p in found] == [(0.0, UP), (1e5, UP), (1e5, DOWN), (0.0, DOWN)]
+    (last,) = [event.data for event in run.events if event.kind == "calibrated"]
+    assert Scale(**last["scale"]) == done.fit.scale
