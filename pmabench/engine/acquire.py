@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import floor
+from math import floor, inf
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +24,8 @@ GAP, LATE, OVERRANGE, SLACK = (np.uint16(flag) for flag in (Flag.GAP, Flag.LATE,
 
 VIRTUAL_BLOCK = 1.0
 REAL_BLOCK = 0.05
+DRIFT = 2e-4
+"""How far a device's clock may drift against the computer's [1]."""
 SILENCE = 1.0
 """A stream that gives nothing for so long [s] has failed."""
 HUNG = 2.0
@@ -103,6 +105,8 @@ class _Source:
         self.rate = 0.0
         self.last: int | None = None
         self.heard = 0.0
+        self.ahead = inf
+        """What bench time is ahead of the device's clock [s]: the least seen, which the shortest way gives."""
         self.scales = [(channel.name, channel.scale.slope, channel.scale.offset) for channel in channels]
         self.rows: list[tuple[int, Mapping[str, Sequence[float]], int]] = []
         """Single samples that are not handed to the recorder yet: time [ns], raw columns of length 1, flags."""
@@ -134,7 +138,8 @@ class Acquisition:
         self.holding: set[str] = set()
         """Limits with the action `hold` that are crossed now."""
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
-        self._tripped: PmaError | None = None
+        self._bench = bench
+        self._tripped: Exception | None = None
         self._lock = threading.RLock()
         self._stop: Stop | None = None
         self._stopped: float | None = None
@@ -142,6 +147,7 @@ class Acquisition:
         self._supervisor: threading.Thread | None = None
         self._ending = threading.Event()
         self._slack_below = bench.slack_below
+        self._realtime = bench.realtime
         self._block = REAL_BLOCK if bench.realtime else VIRTUAL_BLOCK
         self._sources: list[_Source] = []
         for device in bench.devices:
@@ -182,6 +188,15 @@ class Acquisition:
             for source in self._sources:
                 self._flush(source)
             self._recording = on
+
+    def begin_controlled_stop(self) -> None:
+        """From now on only limits that vent at once end anything: the others are why it stops, or do not matter."""
+        with self._lock:
+            self._watch = Watch(
+                [limit for limit in self._bench.trips if limit.action == "vent"], self._bench.channels, self.commanded
+            )
+            self._tripped = None
+            self.holding.clear()
 
     def begin_safe_state(self) -> None:
         """No more trips, and a record that fails stops nothing any more: nothing may cancel the safe state."""
@@ -234,6 +249,8 @@ class Acquisition:
                     self._single(source, block)
                 else:
                     self._take(source, block)
+            if self._watch is not None:
+                self._act(self._watch.silent(self.clock.now()))
             self._raise_trip()
         return self.clock.now(), self.latest
 
@@ -268,10 +285,10 @@ class Acquisition:
                 if now - self._asked > HUNG and self._watch is not None:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
                 self._collect()
-            except PmaError as error:
+            except Exception as error:  # an error in the program ends the run as a lost device does
                 if self._tripped is None:
                     self._tripped = error
-                    self.on_trip(str(error))
+                    self.on_trip(str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}")
 
     def _take(self, source: _Source, block: Block) -> None:
         """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
@@ -283,7 +300,7 @@ class Acquisition:
             return
         source.heard = self.clock.now()
         raw = {name: np.asarray(block.columns[name]) for name in source.channels}
-        t = np.asarray(time_ns * 1e-9, dtype=np.float64)
+        t = np.asarray(time_ns * 1e-9, dtype=np.float64) + self._ahead(source, int(time_ns[-1]), block.host)
         values = {name: source.channels[name].scale.to_si(raw[name]) for name in raw}
         at = self._stop(Samples(t, values)) if self._stop is not None and self._stopped is None else None
         if at is not None:
@@ -301,6 +318,15 @@ class Acquisition:
         self._keep(source, time_ns, raw, values, block.host)
         self._act(trips)
 
+    def _ahead(self, source: _Source, newest: int, host: int) -> float:
+        """What is added to the device's clock to get bench time [s]; in virtual time they are the same."""
+        if not self._realtime:
+            return 0.0
+        passed = newest - source.last if source.last is not None else 0
+        arrived = host * 1e-9 if host >= 0 else self.clock.now()
+        source.ahead = min(source.ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
+        return source.ahead
+
     def _rewound(self, source: _Source, t: Array, index: int) -> bool:
         """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""
         if index >= len(t) - 1 or not self.clock.back_to(float(t[index])):
@@ -309,7 +335,7 @@ class Acquisition:
         return True
 
     def _look(self, t: Array, values: Mapping[str, Array]) -> list[Trip]:
-        return self._watch.look(t, values) if self._watch is not None else []
+        return self._watch.look(t, values, self.clock.now()) if self._watch is not None else []
 
     def _act(self, trips: Sequence[Trip]) -> None:
         """Do what the limits say: note a warning, hold, or end the run."""
@@ -367,7 +393,7 @@ class Acquisition:
             if len(source.rows) >= self.rate * self._block:
                 self._flush(source)
         if self._watch is not None:
-            self._act(self._watch.look_once(time_ns * 1e-9, self.latest))
+            self._act(self._watch.look_once(time_ns * 1e-9 + self._ahead(source, time_ns, block.host), self.latest))
 
     def _flush(self, source: _Source) -> None:
         """Hand single samples to the recorder."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from pmabench.base.clock import Clock
+from pmabench.guard import course
 
 
 class Commands(Protocol):
@@ -32,7 +33,7 @@ class Commands(Protocol):
 
 @dataclass
 class _Course:
-    at: Callable[[float], float]
+    at: course.Course
     fell: float
     """When it was last going down [s]."""
 
@@ -46,37 +47,28 @@ class Commanded:
     def set(self, output: str, t: float, value: float) -> None:
         """A step at `t` [s]."""
         before = self.at(output, t)
-        self._note(output, lambda _t: value, t, down=before is not None and value < before)
+        self._note(output, course.step(value), t, down=before is not None and value < before)
 
     def ramp(self, output: str, t: float, origin: float, target: float, rate: float) -> None:
         """A ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
-        lasts = abs(target - origin) / rate
-
-        def at(now: float) -> float:
-            return target if now >= t + lasts else origin + (target - origin) * (now - t) / lasts
-
-        self._note(output, at, t + lasts, down=target < origin)
+        ends = t + abs(target - origin) / rate
+        self._note(output, course.ramp(t, origin, target, rate), ends, down=target < origin)
 
     def sine(self, output: str, t: float, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """A sine that begins at `t` [s]; frequency in Hz."""
-        end = t + cycles / frequency
-
-        def at(now: float) -> float:
-            return mean if now >= end else mean + amplitude * math.sin(2 * math.pi * frequency * (now - t))
-
-        self._note(output, at, end, down=True)
+        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t + cycles / frequency, down=True)
 
     def at(self, output: str, t: float) -> float | None:
         """The commanded value [SI] at `t` [s], or None before the first command."""
-        course = self._courses.get(output)
-        return None if course is None else course.at(t)
+        known = self._courses.get(output)
+        return None if known is None else known.at(t)
 
-    def steady_since(self, output: str, t: float) -> float:
-        """For how long at `t` the output has not been going down [s]."""
-        course = self._courses.get(output)
-        return math.inf if course is None else t - course.fell
+    def fell(self, output: str) -> float:
+        """Since when the output is not going down any more [s]; minus infinity where it never was."""
+        known = self._courses.get(output)
+        return -math.inf if known is None else known.fell
 
-    def _note(self, output: str, at: Callable[[float], float], until: float, *, down: bool) -> None:
+    def _note(self, output: str, at: course.Course, until: float, *, down: bool) -> None:
         before = self._courses.get(output)
         fell = until if down else (before.fell if before is not None else -math.inf)
         self._courses[output] = _Course(at, fell)

@@ -32,12 +32,10 @@ def status_of(cause: BaseException | None) -> tuple[str, str]:
 
 def exit_code(cause: BaseException | None, lost: RecordError | None, vent: Vent) -> int:
     """When causes meet the worst wins: vent not confirmed, record lost, device, interrupted, verdict."""
-    if vent.result == "failed" or isinstance(cause, LimitTripped):
+    if not vent.confirmed or isinstance(cause, LimitTripped):
         return 5
     if lost is not None:
         return 7
-    if not vent.confirmed:
-        return 5
     if cause is None:
         return 0
     return cause.exit_code if isinstance(cause, PmaError) else 1

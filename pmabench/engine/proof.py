@@ -38,6 +38,7 @@ def prove(bench: CompiledBench, guard: Provable, acquisition: Acquisition, recor
     safe = next(output.safe for output in bench.outputs if output.name == "pressure")
     asked = clock.now()
     guard.set("pressure", proof.pressure)
+    acquisition.commanded.set("pressure", asked, proof.pressure)
     filled = acquisition.pass_time(proof.fill, _crossing(above=FILLED * proof.pressure))
     if filled is None:
         measured = show(acquisition.latest.get("pressure", float("nan")), "pressure")
@@ -47,6 +48,7 @@ def prove(bench: CompiledBench, guard: Provable, acquisition: Acquisition, recor
         )
     vented_at = clock.now()
     guard.set("pressure", safe)
+    acquisition.commanded.set("pressure", vented_at, safe)  # it falls because it is told to: no burst
     guard.valves(closed=False)
     vented = acquisition.pass_time(proof.within, _crossing(below=proof.below))
     if vented is None:

@@ -113,8 +113,8 @@ def run_plan(
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
     guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
     own = OwnDevices(bench, clock) if bench.realtime else None
-    guard.open()
     try:
+        guard.open()
         if own is not None:
             own.open()
         identities = {**guard.identities, **(own.identities if own is not None else {})}
@@ -250,8 +250,11 @@ class _Run:
         self.signals.news()
         self.acquisition.check = self.signals.check
         with suppress(BaseException):  # another signal, a trip, a lost device: the safe state follows now
-            self.executor.recorder.event("controlled-stop", self.clock.now(), origin=stands, rate=self.bench.stop_rate)
+            self.acquisition.begin_controlled_stop()
+            now = self.clock.now()
+            self.executor.recorder.event("controlled-stop", now, origin=stands, rate=self.bench.stop_rate)
             self.guard.ramp("pressure", stands, output.safe, self.bench.stop_rate)
+            self.acquisition.commanded.ramp("pressure", now, stands, output.safe, self.bench.stop_rate)
             self.acquisition.pass_time((stands - output.safe) / self.bench.stop_rate)
 
     def _measure(self) -> Mapping[str, float]:
@@ -267,8 +270,9 @@ class _Run:
         acquisition, executor = self.acquisition, self.executor
         self.signals.news()
         self.signals.shut()
-        acquisition.begin_safe_state()
         why = str(cause) if cause is not None else "end of the run"
+        self.guard.begin_safe(tripped=isinstance(cause, LimitTripped), why=why)  # first: nothing else is waited for
+        acquisition.begin_safe_state()
         vent = self.guard.safe_state(self._measure, tripped=isinstance(cause, LimitTripped), why=why)
         ending = Forgiving(executor.recorder)
         recorder, executor.recorder = executor.recorder, ending

@@ -97,18 +97,18 @@ class Watch:
         self._channels = {channel.name: channel for channel in channels}
         self._commanded = commanded or Commanded()
 
-    def look(self, t: Array, values: Mapping[str, Array]) -> list[Trip]:
+    def look(self, t: Array, values: Mapping[str, Array], now: float | None = None) -> list[Trip]:
         """What is crossed for longer than its delay in this block, and what is over, in the order of time.
 
-        `t` [s] has shape (n,), each of `values` [SI] too. A value that is no number counts as a crossing. Ends with
-        the first crossing that ends the run.
+        `t` [s] has shape (n,), each of `values` [SI] too; they came at `now` [s]. A value that is no number counts as
+        a crossing. Ends with the first crossing that ends the run.
         """
         found: list[Trip] = []
         for watched in self._watched:
             samples = values.get(watched.limit.channel)
             if samples is None or len(samples) == 0:
                 continue
-            watched.heard = float(t[-1])
+            watched.heard = float(t[-1]) if now is None else now
             if watched.limit.kind == "stale":
                 self._over(watched, 0, float(t[0]), float(samples[0]), found)
                 continue
@@ -223,9 +223,8 @@ class Watch:
         if limit.kind == "rate":
             rate = np.abs(change) / np.maximum(times[first:] - times[before], 1e-9)
             return enough & (rate > (limit.high or 0.0)), rate
-        if limit.kind == "burst" and self._commanded.steady_since(limit.channel, float(t[-1])) < SETTLES:
-            return np.zeros(len(t), dtype=bool), -change
-        return -change > (limit.high or 0.0), -change
+        steady = t - self._commanded.fell(limit.channel) >= SETTLES
+        return steady & (-change > (limit.high or 0.0)), -change
 
     @staticmethod
     def _frozen(watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:

@@ -8,10 +8,13 @@ In virtual time it lives in the engine's process, at a real bench in one of its 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from enum import Enum
 from functools import partial
 from importlib import import_module
+from itertools import takewhile
 from math import inf, isfinite
 from typing import Any
 
@@ -38,9 +41,10 @@ from pmabench.bench.interface import (
     ValveRecord,
     Watchdog,
 )
+from pmabench.guard import course
 from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_bench, to_device
 from pmabench.guard.owner import Call, Direct, Owner
-from pmabench.guard.safe import SafeState, Vent
+from pmabench.guard.safe import AT_ONCE, SafeState, Vent
 
 __all__ = ["Guard", "Measure", "State", "Vent", "load_driver"]
 
@@ -79,7 +83,7 @@ class Guard:
     """Commands the outputs of one compiled bench.
 
     `threads`: each device is called from a thread of its own, and those that only measure are left to the engine.
-    `forgiving`: devices that cannot be opened are left out, for venting the others.
+    `forgiving`: devices that cannot be opened are left out, and each is vented as soon as it is open.
     """
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool = False, forgiving: bool = False) -> None:
@@ -98,24 +102,38 @@ class Guard:
         self._tripped = False
         self.run = self.why = ""
         """For which run folder it is armed, and what began the safe state."""
-        self._stands: dict[str, float] = {}
-        """Where each output was sent last [SI]."""
+        self._courses: dict[str, course.Course] = {}
+        """Where each output was sent last [SI over s]."""
+        self._fed: dict[str, Call] = {}
 
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
-        for record in self.bench.devices:
-            if self._threads and not record.guarded:
-                continue
-            owner = self._owners[record.name] = (Owner if self._threads else Direct)(record.name)
-            try:
-                device = load_driver(record, self.clock)
-                self.identities[record.name] = owner.call(device.open, OPENS_WITHIN)
-                self.devices[record.name] = device
-            except BaseException:
-                if self._forgiving:
-                    continue
-                self.close()
-                raise
+        opening: dict[str, Call] = {}
+        records = [record for record in self.bench.devices if record.guarded or not self._threads]
+        try:
+            for record in records:
+                owner = self._owners[record.name] = (Owner if self._threads else Direct)(record.name)
+                with suppress(*((Exception,) if self._forgiving else ())):
+                    opening[record.name] = owner.submit(
+                        partial(self._open, record.name, load_driver(record, self.clock))
+                    )
+            until = time.monotonic() + OPENS_WITHIN
+            for name, call in opening.items():
+                with suppress(*((Exception,) if self._forgiving else ())):
+                    self._owners[name].wait(call, max(0.0, until - time.monotonic()))
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, name: str, device: Device) -> None:
+        """Open a device, in its thread; a forgiving guard sends at once what the safe state begins with."""
+        self.identities[name] = device.open()
+        self.devices[name] = device
+        for action in takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ()):
+            target = self._target(action)
+            if target is not None and target.device == name:
+                with suppress(Exception):  # it is sent again, and counted, when the safe state runs
+                    self._action(action, target)()
 
     def close(self) -> None:
         """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
@@ -133,6 +151,8 @@ class Guard:
 
     def arm(self, run: str = "") -> None:
         """Refuse a bench that cannot be made safe; watchdogs on, every output safe, valves closed: set up for `run`."""
+        if self.state is not State.DISARMED:
+            raise LimitRefused(f"the bench is {self.state.value}: it cannot be armed")
         self.run = run
         refuse_unsafe_bench(self.bench)
         for output in self._outputs.values():
@@ -185,11 +205,15 @@ class Guard:
                     raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
 
     def feed_watchdogs(self) -> None:
-        """Tell every armed device that the program lives."""
+        """Tell every armed device that the program lives; raises DeviceError where one said before that it failed."""
         for record in self.bench.devices:
             device = self.devices.get(record.name)
             if record.watchdog and isinstance(device, Watchdog):
-                self._owners[record.name].submit(device.feed_watchdog)
+                before = self._fed.get(record.name)
+                if before is None or before.done.is_set():
+                    self._fed[record.name] = self._owners[record.name].submit(device.feed_watchdog)
+                    if before is not None:
+                        before.get(record.name)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -202,9 +226,9 @@ class Guard:
         output = self._allowed(name, origin, target)
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
-        refuse_jump(output, self._stands.get(name, output.safe), origin)
-        self._stands[name] = target
+        refuse_jump(output, self._stands(output), origin)
         self._call_follow(output, self._ramp_segment(output, origin, target, rate))
+        self._courses[name] = course.ramp(self.clock.now(), origin, target, rate)
 
     def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """Let the device follow mean + amplitude sin(2 pi f t) [SI, Hz] for whole cycles."""
@@ -214,8 +238,7 @@ class Guard:
         fastest = 6.283185307179586 * frequency * abs(amplitude)
         if output.rate and fastest > output.rate:
             raise LimitRefused(f'"{name}": the sine moves at {fastest:.4g} per second; at most {output.rate:.4g}')
-        refuse_jump(output, self._stands.get(name, output.safe), mean)
-        self._stands[name] = mean
+        refuse_jump(output, self._stands(output), mean)
         segment = Segment(
             "sine",
             self.clock.now(),
@@ -225,6 +248,7 @@ class Guard:
             cycles=cycles,
         )
         self._call_follow(output, segment)
+        self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
         """Tell the devices that have an operator inside what hands did."""
@@ -278,8 +302,12 @@ class Guard:
     def _write(self, output: OutputRecord, value: float) -> float:
         raw = to_device(output, value)
         self._owners[output.device].call(self._writing(output, raw))
-        self._stands[output.name] = float(output.scale.to_si(raw))
-        return self._stands[output.name]
+        sent = float(output.scale.to_si(raw))
+        self._courses[output.name] = course.step(sent)
+        return sent
+
+    def _stands(self, output: OutputRecord) -> float:
+        return self._courses.get(output.name, course.step(output.safe))(self.clock.now())
 
     def _writing(self, output: OutputRecord, raw: float) -> Callable[[], None]:
         device = self.devices[output.device]
@@ -342,21 +370,19 @@ class Guard:
         return vent
 
     def _begin(self, action: SafeAction) -> Call:
-        act: Callable[[], Any] | None = None
-        owner: Direct | Owner = Direct()
-        target = self._outputs.get(action.target) or self._valves.get(action.target)
+        target = self._target(action)
         try:
-            if target is not None:
-                owner = self._owners[target.device]
-                act = self._action(action, target)
-        except (DeviceError, KeyError) as error:
-            failure = error
+            if target is None or target.device not in self.devices:
+                raise DeviceError(target.device if target else action.target, "is not open")
+            return self._owners[target.device].submit(self._action(action, target))
+        except Exception as error:  # belongs to the outcome of the safe state, which goes on
+            call = Call(lambda: None)
+            call.error = error
+            call.done.set()
+            return call
 
-            def act() -> None:
-                raise failure
-
-            owner = Direct()
-        return owner.submit(act or (lambda: None))
+    def _target(self, action: SafeAction) -> OutputRecord | ValveRecord | None:
+        return self._outputs.get(action.target) or self._valves.get(action.target)
 
     def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Callable[[], Any]:
         if isinstance(target, ValveRecord):
@@ -366,17 +392,18 @@ class Guard:
             if not isinstance(device, Motion):
                 raise DeviceError(target.device, "cannot stop a motion by itself", target.output)
             return partial(device.halt, target.output)
-        stands = self._stands.get(target.name, target.safe)
-        self._stands[target.name] = action.value
         if action.do == "ramp":
+            stands = self._stands(target)
+            self._courses[target.name] = course.ramp(self.clock.now(), stands, action.value, action.rate)
             follow = self._following(target, self._ramp_segment(target, stands, action.value, action.rate))
             lasts = abs(action.value - stands) / action.rate
             return lambda: follow() or lasts
+        self._courses[target.name] = course.step(action.value)
         return self._writing(target, to_device(target, action.value))
 
     def _rescue(self, action: SafeAction) -> Call | None:
         """Try an action over the second way of its device, from a thread that hangs alone if it does."""
-        target = self._outputs.get(action.target) or self._valves.get(action.target)
+        target = self._target(action)
         device = self.devices.get(target.device) if target is not None else None
         if target is None or action.do == "stop" or not isinstance(device, Rescue):
             return None

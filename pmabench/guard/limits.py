@@ -2,26 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from math import ceil, floor, isfinite
 
 from pmabench.base.errors import LimitRefused
 from pmabench.base.quantities import show
-from pmabench.bench.interface import CompiledBench, OutputRecord
+from pmabench.bench.interface import CompiledBench, OutputRecord, SafeAction, TripRecord
 
 
 def refuse_unsafe_bench(bench: CompiledBench) -> None:
     """Raise LimitRefused where a bench cannot be made safe, whatever was checked before."""
     outputs = {output.name: output for output in bench.outputs}
     for output in outputs.values():
-        numbers = (output.low, output.high, output.safe, output.scale.slope, output.scale.offset)
-        if not all(isfinite(number) for number in numbers) or output.low >= output.high or output.scale.slope == 0:
+        numbers = (output.low, output.high, output.scale.slope, output.scale.offset, output.rate, output.resolution)
+        sensible = _finite(*numbers) and output.scale.slope != 0 and output.rate >= 0 and output.resolution >= 0
+        if not sensible or not output.low <= output.safe <= output.high or output.low >= output.high:
             raise LimitRefused(f'the limits of "{output.name}" make no sense: it is not armed')
+    if not _finite(bench.setup_pressure, bench.stop_rate, bench.hands_below, bench.hands_at_pressure):
+        raise LimitRefused("a pressure for setting up, for hands or for a stop is no number: the bench is not armed")
     for action in bench.safe_state:
-        target = outputs.get(action.target)
-        if action.do in {"set", "ramp"} and target is not None and not target.low <= action.value <= target.high:
-            raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
-    if "pressure" in outputs and not any(trip.channel == "pressure" for trip in bench.trips):
-        raise LimitRefused("the bench has no trip limit on pressure: it is not armed")
+        _refuse_senseless(action, outputs, {valve.name for valve in bench.valves})
+    for trip in bench.trips:
+        bounds = (bound for bound in (trip.low, trip.high) if bound is not None)
+        if not _finite(*bounds, trip.delay, trip.window):
+            raise LimitRefused(f'the trip limit on "{trip.channel}" is no number: it is not armed')
+    if "pressure" in outputs and not any(_ends_overpressure(trip) for trip in bench.trips):
+        raise LimitRefused("the bench has no trip limit on pressure that ends a run: it is not armed")
+
+
+def _refuse_senseless(action: SafeAction, outputs: Mapping[str, OutputRecord], valves: Collection[str]) -> None:
+    known = action.do in {"hold", "confirm"} or action.target in (valves if action.do in {"open", "close"} else outputs)
+    timed = _finite(action.value, action.within, action.rate) and (action.do != "ramp" or action.rate > 0)
+    if not known or not timed:
+        raise LimitRefused(f'the safe state\'s "{action.do} {action.target}" makes no sense: it is not armed')
+    target = outputs.get(action.target)
+    if action.do in {"set", "ramp"} and target is not None and not target.low <= action.value <= target.high:
+        raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
+
+
+def _finite(*numbers: float) -> bool:
+    return all(isfinite(number) for number in numbers)
+
+
+def _ends_overpressure(trip: TripRecord) -> bool:
+    above = trip.channel == "pressure" and trip.kind == "range" and trip.high is not None
+    return above and trip.action in {"stop", "vent"}
 
 
 def to_device(output: OutputRecord, value: float) -> float:

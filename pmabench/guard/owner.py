@@ -51,6 +51,10 @@ class Direct:
         call.run()
         return call
 
+    def wait(self, call: Call, within: float) -> Any:
+        """What came of a call."""
+        return call.get(self.name)
+
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
         """Make the call; what came of it."""
         return self.submit(act).get(self.name)
@@ -61,16 +65,14 @@ class Owner:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.stuck = False
-        """Whether a call did not come back in time, and has not come back since."""
+        self._late: Call | None = None
+        """The last call that did not come back in time."""
         self._calls: SimpleQueue[Call] = SimpleQueue()
         threading.Thread(target=self._work, name=f"link-{name}", daemon=True).start()
 
     def _work(self) -> None:
         while True:
             self._calls.get().run()
-            if self._calls.empty():
-                self.stuck = False
 
     def submit(self, act: Callable[[], Any]) -> Call:
         """Have the call made after those before it."""
@@ -80,10 +82,13 @@ class Owner:
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
         """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s]."""
-        if self.stuck:
+        if self._late is not None and not self._late.done.is_set():
             raise DeviceError(self.name, "has not answered yet what was asked before")
-        call = self.submit(act)
+        return self.wait(self.submit(act), within)
+
+    def wait(self, call: Call, within: float) -> Any:
+        """What came of a call; raises DeviceError where it is not back within `within` [s] from now."""
         if not call.done.wait(within):
-            self.stuck = not call.done.is_set()
+            self._late = call
             raise DeviceError(self.name, f"did not answer within {within:g} s")
         return call.get(self.name)

@@ -38,6 +38,9 @@ CONNECTS_WITHIN = 5.0
 LOOK = 0.05
 """Interlocks are looked at, and watchdogs fed, so often [s]."""
 ACTIVE = (State.SETUP, State.RUNNING)
+COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves")
+STALE = 0.5
+"""A command that was sent longer ago [s] is not carried out: whoever sent it to a guard that stood still gave up."""
 
 
 class _Peer:
@@ -71,14 +74,24 @@ class Service:
         signal.signal(signal.SIGTERM, self._note_signal)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         while not self._over():
-            for key, _events in self._selector.select(TICK):
-                if key.fileobj is self._listener:
-                    self._peers.append(_Peer(self._listener.accept()[0]))
-                    self._peers[-1].link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    self._selector.register(self._peers[-1].link, selectors.EVENT_READ, self._peers[-1])
-                else:
-                    self._hear(key.data)
-            self._tick()
+            try:
+                for key, _events in self._selector.select(TICK):
+                    if key.fileobj is self._listener:
+                        self._accept()
+                    else:
+                        self._hear(key.data)
+                self._tick()
+            except Exception:  # whatever it is: the bench is made safe by what still works
+                _write_down()
+                with suppress(Exception):
+                    self._end("lost", "an error in the guard; see guard.log")
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            link = self._listener.accept()[0]
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._peers.append(_Peer(link))
+            self._selector.register(link, selectors.EVENT_READ, self._peers[-1])
 
     def _over(self) -> bool:
         """Whether the bench is safe, and nobody is there any more who could command it."""
@@ -94,8 +107,8 @@ class Service:
             piece = peer.link.recv(1 << 16)
             for message, _payload in peer.messages.feed(piece) if piece else ():
                 self._answer(peer, message)
-        except (OSError, ValueError, TypeError, KeyError):
-            traceback.print_exc()  # goes to guard.log beside the state
+        except (OSError, ValueError, RecursionError):  # a link that broke, or bytes that are no message of ours
+            _write_down()
             piece = b""
         if not piece:
             self._selector.unregister(peer.link)
@@ -109,24 +122,33 @@ class Service:
     def _answer(self, peer: _Peer, message: dict[str, Any]) -> None:
         if message.pop("token", "") != self._token:
             raise ValueError("a stranger")
-        act = getattr(self, f"do_{message.pop('do', '')}", None)
-        if act is None:
-            raise ValueError("not something that the guard does")
-        if act not in {self.do_vent, self.do_status}:
-            if self._engine not in {None, peer}:
-                raise ValueError("there is an engine already")
-            self._engine, self._served = peer, True
-            self._heard = time.monotonic()
         payload = b""
         try:
-            answer = act(peer=peer, **message) or {}
+            answer = self._do(peer, message.pop("do", ""), message.pop("at", None), message)
             payload = answer.pop("payload", b"")
         except PmaError as error:
             told = {"type": type(error).__name__, "text": str(error)}
             if isinstance(error, DeviceError):
                 told |= {"device": error.device, "channel": error.channel, "text": error.message}
             answer = {"error": told}
+        except Exception as error:  # an engine's mistake: told to it, and nothing was done
+            _write_down()
+            answer = {"error": {"type": "PmaError", "text": f"guard: {type(error).__name__}: {error}"}}
+        if peer is self._engine:
+            self._heard = time.monotonic()  # what the guard itself took is no silence of the engine
         self._send(peer, answer, payload)
+
+    def _do(self, peer: _Peer, do: str, sent: float | None, given: dict[str, Any]) -> dict[str, Any]:
+        act = getattr(self, f"do_{do}", None)
+        if act is None:
+            raise LimitRefused(f'"{do}" is not something that the guard does')
+        if do not in {"vent", "status"} and peer is not self._engine:
+            if self._served:
+                raise LimitRefused("this guard has an engine already")
+            self._engine, self._served = peer, True
+        if do in COMMANDS and not (sent is not None and abs(time.monotonic() - sent) <= STALE):
+            raise LimitRefused(f'"{do}" is not done: it was sent too long ago')
+        return act(peer=peer, **given) or {}
 
     def _send(self, peer: _Peer, answer: dict[str, Any], payload: bytes = b"") -> None:
         vent = vars(self._vent) if self._vent is not None else None
@@ -138,6 +160,8 @@ class Service:
 
     def do_open(self, peer: _Peer) -> dict[str, Any]:
         """Open the devices; a latched bench is made safe again and refused."""
+        if self.guard.devices:
+            raise LimitRefused("the bench is open already")
         self.guard.open()
         if latched := self.station.latched():
             self._end("trip", latched)
@@ -152,9 +176,10 @@ class Service:
 
     def do_arm(self, peer: _Peer, run: str) -> None:
         """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
-        self.station.write("bench", json.loads(self.guard.bench.to_json()))
-        self.station.note("armed", run=run, why="")
-        self.guard.arm(run)
+        if self.guard.state is State.DISARMED:
+            self.station.write("bench", json.loads(self.guard.bench.to_json()))
+            self.station.note("armed", run=str(run), why="")
+        self.guard.arm(str(run))
 
     def do_release(self, peer: _Peer) -> None:
         """The bench is proven."""
@@ -188,7 +213,7 @@ class Service:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
         self._collected = time.monotonic()
         blocks = [*self._kept.pop(device, []), self._collect(device)]
-        self.guard.latest.update(seen)
+        self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
         payload = b"".join(array("q", block.time).tobytes() for block in blocks)
         for name in columns:
@@ -199,6 +224,11 @@ class Service:
             "columns": columns,
             "host": blocks[-1].host,
         }
+
+    def _believed(self, seen: dict[str, float]) -> dict[str, float]:
+        """Of what the engine says that it has measured: numbers, of channels that the guard cannot read itself."""
+        own = {c.name for d in self.guard.bench.devices if d.name in self.guard.devices for c in d.channels}
+        return {name: float(value) for name, value in seen.items() if name not in own}
 
     def do_safe(self, peer: _Peer, *, tripped: bool, hurry: bool, why: str) -> None:
         """The engine ends the run."""
@@ -235,14 +265,18 @@ class Service:
                 self._looked = now
                 self._look()
         if self.guard.state is State.STOPPING:
+            if now - self._looked > LOOK:
+                self._looked = now
+                with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
+                    self.guard.feed_watchdogs()
             self._step(now)
 
     def _look(self) -> None:
-        self.guard.feed_watchdogs()
         try:
+            self.guard.feed_watchdogs()
             self.guard.refuse_open_interlock()
         except PmaError as error:
-            self._end("trip", str(error))
+            self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
         """Begin the safe state; the first cause is the one that is told."""
@@ -268,7 +302,7 @@ class Service:
             self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)
         if self._engine is None and self.guard.run:
             about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 Path(self.guard.run, "guard.json").write_text(json.dumps(about), encoding="utf-8")
         for peer in self._peers:
             if peer.waits:
@@ -278,14 +312,11 @@ class Service:
     def _collect(self, name: str) -> Block:
         return self.guard.collect(name)
 
-    def measure(self) -> dict[str, float]:
-        """Newest values [SI] after a tenth of a second, for a safe state that the loop does not advance."""
-        self.guard.latest.clear()
-        time.sleep(2 * LOOK)
-        for name in self._streams():
-            with suppress(PmaError):
-                self._collect(name)
-        return self.guard.latest
+
+def _write_down() -> None:
+    """What went wrong, into guard.log; a full disk ends nothing."""
+    with suppress(OSError):
+        traceback.print_exc()
 
 
 def _slept() -> float:
@@ -311,13 +342,8 @@ def main() -> None:
     sys.stdout.write(json.dumps(here) + "\n")
     sys.stdout.close()
     guard = Guard(bench, RealClock(given["start"]), threads=True)
-    service = Service(guard, station, listener, token)
     try:
-        service.serve()
-    except BaseException as error:  # an error in the guard itself: the bench is made safe before it is told
-        vent = guard.safe_state(service.measure, tripped=True)
-        station.note("tripped", why=f"the guard failed: {type(error).__name__}: {error}", vent=vars(vent))
-        raise
+        Service(guard, station, listener, token).serve()
     finally:
         guard.close()
         station.remove("guard")

@@ -75,11 +75,10 @@ class RemoteGuard:
     def open(self) -> None:
         """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
         station = Station(self.bench.name)
-        station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
-        with (station.folder / "guard.log").open("ab") as log:
+        with station.log() as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "pmabench.guard"],
+                [sys.executable, "-P", "-m", "pmabench.guard"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -109,7 +108,7 @@ class RemoteGuard:
             if self._link is None:
                 raise DeviceError("guard", "is not there any more")
             try:
-                message = {"do": do, "token": self._here["token"], **data}
+                message = {"do": do, "token": self._here["token"], "at": time.monotonic(), **data}
                 answer, payload = exchange(self._link, message, within)
             except (OSError, ValueError) as error:
                 self._link.close()
@@ -177,7 +176,10 @@ class RemoteGuard:
                 with suppress(PmaError):
                     self.ask("status")
         if self._vent is None:
-            self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
+            try:
+                self._vent = vent_directly(self.bench, Station(self.bench.name), why or "the guard was lost")
+            except Exception as error:  # the run is closed with what is known
+                self._vent = Vent("failed", (f"{type(error).__name__}: {error}",))
         return self._vent
 
     def close(self) -> None:

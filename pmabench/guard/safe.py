@@ -91,6 +91,8 @@ class SafeState:
         if action.do == "ramp" and self._ramp is None:
             self._ramp = self._begin(action)
             self._sent.append(_Sent(action, self._ramp, now))
+        if self._ramp is not None and self._ramp.error is not None:
+            return True
         lasts = self._ramp.result if self._ramp is not None else None
         return now - self._since >= min(action.within, action.within if lasts is None else lasts)
 

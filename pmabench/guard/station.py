@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.base.system import try_lock
@@ -45,6 +45,16 @@ class Station:
         self.folder = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "bench")
         self._lock: int | None = None
 
+    def log(self) -> IO[bytes]:
+        """Where the guard writes what goes wrong in itself; makes the folder. Raises DeviceError where it cannot."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            return (self.folder / "guard.log").open("ab")
+        except OSError as error:
+            raise DeviceError(
+                self.folder.name, f"its state cannot be kept in {self.folder}: {error.strerror}; set PMABENCH_STATE"
+            ) from error
+
     def take(self) -> None:
         """Be the only one who commands this bench until this process ends; raises DeviceError where another one is."""
         self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -59,7 +69,7 @@ class Station:
     def write(self, file: str, data: Mapping[str, Any]) -> None:
         """Keep `data` in `file`.json: whole, synced, readable by this user only. Raises RecordError."""
         path = self.folder / f"{file}.json"
-        part = path.with_suffix(".part")
+        part = path.with_suffix(f".{os.getpid()}.part")  # guard and `vent` may write at the same time
         try:
             handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
             with os.fdopen(handle, "w", encoding="utf-8") as stream:
@@ -96,6 +106,6 @@ class Station:
     def latched(self) -> str:
         """Why nothing may run on this bench before an operator has reset it; empty where it may."""
         state = self.read("state")
-        if state.get("what") not in {"armed", "tripped"}:
+        if state.get("what") == "safe" or not (state or (self.folder / "state.json").exists()):
             return ""
-        return f"{state.get('why') or UNCLEAN}, {state.get('since') or state.get('at')}"
+        return f"{state.get('why') or UNCLEAN}, {state.get('since') or state.get('at') or 'at an unknown time'}"

@@ -256,7 +256,11 @@ def test_a_driven_end_starts_where_it_stands():
     with pytest.raises(LimitRefused, match="cannot jump"):
         guard.ramp("displacement", 300e3, 0.0, 1e4)
     guard.ramp("displacement", 0.0, 300e3, 1e4)
+    with pytest.raises(LimitRefused, match="cannot jump"):
+        guard.sine("displacement", 300e3, 1e3, 0.5, 2)  # it is not there yet
+    guard.clock.wait_until(guard.clock.now() + 30.0)
     guard.sine("displacement", 300e3, 1e3, 0.5, 2)
+    guard.clock.wait_until(guard.clock.now() + 4.0)
     with pytest.raises(LimitRefused, match="cannot jump"):
         guard.sine("displacement", 100e3, 1e3, 0.5, 2)
 
