@@ -23,13 +23,14 @@ def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
     """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone."""
     folder = _find(ui, run, wait=wait)
     from pmabench.display.console import watch
+    from pmabench.display.plain import last_line
 
     try:
-        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json)
+        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
+        if ui.json or ui.quiet:
+            ui.result(_json(folder, state), lambda: click.echo(last_line(state)))
     except BrokenPipeError:
         return 0
-    if ui.json:
-        ui.result(_json(folder, state), lambda: None)
     return None
 
 

@@ -51,6 +51,11 @@ def test_json_is_one_object(ended):
     assert told["trials"][0]["numbers"][1]["value"] == pytest.approx(0.25, rel=1e-3)
 
 
+def test_quiet_tells_how_it_ended_only(ended):
+    told = pmabench(ended, "-q").output
+    assert told == "finished; 2 of 2 trials, 1 in doubt; 5,200 rows; vent confirmed\n"
+
+
 def test_of_a_folder_the_newest_run_is_meant(ended, tmp_path):
     run = Recorded(tmp_path / "runs", POINTS, name="second")
     run.trial(0)
