@@ -57,6 +57,7 @@ def what_is_wrong(folder, how, most):
         yield from (str(finding) for finding in verify(folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "error"), CALLS, ids=lambda value: str(value))
 def test_a_call_that_fails_is_told_or_nothing_is_missing(tmp_path, record_property, call, error):
     if shutil.which("strace") is None or not _traceable():
@@ -82,6 +83,7 @@ def _traceable():
     return subprocess.run(["strace", "-o", "/dev/null", "true"], capture_output=True, check=False).returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60 + FULL)
 def test_a_full_disk_ends_the_run_and_keeps_what_was_written(record_property):
     need_tmpfs()

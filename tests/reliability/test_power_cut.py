@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 CUTS = cases(50)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60 + 2 * CUTS)
 def test_a_power_cut_at_any_instant_loses_at_most_two_seconds(record_property):
     need_loop_mounts()

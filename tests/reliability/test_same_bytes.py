@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from tests.cli.test_cli import CliRunner
 from tests.reliability.cases import cases
 
 ROOT = Path(__file__).parents[2]
@@ -39,6 +39,7 @@ def analysed(runs, out, seed, threads):
     return {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_the_same_raw_gives_the_same_bytes(tmp_path, runs, record_property):
     first = analysed(runs, tmp_path / "first", 0, "1")
     assert any(name.endswith("analysis.json") for name in first)

@@ -14,6 +14,7 @@ from pmabench.store.verify import verify
 from tests.reliability.cases import cases
 from tests.store.runs import block
 
+pytestmark = pytest.mark.slow
 KILLS = cases(100)
 
 

@@ -236,6 +236,7 @@ def test_two_programs_note_at_once_and_both_are_kept(tmp_path):
     assert verify(folder) == []
 
 
+@pytest.mark.slow
 def test_a_note_that_is_killed_anywhere_is_there_whole_or_not_at_all(tmp_path, picture, record_property):
     folder = closed(tmp_path / "runs", rows=20)
     add_note(folder, "first")
