@@ -4,9 +4,12 @@
   keeps it beside the bench, `zeros` takes and applies zeros
 - `self_test`: the start check; made of `at_rest` (channels without pressure), `stepping` (pressure in steps), `checks`
   (one line of the table)
-- `calibration`: guided calibration of a channel or of the regulator; `fit` is its arithmetic
+- `calibration`: guided calibration of a channel or of the regulator; `fit` is its arithmetic, `calibration_file` its
+  file
 - `jog`: pressure and actuator by hand, inside the set-up pressure
-- shared: `listening` (means, noise, drift over a stretch of time), `response` (a step as in ISO 10094, delays)
+- `look`: a bench that is opened and sampled, and not armed
+- shared: `guided` (their plan), `words` (what is asked for), `listening` (means, noise, drift over a stretch of
+  time), `response` (a step as in ISO 10094, delays)
 """
 
 from pmabench.session.session import ensure

@@ -113,7 +113,8 @@ def _supply(mounted: Mounted, means: Mapping[str, float]) -> Iterator[Check]:
     yield judged(
         "supply at rest",
         show(means["supply"], "pressure", 4),
-        f"at least {show(least, 'pressure', 4)}, {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point",
+        f"at least {show(least, 'pressure', 4)}",
         good=means["supply"] >= least,
-        hint="look at the supply, its valve and its filter, or at the wire of the supply's sensor",
+        hint=f"it must be {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point: look at the supply, its valve "
+        "and filter, or at the wire of its sensor",
     )

@@ -21,8 +21,8 @@ from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.fit import DOWN, UP, Fit, Point, fit
+from pmabench.session.guided import guided_plan
 from pmabench.session.listening import steady
-from pmabench.session.session import guided_plan
 from pmabench.session.words import load_text, moving_mass
 
 PHASE = "calibration"

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 
+from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
-from pmabench.engine.executor import Executor
+from pmabench.engine.executor import Executor, Progress
+from pmabench.engine.operator import Operator
+from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask
 from pmabench.session.at_rest import at_rest
 from pmabench.session.checks import FAILED, NOT_MEASURED, Check, SelfTestFailed, refuse
+from pmabench.session.guided import guided_plan
 from pmabench.session.listening import listen
 from pmabench.session.stepping import MOVED, Stepping
 from pmabench.session.words import load_text, moving_mass
@@ -32,6 +37,30 @@ def self_test(executor: Executor, mounted: Mounted, told: Callable[[Sequence[Che
         executor.recorder.event("self-test", executor.clock.now(), checks=[asdict(check) for check in checks])
         told(checks)
     return checks
+
+
+def run_self_test(
+    mounted: Mounted,
+    operator: Operator,
+    out: Path | None,
+    *,
+    operator_name: str = "",
+    told: Callable[[Sequence[Check]], None],
+    progress: Callable[[Progress], None] = lambda _progress: None,
+) -> Outcome:
+    """The self-test alone, as a run of kind `self-test`; raises UsageError where the bench file declares none."""
+    if mounted.session is None or mounted.session.self_test is None:
+        name = mounted.bench.name
+        raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
+
+    def procedure(executor: Executor) -> None:
+        executor.acquisition.record(on=True)
+        self_test(executor, mounted, told)
+
+    plan = guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}")
+    return run_plan(
+        plan, mounted, operator, out=out, operator_name=operator_name, progress=progress, procedure=procedure
+    )
 
 
 def _test(executor: Executor, mounted: Mounted, checks: list[Check]) -> None:

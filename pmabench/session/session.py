@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import timedelta
 from pathlib import Path
@@ -15,14 +15,13 @@ from pmabench.bench.session import WarmUp
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
-from pmabench.protocol.plan import Hold, Plan, Record, Set
+from pmabench.protocol.plan import Hold, Record, Set
 from pmabench.session import state
 from pmabench.session.checks import Check
+from pmabench.session.guided import guided_plan
 from pmabench.session.self_test import refuse_backwards, self_test
 from pmabench.session.zeros import ZeroTaken, as_data, take_zeros, with_zeros
 
-RATE = 200.0
-"""Rate at which a session samples [Hz]."""
 SCHEMA = "pmabench.session/1"
 
 
@@ -129,12 +128,6 @@ def _hold(
         "skipped": skipped,
         "shortened": shortened,
     }
-
-
-def guided_plan(mounted: Mounted, kind: str, name: str, settings: Mapping[str, Any] | None = None) -> Plan:
-    """A plan without steps for a guided run: every channel is recorded."""
-    channels = tuple(channel.name for channel in mounted.bench.channels)
-    return Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
 
 
 def _warm_up(executor: Executor, warm_up: WarmUp) -> None:

@@ -31,7 +31,7 @@ FAULTS = {
     "leak": ({"leak": 1.0}, "a leak, too little supply", 100e3),
     "slow regulator": ({"regulator_lag": 1.5}, "settling not within 1.5 s", 100e3),
     "noise": ({"noise": 20}, "shield and ground of the wire to plant.pressure", 0.0),
-    "supply low": ({"supply": 500e3}, "look at the supply", 0.0),
+    "supply low": ({"supply": 500e3}, "look at the supply, its valve", 0.0),
     "cut wire of the force": ({"errors": {"force": {"end": "low"}}}, "look at the wire plant.force", 0.0),
 }
 

@@ -38,6 +38,8 @@ class MockClient:
     connection, so that it can never be taken for a later one; the next call makes a new one.
     """
 
+    verified = "a simulation"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         if not isinstance(clock, RealClock):
             raise DeviceError(device.name, 'the driver mock-realtime needs a bench with "time: real"')

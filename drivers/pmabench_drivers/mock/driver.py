@@ -28,6 +28,8 @@ class MockBench:
     seen.
     """
 
+    verified = "a simulation"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._device, self._clock = device, clock
         self._options = self._read_options()

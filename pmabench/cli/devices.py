@@ -1,0 +1,201 @@
+"""`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import DeviceError, UsageError
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.session.checks import Check
+
+CAPABILITIES = {
+    "Stream": "samples",
+    "SetPoint": "set-points",
+    "Follower": "ramps and sines",
+    "Hands": "hands",
+    "Switch": "valves",
+    "Motion": "stops a motion",
+    "Inputs": "digital inputs",
+    "Watchdog": "watchdog",
+    "Rescue": "second way",
+}
+"""Capability of `pmabench.bench.interface` -> what it is called here."""
+NOT_SAID = "emulator only"
+"""What a driver that does not say where it was verified has been tried on."""
+
+
+@click.group(name="devices")
+def command() -> None:
+    """Drivers that are installed, and what the devices of a bench answer."""
+
+
+@command.command(name="list")
+@common
+def list_(ui: Ui) -> None:
+    """List the drivers that are installed, what each can do, and on what it was verified."""
+    from pmabench.bench.registry import drivers
+
+    rows = [_driver(name, target) for name, target in sorted(drivers().items())]
+    ui.result({"schema": "pmabench.drivers/1", "drivers": rows}, lambda: _print_drivers(ui, rows))
+
+
+def _driver(name: str, target: str) -> dict[str, Any]:
+    from importlib import import_module
+
+    from pmabench.bench import interface
+
+    module, _, attribute = target.partition(":")
+    try:
+        made = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        return {"name": name, "driver": target, "can": [], "verified": "", "problem": f"cannot be loaded: {error}"}
+    can = [word for kind, word in CAPABILITIES.items() if issubclass(made, getattr(interface, kind))]
+    return {
+        "name": name,
+        "driver": target,
+        "can": can,
+        "verified": getattr(made, "verified", NOT_SAID),
+        "problem": "" if issubclass(made, interface.Device) else "does not implement the device interface",
+    }
+
+
+def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
+    from pmabench.report.terminal import print_grid
+
+    heads = ["driver", "verified", "can"]
+    table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
+    print_grid(ui.console(), heads, table, heads)
+
+
+@command.command(name="probe")
+@click.argument("bench")
+@click.option("--self-test", "test", is_flag=True, help="Try the bench under a small pressure; needs --specimen.")
+@click.option("--specimen", help="The specimen that is mounted; its limits hold during the self-test.")
+@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@click.option("--yes", is_flag=True, help="Every prompt of the self-test counts as answered; the record says so.")
+@common
+def probe(ui: Ui, bench: str, specimen: str | None, out: Path, operator: str, *, test: bool, yes: bool) -> int | None:
+    """Open the devices of BENCH, show who answers and one value of each channel, and close; nothing is commanded."""
+    if test:
+        if specimen is None:
+            raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
+        return _self_test(ui, bench, specimen, out, operator, yes=yes)
+    from pmabench.bench.compile import mount_alone
+    from pmabench.files.shipped import find_file
+    from pmabench.session.listening import listen
+    from pmabench.session.look import looking
+
+    compiled = mount_alone(find_file("bench", bench)).bench
+    with looking(compiled) as look:
+        series = listen(look.acquisition, 0.5)
+        identities = {name: vars(identity) for name, identity in look.identities.items()}
+    channels = []
+    for channel in compiled.channels:
+        one = series.get(channel.name)
+        reading = one.reading() if one is not None else None
+        channels.append(
+            {
+                "channel": channel.name,
+                "device": channel.device,
+                "input": channel.input,
+                "quantity": channel.quantity,
+                "raw": channel.scale.to_raw(reading.mean) if reading else None,
+                "raw_unit": channel.raw_unit,
+                "value": reading.mean if reading else None,
+                "noise": reading.noise if reading else None,
+            }
+        )
+    data = {"schema": "pmabench.probe/1", "bench": compiled.name, "devices": identities, "channels": channels}
+    ui.result(data, lambda: _print_probe(ui, identities, channels))
+    silent = [row for row in channels if row["value"] is None]
+    if silent:
+        raise DeviceError(str(silent[0]["device"]), "gives no samples", str(silent[0]["channel"]))
+    return None
+
+
+def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
+    from pmabench.base.quantities import show
+    from pmabench.report.terminal import print_grid
+
+    console = ui.console()
+    rows = [
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], "SIMULATED" if i["simulated"] else ""]
+        for name, i in identities.items()
+    ]
+    heads = ["device", "answers as", "serial", "firmware", ""]
+    print_grid(console, heads, rows, heads)
+    console.print()
+    table = []
+    for row in channels:
+        given = row["value"] is not None
+        table.append(
+            [
+                row["channel"],
+                f"{row['device']}.{row['input']}",
+                f"{row['raw']:.6g} {row['raw_unit']}" if given else "no sample",
+                show(row["value"], row["quantity"], 5) if given else "",
+                show(row["noise"], row["quantity"], 2) if given else "",
+            ]
+        )
+    print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
+
+
+def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
+    from pmabench.bench.compile import mount
+    from pmabench.cli.lines import AtLines
+    from pmabench.cli.progress import progress_line
+    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+    from pmabench.files.shipped import find_file
+    from pmabench.session.self_test import run_self_test
+
+    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    there = sys.stdin.isatty()
+    person: Operator = AtLines(realtime=mounted.bench.realtime) if there else Nobody()
+    tables: list[Sequence[Check]] = []
+    with progress_line(ui, "self-test") as progress:
+        outcome = run_self_test(
+            mounted,
+            ConfirmedBeforehand() if yes else person,
+            out,
+            operator_name=operator,
+            told=tables.append,
+            progress=progress,
+        )
+    checks = tables[0] if tables else ()
+    data = {
+        "schema": "pmabench.self-test/1",
+        "checks": [asdict(check) for check in checks],
+        "outcome": outcome_json(outcome),
+    }
+
+    def human() -> None:
+        print_checks(ui, checks)
+        print_outcome(outcome)
+
+    ui.result(data, human)
+    return outcome.exit_code
+
+
+def print_checks(ui: Ui, checks: Sequence[Check]) -> None:
+    """The table of a self-test; below it what to look at."""
+    from pmabench.report.terminal import print_grid
+
+    if not checks:
+        return
+    console = ui.console()
+    heads = ["check", "value", "limit", "verdict"]
+    rows = [[c.name, c.value or (c.hint if c.verdict == "not measured" else ""), c.limit, c.verdict] for c in checks]
+    print_grid(console, heads, rows, heads)
+    for check in checks:
+        if check.verdict == "failed":
+            console.print(f"{check.name}: {check.hint}")
