@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from socket import SHUT_RDWR
 from time import monotonic
 from typing import Any
 
@@ -23,9 +23,10 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 
 from pmabench.base.errors import DeviceError
-from pmabench_drivers.modbus.registers import BIT_TABLES
+from pmabench_drivers.modbus.registers import BIT_TABLES, READ
 
-logging.getLogger("pymodbus_logging").setLevel(logging.CRITICAL)  # it prints what is raised here anyway
+for _name in ("pymodbus.logging", "pymodbus_logging"):
+    logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
 
 PIECE = 0.005
 """Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
@@ -71,6 +72,17 @@ class _Tcp(ModbusTcpClient):
     """The library's client, whose `recv` knows the deadline of the whole call."""
 
     deadline = 0.0
+    why = ""
+
+    def connect(self) -> bool:
+        """Connect; `why` says what was wrong where that cannot be done."""
+        if self.socket is None:
+            try:
+                target = self.comm_params.host, self.comm_params.port
+                self.socket = socket.create_connection(target, timeout=self.comm_params.timeout_connect)
+            except OSError as error:
+                self.why = f"{(error.strerror or str(error)).lower()}: is it switched on, and is the address right?"
+        return self.socket is not None
 
     def recv(self, size: int | None) -> bytes:
         """The bytes that are there, or none at the deadline."""
@@ -93,13 +105,14 @@ class _Tcp(ModbusTcpClient):
         connection = self.socket
         if connection is not None:
             with contextlib.suppress(OSError):
-                connection.shutdown(SHUT_RDWR)
+                connection.shutdown(socket.SHUT_RDWR)
 
 
 class _Rtu(ModbusSerialClient):
     """The same for a serial line."""
 
     deadline = 0.0
+    why = "is it there, and does no other program use it?"
 
     def connect(self) -> bool:
         """Open the port for this program alone."""
@@ -153,18 +166,15 @@ class Line:
 
     def read(self, table: str, address: int, count: int, deadline: float, what: str = "") -> list[int]:
         """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic]."""
-        name = {
-            "holding": "read_holding_registers",
-            "input": "read_input_registers",
-            "coil": "read_coils",
-            "discrete": "read_discrete_inputs",
-        }[table]
-        function = {"holding": 3, "input": 4, "coil": 1, "discrete": 2}[table]
+        client, unit = self._client, self._unit_id
+        calls: dict[str, Callable[[], Any]] = {
+            "holding": lambda: client.read_holding_registers(address, count=count, device_id=unit),
+            "input": lambda: client.read_input_registers(address, count=count, device_id=unit),
+            "coil": lambda: client.read_coils(address, count=count, device_id=unit),
+            "discrete": lambda: client.read_discrete_inputs(address, count=count, device_id=unit),
+        }
         size = (count + 7) // 8 * 8 if table in BIT_TABLES else count
-        method = getattr(self._client, name)
-        answer = self._ask(
-            lambda: method(address, count=count, device_id=self._unit_id), (function, size), deadline, what
-        )
+        answer = self._ask(calls[table], (READ[table], size), deadline, what)
         return [int(value) for value in (answer.bits if table in BIT_TABLES else answer.registers)[:count]]
 
     def write(
@@ -228,6 +238,8 @@ class Line:
                 self._lost(wanted)
                 raise Unanswered(self._device, self._why(error, limit), what) from None
             if answer.isError():
+                if any(signature[0] == wanted[0] for signature, _until in self._owed):
+                    self._lost(wanted)  # it may be the answer that is owed: then this one's is still to come
                 code = answer.exception_code
                 words = EXCEPTIONS.get(code, "which the specification does not define")
                 raise DeviceError(self._device, f"answers with exception {code}: {words}", what)
@@ -287,8 +299,7 @@ class Line:
             return
         self._client.comm_params.timeout_connect = max(0.001, min(deadline - monotonic(), 2.0))
         if not self._client.connect():
-            hint = "is it there, and does no other program use it?" if self.is_serial else "is it switched on?"
-            raise DeviceError(self._device, f"no connection to {self._address}; {hint}", what)
+            raise DeviceError(self._device, f"no connection to {self._address}: {self._client.why}", what)
 
     def _why(self, error: Exception, limit: float) -> str:
         if isinstance(error, ConnectionException | OSError) and monotonic() < limit:

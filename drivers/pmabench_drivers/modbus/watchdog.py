@@ -13,8 +13,8 @@ from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogReg
 CALL = 0.19
 """Longest time that a call takes [s]."""
 
-SHARE = 4.0
-"""The polling thread waits for a quarter of the watchdog's time for a sign of life of the program."""
+SHARE, LEAST = 0.25, 0.1
+"""The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
 
 Get = Callable[[Register, float], float]
 """Reads a register before a deadline [s, monotonic]."""
@@ -44,9 +44,9 @@ class DeviceWatchdog:
         """Whether it is armed and nobody has fed it for a quarter of its time.
 
         Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
-        device vents after 1.25 times its time at the latest, whatever hangs in the program.
+        device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.
         """
-        return 0 < self._armed < SHARE * (monotonic() - self._fed)
+        return self._armed > 0 and monotonic() - self._fed > max(SHARE * self._armed, LEAST)
 
     def arm(self, seconds: float) -> float:
         """Set the time, start it, and return the time that the device holds [s]."""

@@ -120,3 +120,23 @@ def test_one_port_one_program(tmp_path):
         other = ModbusDevice(record, RealClock())
         with pytest.raises(DeviceError, match="no connection to"):
             other.open()
+
+
+def test_a_late_refusal_is_not_taken_for_an_answer_that_leaves_another_one_owed(tmp_path):
+    """A late exception meets the next question, whose own answer then comes while the one after it waits."""
+    registers = {f"r{i}": {"address": 200 + i} for i in range(2)}
+    outputs = {"pressure": {"address": 10, "type": "float32"}, "dump": {"table": "coil", "address": 0}, **registers}
+    with emulated(line(tmp_path, outputs=outputs)) as (emulator, [record]), opened(record) as device:
+        faults, wire = emulator.devices["regulator"].faults, device._opened()
+        for i in range(2):
+            device._put(device._map.outputs[f"r{i}"], 1000 + i)
+
+        def read(address, count):
+            return timed(wire.read, "holding", address, count, time.monotonic() + 0.19)[1]
+
+        faults.set("slow", 0.06, count=1)
+        assert isinstance(read(300, 2), DeviceError)  # no such address; the refusal comes after the time-out
+        faults.set("slow", 0.02, count=1)
+        assert "exception 2" in str(read(200, 1))
+        outcome = read(201, 1)
+        assert outcome == [1001] or isinstance(outcome, DeviceError), outcome
