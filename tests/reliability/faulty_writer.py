@@ -5,6 +5,7 @@ CALL on it failing (strace), N = FIRST, FIRST + STEP ... until none failed any m
 whether a call failed, and how the recorder ended: `finished`, `told` (RecordError), or what else was raised.
 """
 
+import ctypes
 import json
 import os
 import subprocess
@@ -16,11 +17,15 @@ from pmabench.base.errors import RecordError
 from tests.store.killed_writer import forked
 from tests.store.runs import begin, block, record
 
+MAY_BE_TRACED = 0x59616D61
+"""prctl: any process of the same user may trace this one, also where the system is strict (Yama)."""
 OUTCOMES = {0: "finished", 7: "told"}
 
 
-def write_run(parent, gate):
+def write_run(parent, ready, gate):
     """One run, as an engine writes it: when told of a failure it ends the run."""
+    ctypes.CDLL(None).prctl(MAY_BE_TRACED, ctypes.c_ulong(-1), 0, 0, 0)
+    os.write(ready, b"x")
     os.read(gate, 1)
     try:
         writer = begin(parent)
@@ -43,8 +48,9 @@ def write_run(parent, gate):
 def attempt(parent, call, error, number):
     """One run with the `number`-th `call` failing."""
     parent.mkdir()
-    entry, gate = os.pipe()
-    pid = forked(lambda: write_run(parent, entry))
+    (entry, gate), (told, ready) = os.pipe(), os.pipe()
+    pid = forked(lambda: write_run(parent, ready, entry))
+    os.read(told, 1)
     log = parent.with_suffix(".strace")
     places = [argument for name in _files(parent) for argument in ("-P", str(name))]
     inject = f"inject={call}:error={error}:when={number}"
@@ -58,7 +64,8 @@ def attempt(parent, call, error, number):
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     tracer.wait(10)
     tracer.stderr.close()
-    os.close(entry), os.close(gate)
+    for pipe in (entry, gate, told, ready):
+        os.close(pipe)
     failed = "(INJECTED)" in log.read_text()
     how = OUTCOMES.get(status, f"ended with {status}")
     print(json.dumps({"parent": str(parent), "failed": failed, "how": how, "number": number}), flush=True)
