@@ -20,7 +20,7 @@ class AtLines:
         self._realtime = realtime
         self._typed = b""
 
-    def poll(self) -> Sequence[tuple[str, str]]:
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
         """No keys; lines are answers."""
         return ()
 

@@ -17,8 +17,9 @@ class _Keys:
         self._answer: tuple[int, str] | None = None
         self._keys: list[tuple[str, str]] = []
 
-    def poll(self) -> Sequence[tuple[str, str]]:
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
         """Keys and notes since the last call."""
+        self._display.live(measured)
         self._take()
         keys, self._keys = self._keys, []
         return keys

@@ -129,11 +129,12 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
         with progress_line(ui, title) as progress:
             yield _operator(yes=yes), {"progress": progress}
         return
+    from pmabench.base.terminal import in_front
     from pmabench.cli.operator import AtDisplay, Confirmed
     from pmabench.display.child import Display
 
     display = Display(color=ui.color)
-    answers = sys.stdin.isatty() and sys.stderr.isatty()
+    answers = in_front(0) and in_front(2)
     try:
         yield Confirmed(display) if yes else AtDisplay(display, answers=answers), {"begun": display.start}
     finally:

@@ -136,7 +136,7 @@ class Executor:
 
     def heed(self) -> None:
         """Take what the operator has typed: notes at once, pause and repeat at the end of the trial, vent now."""
-        for what, text in self.operator.poll():
+        for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
                 self._event("note", text=text, trial=self._trial)
             elif text == "p":

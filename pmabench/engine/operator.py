@@ -21,15 +21,18 @@ class Operator(Protocol):
         """Show the text and the live values; return when it is done. `wait` lets a block of bench time pass."""
         ...
 
-    def poll(self) -> Sequence[tuple[str, str]]:
-        """What the operator did since the last call: `("note", text)`, `("key", "p")` ...; never waits."""
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
+        """What the operator did since the last call: `("note", text)`, `("key", "p")` ...; never waits.
+
+        `measured` are the newest values [SI], for whoever shows them while nothing is recorded.
+        """
         ...
 
 
 class _WithoutKeys:
     """Has no keys to press."""
 
-    def poll(self) -> Sequence[tuple[str, str]]:
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
         """Nothing."""
         return ()
 
