@@ -106,7 +106,7 @@ def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
     from pmabench.files.shipped import find_file
 
     try:
-        path = find_file(bench, "benches")
+        path = find_file("bench", bench)
     except PmaError as error:
         raise UsageError(f'no bench "{bench}" was armed here, and no such file{did_you_mean(bench, known)}') from error
     compiled = mount_alone(path).bench

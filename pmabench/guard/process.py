@@ -159,7 +159,8 @@ class Service:
     # -- what can be asked for ----------------------------------------------------------------------------------
 
     def do_open(self, peer: _Peer) -> dict[str, Any]:
-        """Open the devices; a latched bench is made safe again and refused."""
+        """Open the devices; a latched bench is made safe again and refused. From here on `vent` knows the bench."""
+        self.station.write("bench", json.loads(self.guard.bench.to_json()))
         if self.guard.devices:
             raise LimitRefused("the bench is open already")
         self.guard.open()
@@ -177,7 +178,6 @@ class Service:
     def do_arm(self, peer: _Peer, run: str) -> None:
         """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
         if self.guard.state is State.DISARMED:
-            self.station.write("bench", json.loads(self.guard.bench.to_json()))
             self.station.note("armed", run=str(run), why="")
         self.guard.arm(str(run))
 
