@@ -162,6 +162,11 @@ class Acquisition:
             source.heard = self.clock.now()
         self._collected = self._asked = self.clock.now()
 
+    @property
+    def rates(self) -> dict[str, float]:
+        """What each device really samples at [Hz]."""
+        return {source.name: source.rate for source in self._sources}
+
     def supervise(self) -> None:
         """From now on a thread looks at the samples whenever nobody else does: an executor that hangs hides nothing."""
         self._supervisor = threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True)

@@ -180,12 +180,7 @@ def _new_folder(
         "plan.json": plan.to_json().encode(),
         "bench.json": bench.to_json().encode(),
     }
-    writer = RunWriter.create(out, name, manifest, snapshots)
-    for device in bench.devices:
-        columns = [asdict(channel) for channel in device.channels if channel.name in plan.record]
-        if columns:
-            writer.open_stream(device.name, columns, plan.rate)
-    return writer
+    return RunWriter.create(out, name, manifest, snapshots)
 
 
 def _user() -> str:
@@ -219,6 +214,7 @@ class _Run:
         cause: BaseException | None = None
         try:
             acquisition.start()
+            self._open_streams()
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
@@ -236,6 +232,13 @@ class _Run:
         if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
             self._controlled_stop()
         return self._end(cause)
+
+    def _open_streams(self) -> None:
+        """One stream per device that is recorded, at the rate that the device itself says."""
+        for device in self.bench.devices if self.writer is not None else ():
+            columns = [asdict(channel) for channel in device.channels if channel.name in self.executor.plan.record]
+            if columns and self.writer is not None:
+                self.writer.open_stream(device.name, columns, self.acquisition.rates[device.name])
 
     def _check(self) -> None:
         self.signals.check()
