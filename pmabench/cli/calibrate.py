@@ -60,7 +60,7 @@ def command(
     """Calibrate CHANNEL (force, pressure, displacement, or pressure_command for the regulator) by reference points."""
     from pmabench.bench.compile import mount
     from pmabench.files.shipped import find_file
-    from pmabench.session.calibration import Request
+    from pmabench.session.calibration import Request, check, uncovered
 
     quantity = CHANNEL_QUANTITY.get(channel, "force")
     request = Request(
@@ -75,6 +75,9 @@ def command(
     if request.reference_uncertainty < 0:
         raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
     mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    check(mounted, request)
+    for trip in uncovered(mounted, request):
+        ui.note(f"warning: {trip}")
     done = _run(ui, mounted, request, out, operator, yes=yes)
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:

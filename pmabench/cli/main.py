@@ -25,6 +25,7 @@ COMMANDS = {
     "emulate": ("emulate", "Serve a bench's Modbus and serial devices with a simulated muscle behind them."),
     "campaign": ("campaign", "Run several protocols on one specimen, in order."),
     "vent": ("vent", "The safe state now, whatever the owner of the bench does; --reset clears a latch."),
+    "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys within the set-up pressure."),
     "devices": ("devices", "Drivers that are installed; what the devices of a bench answer; the self-test of a bench."),
     "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided; a new file."),
     "import": ("import_", "Make runs of files that other programs recorded, by a column map."),

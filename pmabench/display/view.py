@@ -171,7 +171,7 @@ def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
     seen = "…".join(value_text(v, channel.quantity, span) for v in (channel.least, channel.most))
     line.append(f"{seen if channel.least is not None else '':>15}", FAINT)
     if bar >= 8:
-        line.append(" ").append_text(_bar(channel, bar))
+        line.append(" ").append_text(limit_bar(channel, bar))
     old = channel.age is not None and channel.age > OLD and state.trial is not None and state.status == "running"
     age = "" if channel.age is None or state.status != "running" else _age(channel.age)
     return _row(line, Text(("! " if old else "") + age, BAD if old else FAINT), width)
@@ -181,7 +181,7 @@ def _age(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 10 else clock(seconds) if seconds < 86400 else "old"
 
 
-def _bar(channel: Channel, width: int) -> Text:
+def limit_bar(channel: Channel, width: int) -> Text:
     """From zero to the value; `╎` is what may be commanded, `┃` trips."""
     low, high = channel.axis()
 

@@ -162,6 +162,19 @@ def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, Out
     return (None if name == REGULATOR else channel), output
 
 
+def uncovered(mounted: Mounted, request: Request) -> list[str]:
+    """Trip limits that a calibration with these points would not cover, which a bench refuses; each in a sentence."""
+    low, high = min(request.points), max(request.points)
+    trips = [trip for trip in mounted.bench.trips if trip.channel == request.channel and trip.kind == "range"]
+    return [
+        f"the trip limit {show(value, CHANNEL_QUANTITY[trip.channel])} of {trip.channel} is not between the points: "
+        "a bench refuses a calibration that does not cover it; take points beyond it, or change the limit"
+        for trip in trips
+        for value in (trip.low, trip.high)
+        if value is not None and not low < value < high
+    ]
+
+
 class _Work:
     """Goes to points and reads them."""
 

@@ -1,0 +1,241 @@
+"""`pmabench monitor`: every channel of a bench, live; --jog moves outputs by keys, as a run of kind `setup`."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmabench.base.errors import UsageError
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.bench.compile import Mounted
+    from pmabench.bench.interface import CompiledBench
+    from pmabench.display.monitor import Page
+    from pmabench.session.jog import Jog
+    from pmabench.session.listening import Series
+
+PERIOD = 0.25
+"""A picture at most so often [s]."""
+NOTICES = 6
+"""How many of the last things that were done are shown."""
+
+
+@click.command(name="monitor")
+@click.argument("bench")
+@click.option("--jog", "jogging", is_flag=True, help="Move outputs by keys; needs --specimen, and is recorded.")
+@click.option("--specimen", help="The specimen that is mounted; its limits hold with --jog.")
+@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@click.option("--plain", is_flag=True, help="A line a second; so it is where the output is no terminal.")
+@click.option("--seconds", type=click.FloatRange(min=0), help="End by itself after so long.")
+@common
+def command(
+    ui: Ui,
+    bench: str,
+    specimen: str | None,
+    out: Path,
+    operator: str,
+    seconds: float | None,
+    *,
+    jogging: bool,
+    plain: bool,
+) -> int | None:
+    """Show every channel of BENCH live: raw, value, noise, rate, age, limits. Arms nothing and commands nothing."""
+    from pmabench.bench.compile import mount, mount_alone
+    from pmabench.files.shipped import find_file
+
+    if jogging:
+        if specimen is None:
+            raise UsageError("--jog moves the muscle: say which one is mounted, with --specimen")
+        if plain or ui.json or not (sys.stdin.isatty() and sys.stdout.isatty()):
+            raise UsageError("--jog needs a terminal for its keys")
+        return _jog(ui, mount(find_file("bench", bench), find_file("specimen", specimen)), out, operator, seconds)
+    path = find_file("bench", bench)
+    mounted = mount_alone(path) if specimen is None else mount(path, find_file("specimen", specimen))
+    _monitor(ui, mounted.bench, seconds, plain=plain or not sys.stdout.isatty())
+    return None
+
+
+def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool) -> None:
+    from pmabench.display.monitor import monitor_line
+    from pmabench.session.listening import listen
+    from pmabench.session.look import looking
+
+    with looking(bench) as look:
+        end = time.monotonic() + seconds if seconds is not None else float("inf")
+        live = _Live(bench, simulated=any(identity.simulated for identity in look.identities.values()))
+        clock, period = look.acquisition.clock, 1.0 if plain or ui.json else PERIOD
+        with _screen(ui, live.page, "q quits", wanted=not plain and not ui.json) as keys:
+            while time.monotonic() < end and "q" not in keys.taken():
+                began = time.monotonic()
+                live.update(listen(look.acquisition, period), clock.now(), look.acquisition.rate)
+                if ui.json:
+                    ui.result(live.as_json(clock.now()), lambda: None)
+                    return
+                if plain:
+                    click.echo(monitor_line(live.page, clock.now()))
+                if not bench.realtime:
+                    time.sleep(max(0.0, period - (time.monotonic() - began)))
+
+
+def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
+    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.engine.operator import Nobody
+    from pmabench.session.jog import BLOCK, KEYS, jog
+
+    live = _Live(mounted.bench, simulated=False)
+    live.page.title = f"jog: {mounted.bench.name}"
+    end = time.monotonic() + seconds if seconds is not None else float("inf")
+    notices: list[str] = []
+
+    def shown(series: Mapping[str, Series], work: Jog, told: Sequence[str]) -> None:
+        live.page.simulated = work.executor.bench.simulated
+        live.update(series, work.executor.clock.now(), work.executor.acquisition.rate)
+        live.page.settings = f"{work.settings()}   step {work.steps()}"
+        notices.extend(told)
+        live.page.notices = tuple(notices[-NOTICES:])
+        if not mounted.bench.realtime:
+            time.sleep(BLOCK)
+
+    with _screen(ui, live.page, KEYS, wanted=True) as keys:
+
+        def pressed() -> Sequence[str]:
+            taken = keys.taken()
+            if "z" in taken:
+                live.tare()
+                notices.append("tared: values marked z are differences from now on")
+            return taken if time.monotonic() < end else [*taken, "q"]
+
+        outcome = jog(mounted, Nobody(), out, pressed, shown, operator_name=operator)
+    ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
+    return outcome.exit_code
+
+
+class _Live:
+    """The page of a bench, brought up to date with blocks of samples."""
+
+    def __init__(self, bench: CompiledBench, *, simulated: bool) -> None:
+        from pmabench.display.channel import Channel
+        from pmabench.display.monitor import Page, Row
+
+        self._scales = {channel.name: channel.scale for channel in bench.channels}
+        self._last: dict[str, float] = {}
+        rows = {}
+        for record in bench.channels:
+            channel = Channel(record.name, record.quantity, record.low, record.high)
+            for trip in bench.trips:
+                if trip.channel == record.name and trip.kind == "range":
+                    channel.trip_low = trip.low if channel.trip_low is None else channel.trip_low
+                    channel.trip_high = trip.high if channel.trip_high is None else channel.trip_high
+            for output in bench.outputs:
+                if output.name == record.name:
+                    channel.command_low, channel.command_high = output.low, output.high
+            rows[record.name] = Row(channel, raw_unit=record.raw_unit)
+        self._rows = rows
+        self.page: Page = Page(bench.name, simulated, rows)
+
+    def update(self, series: Mapping[str, Series], now: float, rate: float) -> None:
+        """Take in a block."""
+        for name, one in series.items():
+            row, reading = self._rows[name], one.reading()
+            row.channel.value, row.noise = reading.mean, reading.noise
+            row.raw = float(self._scales[name].to_raw(reading.mean))
+            spread = float(one.t[-1] - one.t[0])
+            row.rate = (len(one.t) - 1) / spread if spread > 0 else rate
+            self._last[name] = float(one.t[-1])
+        for name, last in self._last.items():
+            self._rows[name].channel.age = max(0.0, now - last)
+
+    def tare(self) -> None:
+        """What is shown counts from the values of now."""
+        for row in self._rows.values():
+            row.tare = row.channel.value or 0.0
+
+    def as_json(self, t: float) -> dict[str, object]:
+        """The documented object."""
+        return {
+            "schema": "pmabench.monitor/1",
+            "bench": self.page.title,
+            "simulated": self.page.simulated,
+            "t": t,
+            "channels": {
+                name: {
+                    "value": row.channel.value,
+                    "quantity": row.channel.quantity,
+                    "raw": row.raw,
+                    "raw_unit": row.raw_unit,
+                    "noise": row.noise,
+                    "rate": row.rate,
+                    "age": row.channel.age,
+                }
+                for name, row in self._rows.items()
+            },
+        }
+
+
+class _Keys:
+    """Keys pressed since they were taken last."""
+
+    def __init__(self) -> None:
+        self._pressed: list[str] = []
+        self._lock = threading.Lock()
+
+    def add(self, keys: Sequence[str]) -> None:
+        """More keys."""
+        with self._lock:
+            self._pressed.extend(keys)
+
+    def taken(self) -> list[str]:
+        """All since the last call."""
+        with self._lock:
+            keys, self._pressed = self._pressed, []
+        return keys
+
+
+@contextmanager
+def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]:
+    """Draw the page four times a second and read keys, in a thread: a terminal that blocks holds nothing up."""
+    keys = _Keys()
+    if not wanted:
+        yield keys
+        return
+    from contextlib import ExitStack, suppress
+
+    from pmabench.base import terminal
+    from pmabench.display.console import Painter
+    from pmabench.display.monitor import monitor_screen
+
+    ended = threading.Event()
+    with ExitStack() as stack:
+        painter = Painter(sys.stdout, color=ui.color)
+        keyboard = None
+        stack.enter_context(painter.open())
+        with suppress(UsageError):
+            keyboard = stack.enter_context(terminal.key_by_key(0))
+        page.keys = footer if keyboard is not None else "Ctrl-C ends"
+
+        def draw() -> None:
+            with suppress(EOFError, OSError):
+                while not ended.is_set():
+                    size = painter.size()
+                    painter.draw(monitor_screen(page, *size), size)
+                    if keyboard is None:
+                        ended.wait(PERIOD)
+                        continue
+                    keys.add(keyboard.read(PERIOD))
+
+        thread = threading.Thread(target=draw, name="pmabench-screen", daemon=True)
+        thread.start()
+        try:
+            yield keys
+        finally:
+            ended.set()
+            thread.join(2 * PERIOD)

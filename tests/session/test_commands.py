@@ -1,0 +1,123 @@
+"""`devices`, `monitor`, `calibrate` as they are typed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.engine.benches import ROOT
+
+ARGUMENTS = ["--bench", "mock", "--specimen", "mas-20-250-paper0"]
+
+
+def call(tmp_path, *arguments, given=None):
+    done = subprocess.run(
+        [str(Path(sys.executable).parent / "pmabench"), *arguments],
+        cwd=tmp_path, capture_output=True, text=True, input=given, timeout=120,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def test_every_driver_says_what_it_can(tmp_path):
+    done = call(tmp_path, "devices", "list", "--json")
+    drivers = {row["name"]: row for row in json.loads(done.stdout)["drivers"]}
+    assert not any(row["problem"] for row in drivers.values())
+    assert drivers["mock"]["verified"] == "a simulation"
+    assert "watchdog" in drivers["mock-realtime"]["can"]
+    assert "watchdog" not in drivers["mock"]["can"]
+    assert drivers["modbus"]["verified"] == "emulator only"
+
+
+def test_probe_and_monitor_command_nothing_and_leave_no_run(tmp_path):
+    probed = json.loads(call(tmp_path, "devices", "probe", "mock", "--json").stdout)
+    watched = json.loads(call(tmp_path, "monitor", "mock", "--json").stdout)
+    assert probed["devices"]["plant"]["simulated"] is True
+    for row in probed["channels"]:
+        assert row["value"] == pytest.approx(watched["channels"][row["channel"]]["value"], abs=500)
+    assert watched["channels"]["pressure"]["noise"] == pytest.approx(500, rel=0.3)  # Pa, of the simulated sensor
+    assert watched["channels"]["pressure"]["rate"] == pytest.approx(100)
+    assert not list(tmp_path.glob("runs"))
+
+
+def test_monitor_prints_lines_where_there_is_no_terminal(tmp_path):
+    done = call(tmp_path, "monitor", "mock", "--seconds", "0.1")
+    assert done.returncode == 0
+    assert done.stdout.count("pressure ") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["monitor", "mock", "--jog"], "--specimen"),
+        (["monitor", "mock", "--jog", "--specimen", "mas-20-250-paper0"], "needs a terminal"),
+        (["devices", "probe", "mock", "--self-test"], "--specimen"),
+        (["devices", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
+        (["calibrate", "force", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0, 5"], "unit"),
+        (["calibrate", "fource", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0 N, 5 N"], "cannot be calibrated"),
+    ],
+)  # fmt: skip
+def test_wrong_use_is_a_sentence(tmp_path, arguments, said):
+    done = call(tmp_path, *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not list(tmp_path.glob("runs"))
+
+
+def test_self_test_table_and_exit_code(tmp_path):
+    bench = tmp_path / "bad.yaml"
+    text = (ROOT / "fixtures" / "benches" / "mock-session.yaml").read_text()
+    (tmp_path / "benches").symlink_to(ROOT / "fixtures" / "benches")
+    bench.write_text(
+        text.replace("include: mock.yaml", "include: benches/mock.yaml") + "devices: {plant: {options: {noise: 20}}}\n"
+    )
+    good = call(
+        tmp_path,
+        "devices",
+        "probe",
+        "mock-session",
+        "--self-test",
+        "--specimen",
+        "mas-20-250-paper0",
+        "--yes",
+        "--json",
+    )
+    assert good.returncode == 0
+    assert {check["verdict"] for check in json.loads(good.stdout)["checks"]} == {"ok", "not measured"}
+    bad = call(tmp_path, "devices", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
+    assert bad.returncode == 6
+    assert "noise of pressure: look at shield and ground of the wire to plant.pressure" in " ".join(bad.stdout.split())
+
+
+def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
+    arguments = [
+        "calibrate",
+        "pressure",
+        *ARGUMENTS,
+        "--reference",
+        "gauge 7",
+        "--reference-uncertainty",
+        "0.2 kPa",
+        "--points",
+        "0 kPa, 300 kPa, 600 kPa",
+    ]
+    first, second = (call(tmp_path, *arguments, "--yes", "--json") for _ in range(2))
+    assert "650 kPa" in first.stderr
+    assert "not between the points" in first.stderr
+    files = [Path(json.loads(done.stdout)["file"]) for done in (first, second)]
+    assert files[0] != files[1]
+    assert all((tmp_path / file).is_file() for file in files)
+    (tmp_path / "benches").symlink_to(ROOT / "fixtures" / "benches")
+    bench = tmp_path / "mine.yaml"
+    bench.write_text(
+        "include: benches/mock.yaml\nname: mine\nlimits: {pressure: {command: 450 kPa, trip: 500 kPa, trip_low: null, action: vent}}\n"
+        f"channels: {{pressure: {{device: plant, input: pressure, range: [0 count, 65535 count], calibration: {files[1].stem}}}}}\n"
+    )
+    done = call(tmp_path, "devices", "probe", "mine.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    without = call(tmp_path, *arguments, given="")
+    assert without.returncode == 2
+    assert "no terminal" in without.stdout + without.stderr
+    assert len(list((tmp_path / "calibrations").iterdir())) == 2
