@@ -14,7 +14,7 @@ from pmabench.base.clock import Clock
 from pmabench.bench.interface import Block
 
 JOIN = 0.15
-"""How long a thread is given to end [s]."""
+"""How long a thread is given to end, where that is waited for [s]."""
 
 
 class Samples:
@@ -60,7 +60,7 @@ class Cycle:
         """What ended the thread against its will."""
 
     def start(self, rate: float) -> None:
-        """Begin at `rate` [Hz]; one that runs is ended first."""
+        """Begin at `rate` [Hz], in place of one that runs, which may still be in its last `tick`."""
         self.stop()
         self.missed = 0
         self._halt = threading.Event()
@@ -72,12 +72,12 @@ class Cycle:
         """Whether the thread lives."""
         return self._thread is not None and self._thread.is_alive()
 
-    def stop(self) -> None:
-        """End it; harmless when repeated."""
+    def stop(self, wait: float = 0.0) -> None:
+        """Begin nothing more, and wait so long [s] for a `tick` under way; harmless when repeated."""
         thread, self._thread = self._thread, None
         self._halt.set()
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(JOIN)
+        if thread is not None and wait:
+            thread.join(wait)
 
     def _run(self, rate: float, halt: threading.Event) -> None:
         start, due = self._clock.now(), 0

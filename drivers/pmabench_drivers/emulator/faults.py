@@ -20,6 +20,7 @@ KINDS = {
     "cut": "the last `value` bytes of each answer are missing",
     "garbage": "bytes of no meaning stand before each answer",
     "unit": "serial text: the line is in another unit (N as kg, mm as in)",
+    "noise": "serial text: the number is off by up to `value`, another way in each line",
     "over": "serial text: the line says that the range is exceeded",
     "double": "serial text: each line comes twice",
 }

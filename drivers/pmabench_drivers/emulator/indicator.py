@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import threading
 import time
 from time import monotonic
@@ -66,7 +67,7 @@ class Indicator:
             return False
         if fault.kind in {"deaf", "mute"}:
             return True
-        line = self._line(fault.kind)
+        line = self._line(fault.kind, fault.value)
         if fault.kind == "slow":
             time.sleep(fault.value)
         data = line.encode("ascii", "replace")
@@ -74,13 +75,14 @@ class Indicator:
             data = data[: max(0, len(data) - int(fault.value))]
         return self._write(data * 2 if fault.kind == "double" else data)
 
-    def _line(self, fault: str) -> str:
+    def _line(self, fault: str, size: float) -> str:
         end = self._options.terminator.decode("ascii")
         if fault == "over":
             return (self._options.over_range or ("OL",))[0] + end
         quantities = self._plant.quantities()
         channel = self._device.channels[0]
-        line = self._options.emulate % float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+        raw = float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+        line = self._options.emulate % (raw + random.uniform(-size, size) if fault == "noise" else raw)
         if fault == "unit":
             unit = self._options.unit or channel.raw_unit
             line = line.replace(unit, OTHER_UNITS.get(unit, "XX"))

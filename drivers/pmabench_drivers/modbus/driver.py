@@ -18,7 +18,7 @@ from pmabench_drivers.modbus.registers import Register, decode, decode_text, enc
 from pmabench_drivers.modbus.segments import stepped
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
 from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import Cycle, Samples
+from pmabench_drivers.polling import JOIN, Cycle, Samples
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -86,7 +86,7 @@ class ModbusDevice:
         line, self._line = self._line, None
         if line is not None:
             line.cut()
-        self._cycle.stop()
+        self._cycle.stop(JOIN)
         if line is not None:
             line.close()
 

@@ -124,8 +124,8 @@ class SerialIndicator:
         return self._samples.take()
 
     def stop(self) -> None:
-        """End reading."""
-        self._cycle.stop()
+        """End reading; two threads would take each other's bytes."""
+        self._cycle.stop(JOIN)
         self._halt.set()
         thread, self._thread = self._thread, None
         if thread is not None:

@@ -104,6 +104,18 @@ def test_over_range_is_no_number(rig):
     assert all(math.isnan(value) for value in values)
 
 
+def test_noise_on_the_wire_is_measured_as_it_is(rig):
+    emulator, _record, device = rig
+    device.start(100.0)
+    fault(emulator, "noise", 5.0)
+    time.sleep(0.1)
+    device.collect()
+    time.sleep(0.3)
+    values = device.collect().columns["force"]
+    assert all(-5.0 <= value <= 5.0 for value in values)
+    assert max(values) - min(values) > 0.5
+
+
 @pytest.mark.parametrize(("kind", "value"), [("garbage", 0), ("double", 0), ("cut", 4), ("mute", 0)])
 def test_what_cannot_be_read_is_no_sample_and_soon_an_error(rig, kind, value):
     emulator, _record, device = rig
