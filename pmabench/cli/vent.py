@@ -116,7 +116,7 @@ def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
 def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented:
     guard = station.read("guard")
     if guard:
-        told = _by_guard(ui, station, guard, began)
+        told = _by_guard(ui, saved.get("name", station.folder.name), guard, began)
         if told is not None:
             return told
     from pmabench.bench.records import CompiledBench
@@ -133,10 +133,9 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
     return Vented(compiled.name, way, vent.result, vent.actions, commanded)
 
 
-def _by_guard(ui: Ui, station: Station, guard: dict[str, Any], began: float) -> Vented | None:
+def _by_guard(ui: Ui, name: str, guard: dict[str, Any], began: float) -> Vented | None:
     """Ask the guard; None where it does not answer in time."""
     messages, commanded = Messages(), 0.0
-    name = station.folder.name
     try:
         with socket.create_connection(("127.0.0.1", guard["port"]), timeout=ANSWERS_WITHIN) as link:
             link.sendall(encode({"do": "vent", "token": guard["token"], "who": _who()}))

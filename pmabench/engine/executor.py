@@ -122,6 +122,7 @@ class Executor:
                 self._stay_at_low_pressure()
             if isinstance(step, Record) and step.on and step.trial is not None:
                 begun = number
+            self.acquisition.check()
             self.do(step)
             left -= step.longest()
             number += 1

@@ -19,6 +19,8 @@ class Call:
     def __init__(self, act: Callable[[], Any]) -> None:
         self._act = act
         self.done = threading.Event()
+        self.behind = False
+        """Whether it waits behind a call that did not come back in time."""
         self.result: Any = None
         self.error: Exception | None = None
 
@@ -70,6 +72,10 @@ class Owner:
         self._calls: SimpleQueue[Call] = SimpleQueue()
         threading.Thread(target=self._work, name=f"link-{name}", daemon=True).start()
 
+    @property
+    def _hangs(self) -> bool:
+        return self._late is not None and not self._late.done.is_set()
+
     def _work(self) -> None:
         while True:
             self._calls.get().run()
@@ -77,12 +83,13 @@ class Owner:
     def submit(self, act: Callable[[], Any]) -> Call:
         """Have the call made after those before it."""
         call = Call(act)
+        call.behind = self._hangs
         self._calls.put(call)
         return call
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
         """Have the call made and wait for it; raises DeviceError where it takes longer than `within` [s]."""
-        if self._late is not None and not self._late.done.is_set():
+        if self._hangs:
             raise DeviceError(self.name, "has not answered yet what was asked before")
         return self.wait(self.submit(act), within)
 

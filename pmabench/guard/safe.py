@@ -120,10 +120,13 @@ class SafeState:
             name = f"{sent.action.do} {sent.action.target}"
             if any(call.done.is_set() and call.error is None for call in (sent.call, way)):
                 self._outcome.append(f"{name}: sent" if sent.rescue is None else f"{name}: sent over the second way")
-            elif not way.done.is_set() and now - sent.since < PATIENCE:
-                waiting.append(sent)
-            elif sent.rescue is None and (second := self._rescue(sent.action)) is not None:
+                continue
+            late = way.done.is_set() or now - sent.since >= PATIENCE
+            second = self._rescue(sent.action) if sent.rescue is None and (late or sent.call.behind) else None
+            if second is not None:
                 waiting.append(_Sent(sent.action, sent.call, now, second))
+            elif not late:
+                waiting.append(sent)
             else:
                 self._failed += 1
                 self._outcome.append(f"{name}: failed ({way.error or 'no answer'})")
