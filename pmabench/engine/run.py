@@ -97,13 +97,14 @@ def run_plan(
     progress: Callable[[Progress], None] = lambda _progress: None,
     continues: Continues | None = None,
     begun: Callable[[Path], None] = lambda _folder: None,
+    before_proof: Callable[[Executor], None] = lambda _executor: None,
     procedure: Callable[[Executor], None] = Executor.run,
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
 
     `about` goes into the manifest. `procedure` is what is done on the armed bench: the plan's steps, or something
     guided (session, calibration, jog) that uses the same executor's guard, acquisition, operator and recorder, under
-    the same watch and the same ending.
+    the same watch and the same ending. `before_proof` is done before the proof test, without pressure.
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
     `begun` is told the folder before anything is commanded. Raises DeviceError, LimitRefused or RecordError only where
@@ -137,7 +138,7 @@ def run_plan(
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             if continues is not None:
                 executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
-            return _Run(executor, guard, own, signals, writer, procedure).execute()
+            return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
     finally:
         guard.close()
         if own is not None:
@@ -200,10 +201,10 @@ class _Run:
         own: OwnDevices | None,
         signals: Signals,
         writer: RunWriter | None,
-        procedure: Callable[[Executor], None],
+        procedures: tuple[Callable[[Executor], None], Callable[[Executor], None]],
     ) -> None:
         self.executor, self.guard, self.own, self.signals, self.writer = executor, guard, own, signals, writer
-        self.procedure = procedure
+        self.before_proof, self.procedure = procedures
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
 
     def execute(self) -> Outcome:
@@ -220,6 +221,7 @@ class _Run:
             acquisition.pass_time(0.1)
             if self.bench.realtime:
                 acquisition.supervise()
+            self.before_proof(executor)
             prove(self.bench, self.guard, acquisition, executor.recorder)
             self.procedure(executor)
             if executor.failed:

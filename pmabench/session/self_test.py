@@ -25,18 +25,57 @@ REST = 1.0
 """How long channels at rest are listened to [s]."""
 
 
-def self_test(executor: Executor, mounted: Mounted, told: Callable[[Sequence[Check]], None]) -> list[Check]:
-    """Every check of the session's self-test; `told` gets the table as far as it came, also when one has failed.
+class SelfTesting:
+    """Every check of a session's self-test, in two parts: before the proof of the vent path, and after it.
 
-    Raises SelfTestFailed with the wire to look at.
+    `told` gets the table as far as it came, also when a check has failed. Raises SelfTestFailed with the wire to
+    look at.
     """
-    checks = [*_interlocks(mounted), _relief(mounted)]
-    try:
-        _test(executor, mounted, checks)
-    finally:
-        executor.recorder.event("self-test", executor.clock.now(), checks=[asdict(check) for check in checks])
-        told(checks)
-    return checks
+
+    def __init__(self, mounted: Mounted, told: Callable[[Sequence[Check]], None]) -> None:
+        test = mounted.session.self_test if mounted.session is not None else None
+        if test is None:
+            name = mounted.bench.name
+            raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
+        self._mounted, self._test, self._told = mounted, test, told
+        self.checks = [*_interlocks(mounted), _relief(mounted)]
+
+    def before_proof(self, executor: Executor) -> None:
+        """Channels at rest, with whatever load is on: nothing was commanded yet, hands were not asked for anything."""
+        found = at_rest(self._mounted, listen(executor.acquisition, REST), self._test.noise, unloaded=False)
+        if any(check.verdict == FAILED for check in found):
+            self.checks += found
+            self._tell(executor)
+            refuse(found)
+
+    def run(self, executor: Executor) -> None:
+        """Unloaded at rest, then under pressure."""
+        try:
+            self._run(executor)
+        finally:
+            self._tell(executor)
+
+    def _tell(self, executor: Executor) -> None:
+        executor.recorder.event("self-test", executor.clock.now(), checks=[asdict(check) for check in self.checks])
+        self._told(self.checks)
+
+    def _run(self, executor: Executor) -> None:
+        mounted, test, acquisition = self._mounted, self._test, executor.acquisition
+        weights, load = mounted.bench_file.weights, 0.0
+        if weights is not None:
+            executor.do(Ask(PHASE, load_text(mounted, 0.0), "vented", (0.0, moving_mass(mounted, 0.0))))
+        series = listen(acquisition, REST)
+        self.checks += at_rest(mounted, series, test.noise, unloaded=weights is not None)
+        refuse(self.checks)
+        if not any(output.name == "pressure" for output in mounted.bench.outputs):
+            return
+        if test.load is not None and weights is not None:
+            load = test.load * mounted.bench.gravity
+            executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
+            series = listen(acquisition, REST)
+        Stepping(executor, mounted, test, series).run(self.checks, load)
+        self.checks.append(_leak())
+        refuse(self.checks)
 
 
 def run_self_test(
@@ -49,43 +88,22 @@ def run_self_test(
     progress: Callable[[Progress], None] = lambda _progress: None,
 ) -> Outcome:
     """The self-test alone, as a run of kind `self-test`; raises UsageError where the bench file declares none."""
-    if mounted.session is None or mounted.session.self_test is None:
-        name = mounted.bench.name
-        raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
+    test = SelfTesting(mounted, told)
 
     def procedure(executor: Executor) -> None:
         executor.acquisition.record(on=True)
-        self_test(executor, mounted, told)
+        test.run(executor)
 
-    plan = guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}")
     return run_plan(
-        plan, mounted, operator, out=out, operator_name=operator_name, progress=progress, procedure=procedure
+        guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}"),
+        mounted,
+        operator,
+        out=out,
+        operator_name=operator_name,
+        progress=progress,
+        before_proof=test.before_proof,
+        procedure=procedure,
     )
-
-
-def _test(executor: Executor, mounted: Mounted, checks: list[Check]) -> None:
-    test = mounted.session.self_test if mounted.session is not None else None
-    assert test is not None  # noqa: S101  (asked for by who calls)
-    acquisition, load = executor.acquisition, 0.0
-    before_hands = at_rest(mounted, listen(acquisition, REST), test.noise, unloaded=False)
-    if any(check.verdict == FAILED for check in before_hands):
-        checks += before_hands
-        refuse(checks)
-    weights = mounted.bench_file.weights
-    if weights is not None:
-        executor.do(Ask(PHASE, load_text(mounted, 0.0), "vented", (0.0, moving_mass(mounted, 0.0))))
-    series = listen(acquisition, REST)
-    checks += at_rest(mounted, series, test.noise, unloaded=weights is not None)
-    refuse(checks)
-    if not any(output.name == "pressure" for output in mounted.bench.outputs):
-        return
-    if test.load is not None and weights is not None:
-        load = test.load * mounted.bench.gravity
-        executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
-        series = listen(acquisition, REST)
-    Stepping(executor, mounted, test, series).run(checks, load)
-    checks.append(_leak())
-    refuse(checks)
 
 
 def refuse_backwards(executor: Executor, stood: float) -> None:

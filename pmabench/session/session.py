@@ -19,7 +19,7 @@ from pmabench.protocol.plan import Hold, Record, Set
 from pmabench.session import state
 from pmabench.session.checks import Check
 from pmabench.session.guided import guided_plan
-from pmabench.session.self_test import refuse_backwards, self_test
+from pmabench.session.self_test import SelfTesting, refuse_backwards
 from pmabench.session.zeros import ZeroTaken, as_data, take_zeros, with_zeros
 
 SCHEMA = "pmabench.session/1"
@@ -86,13 +86,13 @@ def _hold(
     shortened = list(declared.shortened())
     started = state.utc_now()
     zeros: dict[str, ZeroTaken] = {}
-    checks: list[Check] = []
+    test = SelfTesting(mounted, told) if declared.self_test is not None else None
 
     def procedure(executor: Executor) -> None:
         executor.recorder.event("session", executor.clock.now(), skipped=skipped, shortened=shortened)
         executor.acquisition.record(on=True)
-        if declared.self_test is not None:
-            checks.extend(self_test(executor, mounted, told))
+        if test is not None:
+            test.run(executor)
         if declared.warm_up is not None and not skipped:
             _warm_up(executor, declared.warm_up)
         zeros.update(take_zeros(executor, mounted))
@@ -110,6 +110,7 @@ def _hold(
         deviations=[*deviations, *shortened],
         progress=progress,
         begun=begun,
+        before_proof=test.before_proof if test is not None else lambda _executor: None,
         procedure=procedure,
     )
     if outcome.exit_code:
@@ -124,7 +125,7 @@ def _hold(
         "specimen": state.specimen(mounted),
         "calibrations": state.calibrations(mounted),
         "zeros": as_data(zeros),
-        "self_test": [asdict(check) for check in checks],
+        "self_test": [asdict(check) for check in test.checks] if test is not None else [],
         "skipped": skipped,
         "shortened": shortened,
     }
