@@ -32,6 +32,7 @@ from pmabench.bench.records import (
 )
 
 __all__ = [
+    "EMULATED",
     "Block",
     "CalibrationRecord",
     "ChannelRecord",
@@ -58,6 +59,10 @@ __all__ = [
     "ValveRecord",
     "Watchdog",
 ]
+
+
+EMULATED = "emulated "
+"""How the model begins that an emulator tells over its wire: what it records is never taken for a real muscle."""
 
 
 @dataclass(frozen=True)

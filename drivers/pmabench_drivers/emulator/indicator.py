@@ -7,7 +7,7 @@ import threading
 import time
 from time import monotonic
 
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.emulator.faults import Faults
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
@@ -46,7 +46,7 @@ class Indicator:
             asked = (asked + received)[-100:]
             if identity and identity in asked:
                 asked = asked.split(identity, 1)[1]
-                self._write(f"emulated {self._device.name}".encode() + self._options.terminator)
+                self._write(f"{EMULATED}{self._device.name}".encode() + self._options.terminator)
             while poll in asked:
                 asked = asked.split(poll, 1)[1]
                 if not self._send():
