@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.segments import Noise, Samples, noise_seen, samples_of
+from pmabench.analysis.skew import apart
 from pmabench.store.records import RunData, TrialData
 
 
@@ -29,6 +30,16 @@ class Campaign:
     def name(self, number: int) -> str:
         """`run/index` of a trial."""
         return f"{self.trials[number].run}/{self.trials[number].index}"
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that the fit uses."""
+        return ("pressure", "displacement", *(("force",) if self.cell else ()))
+
+    @property
+    def skew(self) -> float:
+        """Bound of the time between any two of these channels [s]."""
+        return apart(self.runs, self.channels)
 
     @property
     def tested(self) -> tuple[float, ...]:

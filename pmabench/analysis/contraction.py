@@ -6,22 +6,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis import contraction_steps, contraction_view, replay
+from pmabench.analysis import contraction_steps, contraction_view, replay, skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
 from pmabench.analysis.intervals import Pooled, assess, replay_fits
-from pmabench.analysis.pooled import SYMBOLS, first_knots, fit
+from pmabench.analysis.pooled import SYMBOLS, Fit, first_knots, fit
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
-from pmabench.analysis.segments import Gate, Samples, Segments, cut
+from pmabench.analysis.segments import Gate, Samples, Segments, cut, moved
 from pmabench.base.quantities import show
-from pmabench.store.records import RunData
+from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
 METHOD = "measured-pressure"
@@ -69,7 +69,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=(*estimates, *beside.estimates),
         curves=(*curves, *beside.curves),
         dropped=dropped,
-        findings=(*contraction_view.findings(campaign, pooled, estimates, free_run), *beside.findings),
+        findings=(
+            *contraction_view.findings(campaign, pooled, estimates, free_run),
+            *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *beside.estimates)),
+            *beside.findings,
+        ),
         traces=traces,
         facts={
             "options": dict(options),
@@ -104,8 +108,29 @@ def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return segments_of(replay.measured(work, again, campaign.noise, campaign.cell, seed))
 
     replays = replay_fits(replayed, solved, expected, int(options.get("replays", REPLAYS)))
-    trust = assess(segments, solved, expected, campaign.cells, replays, Scales.of(campaign.runs))
+    skews = _skews(campaign, segments_of, knots, solved)
+    trust = assess(segments, solved, expected, campaign.cells, replays, Scales.of(campaign.runs), skews)
     return Pooled(segments, solved, expected, trust)
+
+
+def _skews(
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], knots: Array, solved: Fit
+) -> Array:
+    """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p).
+
+    Fitted from the first `knots` on: where more are put follows the clocks, too.
+    """
+
+    def changed(channels: tuple[str, ...], by: Array) -> Array:
+        late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
+        again, _ = fit(segments_of(late), knots, campaign.noise)
+        values = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
+        return np.concatenate((*values, [again.coulomb])) - solved.theta
+
+    clocks = skew.causes(campaign.runs, campaign.channels)
+    courses = [way * course for course in skew.courses(campaign.trials) for way in (1.0, -1.0)]
+    shifts = [[changed(names, bound * course) for course in courses] for names, bound in clocks.items()]
+    return np.array(shifts).reshape(len(clocks), len(courses), len(solved.theta))
 
 
 def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:
@@ -180,7 +205,12 @@ def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Esti
     if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
         note = f"not identifiable: the {moving} samples near this pressure leave it open"
         return Estimate(value=None, note=note, **base)
-    return Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, **base)
+    return _settled(campaign, Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, **base))
+
+
+def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:
+    """The estimate, without a value where the clocks do not allow one."""
+    return skew.settled(estimate, "the channels", campaign.skew)
 
 
 def _friction(campaign: Campaign, pooled: Pooled) -> Estimate:
@@ -200,7 +230,7 @@ def _friction(campaign: Campaign, pooled: Pooled) -> Estimate:
     combination = np.zeros(len(pooled.fit.theta))
     combination[-1] = 1.0
     parts, bias = pooled.trust.parts(combination)
-    return Estimate(value=pooled.fit.coulomb - bias, parts=parts, bias=bias, corrected=True, **base)
+    return _settled(campaign, Estimate(value=pooled.fit.coulomb - bias, parts=parts, bias=bias, corrected=True, **base))
 
 
 def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:

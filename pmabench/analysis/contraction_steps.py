@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis import skew
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.curves import curve
@@ -247,16 +248,26 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     over = "the loads" if at else "loads and pressures" if motion else "the pressures"
     note = _spread(over, ends) if len(set(conditions)) > 1 else ""
     reach = max(ends[1] - mean, mean - ends[0])
-    return Estimate(
+    between, skewed = _between(campaign, kind)
+    found = Estimate(
         symbol="t_d",
         value=mean,
         unit="s",
         quantity="time",
         method=ONSET,
         at=at,
-        parts=Parts(repeats=half, method=hypot(0.5 / campaign.rate, reach), calibration=0.0),
+        parts=Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed),
         n=len(group),
         note=sentences(ONCE if half is None else "", note),
         trials=tuple(campaign.name(number) for number in numbers),
         coordinate=kind,
     )
+    return skew.settled(found, between, skewed)
+
+
+def _between(campaign: Campaign, kind: str) -> tuple[str, float]:
+    """What a kind of dead time lies between, and how far their clocks may be apart [s]."""
+    if kind == "pressure-to-motion":
+        return "pressure and displacement", skew.apart(campaign.runs, ("pressure", "displacement"))
+    channel = "displacement" if kind.endswith("motion") else "pressure"
+    return f"command and {channel}", skew.off(campaign.runs, channel)

@@ -70,8 +70,7 @@ def findings(
     if not campaign.cell:
         text = "no load cell: F_L is the weight, taken as exact, with the inertia of the moving mass"
         lines.append(Finding("note", text))
-    channels = ("pressure", "displacement", *(("force",) if campaign.cell else ()))
-    lack = Scales.of(campaign.runs).lack(channels)
+    lack = Scales.of(campaign.runs).lack(campaign.channels)
     if lack:
         lines.append(Finding("note", lack))
     if not pooled.fit.friction:

@@ -128,4 +128,5 @@ def _independent(estimates: Sequence[Estimate], row: Array, scatter: float) -> P
         repeats=None if repeats is None else float(np.linalg.norm(row * repeats)),
         method=hypot(0.0 if method is None else float(np.linalg.norm(row * method)), scatter),
         calibration=None if calibration is None else abs(float(row @ calibration)),
+        skew=float(np.abs(row) @ [e.parts.skew for e in estimates]),
     )

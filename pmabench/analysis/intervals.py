@@ -1,8 +1,8 @@
-"""How far the coefficients of a pooled fit can be trusted, by cause: repeats, method, calibration; knows no protocol.
+"""How far the coefficients of a pooled fit can be trusted, by cause; knows no protocol.
 
 (analysis.md 1.6.) *Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
-once more with each channel off by its uncertainty.
+once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ class Trust:
     """Half width of the mean bias of the replays."""
     shifts: Array
     """Change of theta by each cause of calibration error at its 95 % bound, shape (causes, p)."""
+    skews: Array
+    """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
     excess: Mapping[str, float]
     """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
     within: bool
@@ -48,7 +50,8 @@ class Trust:
         bias = float(combination @ self.bias)
         calibration = float(np.sqrt(np.sum((self.shifts @ combination) ** 2))) if len(self.shifts) else None
         method = float(np.sqrt(bias**2 + np.sum((combination * self.mean_error) ** 2) + extra_method**2))
-        return Parts(repeats=repeats, method=method, calibration=calibration), bias
+        skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
+        return Parts(repeats=repeats, method=method, calibration=calibration, skew=skew), bias
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ def assess(
     cells: NDArray[np.intp],
     replays: Sequence[Array],
     scales: Scales,
+    skews: Array,
 ) -> Trust:
     """All parts for a fit.
 
@@ -82,6 +86,8 @@ def assess(
         `Fit.theta` of fits to replays of `fit`.
     scales
         How well the channels are known.
+    skews
+        As in `Trust`.
     """
     bias, spread = _replayed(fit, replays)
     noise = max(fit.rms, expected)
@@ -102,6 +108,7 @@ def assess(
         covariance=covariance * np.outer(scale, scale),
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
         shifts=_calibration(segments, fit, expected, scales),
+        skews=skews,
         excess=excess,
         within=within,
     )

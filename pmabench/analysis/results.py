@@ -45,13 +45,15 @@ class Parts:
     """What the estimator itself adds, found by replay of the fitted plant."""
     calibration: float | None = None
     """From the calibration files of the channels."""
+    skew: float = 0.0
+    """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
 
     @property
     def combined(self) -> float | None:
         """Root of the sum of squares of the assessed parts; None without `repeats`, for the others are no interval."""
         if self.repeats is None:
             return None
-        return sqrt(sum(p * p for p in (self.repeats, self.method, self.calibration) if p is not None))
+        return sqrt(sum(p * p for p in (self.repeats, self.method, self.calibration, self.skew) if p is not None))
 
 
 @dataclass(frozen=True)

@@ -120,19 +120,41 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
     def channel(name: str) -> Array:
         lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-        values = trial.channels[name]
-        return np.interp(trial.t + lag, trial.t, values) if lag else values
+        return _later(trial.t, trial.channels[name], lag) if lag else trial.channels[name]
 
-    return Samples(
-        trial=number,
-        t=trial.t,
-        P=channel("pressure"),
-        x=channel("displacement"),
-        force=channel("force") if "force" in trial.channels else None,
-        ok=trial.usable,
-        load=trial.point.get("load", 0.0),
-        mass=trial.point.get("mass", 0.5),
-    )
+    P, x = channel("pressure"), channel("displacement")
+    force = channel("force") if "force" in trial.channels else None
+    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", 0.5)
+    return _finite(Samples(number, trial.t, P, x, force, trial.usable, load, mass))
+
+
+def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
+    """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
+
+    Displacement, which tells the segments, stays where it is: in its place the others move the other way.
+    """
+    if "displacement" in channels:
+        channels, by = [name for name in ("pressure", "force") if name not in channels], -by
+    P = _later(samples.t, samples.P, by) if "pressure" in channels else samples.P
+    force = samples.force
+    if force is not None and "force" in channels:
+        force = _later(samples.t, force, by)
+    return _finite(replace(samples, P=P, force=force))
+
+
+def _later(t: Array, values: Array, by: float) -> Array:
+    """Values [SI] at t + by [s], linear between neighbours; nan where samples are missing there."""
+    taken = np.interp(t + by, t, values)
+    right = np.clip(np.searchsorted(t, t + by), 1, len(t) - 1)
+    width = t[right] - t[right - 1]
+    taken[width > 1.5 * float(np.median(np.diff(t)))] = np.nan
+    return taken
+
+
+def _finite(samples: Samples) -> Samples:
+    """The samples, of which those with a number in every channel are usable."""
+    ok = samples.ok & np.isfinite(samples.P) & np.isfinite(samples.x)
+    return replace(samples, ok=ok if samples.force is None else ok & np.isfinite(samples.force))
 
 
 def velocity(t: Array, x: Array, reach: int) -> Array:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis import skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.sine_fit import Fitted, Member, Muscle
@@ -21,6 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
+CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
 Key = tuple[tuple[str, float], ...]
 """A cell: names and values of its point."""
@@ -37,7 +39,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag.
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
-    between displacement and force; else the plan's setting, else 0), `force_per_pressure` dF/dP [N/Pa].
+    between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
+    else 0), `force_per_pressure` dF/dP [N/Pa].
     """
     options = options or {}
     members, dropped = _members(runs, options)
@@ -57,6 +60,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
+    findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
     told = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
     if estimates and (lack := scales.lack(told)):
         findings.append(Finding("note", lack))
@@ -99,7 +103,9 @@ def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float
 
 
 def _skew(group: Sequence[Member], options: Mapping[str, Any]) -> float:
-    return max(_setting(member.run, options, "time_skew", 0.0) for member in group)
+    """Bound of the time between displacement and force [s]: what is stated, and that of the clocks of their streams."""
+    stated = max(_setting(member.run, options, "time_skew", 0.0) for member in group)
+    return stated + skew.apart([member.run for member in group], CHANNELS)
 
 
 def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:

@@ -16,6 +16,7 @@ from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.lines import Line, mean_half, weighted_line
 from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.sine_loop import Sine, replay
+from pmabench.analysis.skew import courses, settled
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -23,6 +24,7 @@ HARMONIC, WIDTH = "sine-harmonic", "loop-width"
 DISTORTED = 0.05
 CHANGES = 0.03
 """Relative change of K over frequency that is worth a sentence."""
+BETWEEN = "displacement and force"
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 CYCLES_OF_EACH = CYCLES.replace("one trial", "one trial a frequency")
 NO_REPEATS = "no repeats part: one trial of one cycle"
@@ -116,57 +118,73 @@ class Fitted:
         parents = tuple(member.name for member in self.group)
         P = at.get("pressure", 0.0)
 
+        skewed = self._skewed()
+
         def estimate(
             symbol: str, kind: tuple[str, str], method: str, value: float, half: float | None, bias: float, *,
-            per_length: float, late: float = 0.0, slope: float | None = None, note: str = "",
-            where: Mapping[str, float] = at,
+            per_length: float, skew: float, slope: float | None = None, note: str = "", where: Mapping[str, float] = at,
         ) -> Estimate:  # fmt: skip
             if np.isnan(value):
                 return Estimate(symbol, None, *kind, method, where, note=ALONE, n=len(parents), trials=parents)
             doubt = hypot(bias, apart.get(symbol, 0.0))
-            part = _calibration(scales, {"force": value, "displacement": per_length * value}, slope, P, late)
-            return Estimate(
-                symbol, value - bias, *kind, method, where, Parts(half, doubt, part), len(parents),
+            part = _calibration(scales, {"force": value, "displacement": per_length * value}, slope, P)
+            found = Estimate(
+                symbol, value - bias, *kind, method, where, Parts(half, doubt, part, skew), len(parents),
                 bias, True, sentences(note, self._repeats_note(half)), parents,
             )  # fmt: skip
+            return settled(found, BETWEEN, self.skew)
 
         K, B, w = self.K.start, self.loss.slope, self.width
         stiffness, damping, newton = ("N/m", "stiffness"), ("N.s/m", "damping"), ("N", "force")
-        fastest = max(member.sine.omega for member in self.group)
-        skewed = self.skew * (abs(K) + abs(B) * fastest**2 * self.skew / 2)
         mean = "(B_c + B_r)/2"
         # The two readings of the same loops differ by what neither model holds, friction at low speed for instance.
         apart = {"B": self.loss.slope - w.slope / 2, "F_c": pi / 4 * self.loss.start - w.start / 2}
-        ratio = np.array([member.sine.ratio for member in self.group])
-        omega = np.array([member.sine.omega for member in self.group])
-        late = self.skew * float(np.average(omega * np.abs(ratio.imag), weights=np.abs(ratio) ** -2.0))
         dK, dB, dF = (slopes.K, slopes.B, slopes.F_c) if slopes is not None else (None, None, None)
         H = {**at, "frequency": 0.0}
         half_K, loss_start, loss_slope, width_start, width_slope = self._halves()
         return [
             estimate(
-                "K", stiffness, HARMONIC, K, half_K, self.bias["K"], per_length=-1, late=late, slope=dK
+                "K", stiffness, HARMONIC, K, half_K, self.bias["K"], per_length=-1, skew=skewed["K"], slope=dK
             ),
             estimate(
-                "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, late=skewed, slope=dB, note=mean
+                "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, skew=skewed["B"], slope=dB,
+                note=mean,
             ),
             estimate(
                 "F_c", newton, HARMONIC, pi / 4 * self.loss.start, _times(loss_start, pi / 4), self.bias["F_c"],
-                per_length=0, slope=dF,
+                per_length=0, skew=skewed["F_c"], slope=dF,
             ),
             estimate(
                 "B", damping, WIDTH, w.slope / 2, _times(width_slope, 0.5), self.bias["B width"], per_length=-1,
-                late=skewed, slope=dB, note=mean,
+                skew=skewed["B width"], slope=dB, note=mean,
             ),
             estimate(
                 "F_c", newton, WIDTH, w.start / 2, _times(width_start, 0.5), self.bias["F_c width"], per_length=0,
-                slope=dF,
+                skew=skewed["F_c width"], slope=dF,
             ),
             estimate(
                 "H", newton, WIDTH, w.start, width_start, 2 * self.bias["F_c width"], per_length=0,
-                slope=None if dF is None else 2 * dF, note="loop width at 0 Hz: true hysteresis", where=H,
+                skew=2 * skewed["F_c width"], slope=None if dF is None else 2 * dF,
+                note="loop width at 0 Hz: true hysteresis", where=H,
             ),
         ]  # fmt: skip
+
+    def _skewed(self) -> dict[str, float]:
+        """What the time between displacement and force may do to K, B and F_c (both ways): the lines once more."""
+        most = dict.fromkeys(self.bias, 0.0)
+        both = self.skew * courses([member.trial for member in self.group])
+        for course in (*both, *-both) if self.skew else ():
+            turned = [_turned(member.sine, float(by)) for member, by in zip(self.group, course, strict=True)]
+            K, loss, width = _lines(turned)
+            changes = {
+                "K": K.start - self.K.start,
+                "B": loss.slope - self.loss.slope,
+                "F_c": pi / 4 * (loss.start - self.loss.start),
+                "B width": (width.slope - self.width.slope) / 2,
+                "F_c width": (width.start - self.width.start) / 2,
+            }
+            most = {name: max(most[name], abs(change)) for name, change in changes.items()}
+        return most
 
     def _halves(self) -> tuple[float | None, ...]:
         """Of K, then of start and slope of loss and width: by the scatter of trials or by that of cycles, if wider.
@@ -201,39 +219,42 @@ class Fitted:
             sines = [self.group[i].sine for i in places]
             names = tuple(self.group[i].name for i in places)
             first, omega = sines[0], 2 * pi * frequency
-            A, K, loss, late = first.amplitude, first.stiffness, abs(first.loss / first.amplitude), omega * self.skew
+            A, K = first.amplitude, first.stiffness
+            turned = [_turned(first, by) for by in (self.skew, -self.skew)]
+            skewed_K, skewed_loss = (
+                max(abs(getattr(one, of) - getattr(first, of)) for one in turned) for of in ("stiffness", "loss")
+            )
             truth = _truth(self.replayed, omega, A)
             slope = {} if slopes is None else _slopes(self.replayed, slopes, omega, A)
             rows: tuple[_Row, ...] = (
                 ("K", "N/m", "stiffness", lambda s: s.stiffness, lambda s: -s.cycles.ratio.real,
-                 {"force": K, "displacement": -K}, late * loss),
+                 {"force": K, "displacement": -K}, skewed_K),
                 ("phi", "rad", "angle", lambda s: s.phase,
-                 lambda s: np.arctan2(-s.cycles.ratio.imag, -s.cycles.ratio.real), {}, late),
+                 lambda s: np.arctan2(-s.cycles.ratio.imag, -s.cycles.ratio.real), {}, omega * self.skew),
                 ("H", "N", "force", lambda s: s.width, lambda s: s.cycles.width,
-                 {"force": first.width}, 2 * late * K * A),
+                 {"force": first.width}, 2 * skewed_loss),
                 ("W", "J", "work", lambda s: s.area, lambda s: s.cycles.area,
-                 {"force": first.area, "displacement": first.area}, pi * late * K * A**2),
+                 {"force": first.area, "displacement": first.area}, pi * A * skewed_loss),
             )  # fmt: skip
             for symbol, unit, quantity, whole, by_cycle, gains, skewed in rows:
                 values = np.array([whole(sine) for sine in sines])
                 half = mean_half(values, [by_cycle(sine) for sine in sines])
                 bias = float(np.mean([whole(self.again[i]) for i in places])) - truth[symbol]
-                part = _calibration(scales, gains, slope.get(symbol), P, skewed)
-                found.append(
-                    Estimate(
-                        symbol=symbol,
-                        value=float(values.mean()),
-                        unit=unit,
-                        quantity=quantity,
-                        method=WIDTH if symbol in ("H", "W") else HARMONIC,
-                        at={**at, "frequency": frequency},
-                        parts=Parts(half, abs(bias), part),
-                        n=len(sines),
-                        bias=bias,
-                        note=NO_REPEATS if half is None else CYCLES if len(sines) == 1 else "",
-                        trials=names,
-                    )
+                part = _calibration(scales, gains, slope.get(symbol), P)
+                one = Estimate(
+                    symbol=symbol,
+                    value=float(values.mean()),
+                    unit=unit,
+                    quantity=quantity,
+                    method=WIDTH if symbol in ("H", "W") else HARMONIC,
+                    at={**at, "frequency": frequency},
+                    parts=Parts(half, abs(bias), part, skewed),
+                    n=len(sines),
+                    bias=bias,
+                    note=NO_REPEATS if half is None else CYCLES if len(sines) == 1 else "",
+                    trials=names,
                 )
+                found.append(settled(one, BETWEEN, self.skew))
         return found
 
     def _places(self) -> dict[float, list[int]]:
@@ -303,15 +324,12 @@ _Row = tuple[str, str, str, Callable[[Sine], float], Callable[[Sine], Array], Ma
 """Symbol, unit, quantity; value of a trial and by cycle; change by relative change of a channel; half width of skew."""
 
 
-def _calibration(
-    scales: Scales, gains: Mapping[str, float], slope: float | None, P: float, late: float
-) -> float | None:
-    """The calibration part: scales of force, displacement and pressure, and the time between the channels."""
+def _calibration(scales: Scales, gains: Mapping[str, float], slope: float | None, P: float) -> float | None:
+    """The calibration part: scales of force, displacement and pressure."""
     gains = {name: change for name, change in gains.items() if change}
-    part = scales.part(gains)
     if slope is not None:
-        part = scales.part({**gains, "pressure": slope * P}, {"pressure": slope})
-    return hypot(part or 0.0, late) if part is not None or late else None
+        return scales.part({**gains, "pressure": slope * P}, {"pressure": slope})
+    return scales.part(gains)
 
 
 def _truth(muscle: Muscle, omega: float, A: float) -> dict[str, float]:
@@ -347,6 +365,14 @@ class _Point:
     ratio: complex
     loss: float
     width: float
+
+
+def _turned(sine: Sine, by: float) -> _Point:
+    """The trial had the force come `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
+    ratio = sine.ratio * complex(np.exp(1j * sine.omega * by))
+    loss = -ratio.imag * sine.amplitude
+    width = sine.width + 2 * (loss - sine.loss)
+    return _Point(sine.frequency, sine.speed, -ratio.real, ratio, loss, width)
 
 
 def _each_cycle(sine: Sine) -> list[_Point]:

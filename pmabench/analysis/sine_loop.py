@@ -21,7 +21,7 @@ UNUSABLE_SHARE = 0.02
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 HARMONICS = 5
-"""Harmonics of the measured displacement that the replay keeps."""
+"""Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
 
 class NotUsable(Exception):
@@ -33,7 +33,7 @@ class Cycles:
     """What the loop says, cycle by cycle: arrays of shape (cycles,)."""
 
     ratio: NDArray[np.complex128]
-    """Force over displacement [N/m] at the sine's frequency, sensor lags taken off."""
+    """Force over displacement [N/m] at the sine's frequency."""
     size: Array
     """Amplitude of the displacement [m]."""
     area: Array
@@ -56,7 +56,7 @@ class Sine:
     amplitude: float
     """Of the displacement [m]."""
     ratio: complex
-    """Force over displacement [N/m], sensor lags taken off; -K - j (B omega + 4 F_c/(pi A)) for a muscle."""
+    """Force over displacement [N/m]; -K - j (B omega + 4 F_c/(pi A)) for a muscle."""
     force: float
     """Mean force [N]."""
     pressure: float
@@ -68,8 +68,6 @@ class Sine:
     area: float
     width: float
     cycles: Cycles
-    lags: tuple[float, float] = (0.0, 0.0)
-    """Sensor lags of displacement and force [s]."""
 
     @property
     def omega(self) -> float:
@@ -108,7 +106,7 @@ def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, 
 
 
 def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0) -> Sine:
-    """One trial from its samples, the first `discard` cycles left out.
+    """One trial from its samples, the first `discard` cycles left out, the lags of the sensors taken off.
 
     `force_per_pressure` [N/Pa] takes off the force that pressure at the sine's own frequency makes.
 
@@ -129,15 +127,16 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     if np.mean(~good) > UNUSABLE_SHARE:
         raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged")
     t, x, F = t[good], x[good], F[good]
+    lag = {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+    x, F = _ahead(t, x, frequency, lag["displacement"]), _ahead(t, F, frequency, lag["force"])
     pressure, ripple = float("nan"), 0j
     if "pressure" in trial.channels:
         mean, amplitude = three_parameter(t, np.column_stack([trial.channels["pressure"][window][good], x]), frequency)
-        pressure, ripple = float(mean[0]), complex(amplitude[0] * np.exp(-1j * np.angle(amplitude[1])))
+        P = complex(amplitude[0]) * (1 + 2j * pi * frequency * lag["pressure"])
+        pressure, ripple = float(mean[0]), P * complex(np.exp(-1j * np.angle(amplitude[1])))
         if force_per_pressure:
-            swing = np.real(complex(amplitude[0]) * np.exp(2j * pi * frequency * t))
-            F = F - force_per_pressure * swing
-    lags = tuple(run.channels[name].sensor_lag if name in run.channels else 0.0 for name in ("displacement", "force"))
-    return evaluate(t, x, F, frequency, (lags[0], lags[1]), pressure, ripple)
+            F = F - force_per_pressure * np.real(P * np.exp(2j * pi * frequency * t))
+    return evaluate(t, x, F, frequency, pressure, ripple)
 
 
 def _window(trial: TrialData, frequency: float, discard: float) -> slice:
@@ -163,13 +162,11 @@ def evaluate(
     x: Array,
     F: Array,
     frequency: float,
-    lags: tuple[float, float] = (0.0, 0.0),
     pressure: float = float("nan"),
     ripple: complex = 0j,
 ) -> Sine:
     """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,)."""
     omega = 2 * pi * frequency
-    undo = complex((1 + 1j * omega * lags[1]) / (1 + 1j * omega * lags[0]))
     both = np.column_stack([x, F])
     means, amplitudes = three_parameter(t, both, frequency)
     X = complex(amplitudes[0])
@@ -182,7 +179,7 @@ def evaluate(
     for first, last in pairwise(edges):
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
-        ratio.append(complex(a[1] / a[0]) * undo)
+        ratio.append(complex(a[1] / a[0]))
         size.append(abs(complex(a[0])))
         area.append(_area(x[one], F[one]))
         width.append(_width(t[one], x[one], F[one], float(means[0]), X, omega))
@@ -193,7 +190,7 @@ def evaluate(
         frequency=frequency,
         mean=float(means[0]),
         amplitude=abs(X),
-        ratio=complex(amplitudes[1] / amplitudes[0]) * undo,
+        ratio=complex(amplitudes[1] / amplitudes[0]),
         force=float(means[1]),
         pressure=pressure,
         ripple=ripple,
@@ -201,7 +198,6 @@ def evaluate(
         area=_area(x, F) / whole,
         width=_width(t, x, F, float(means[0]), X, omega),
         cycles=Cycles(np.array(ratio), np.array(size), np.array(area), np.array(width)),
-        lags=lags,
     )
 
 
@@ -225,18 +221,29 @@ def _width(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) 
     return at[0] - at[1]
 
 
+def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:
+    """The first five harmonics of `y`, with its mean, and their slope [1/s] at `t` [s]; shapes (n,)."""
+    order = min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency)))
+    omega = 2 * pi * frequency
+    k = np.arange(1, max(1, order) + 1)
+    turns = np.outer(omega * t, k)
+    waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+    slopes = omega * np.concatenate([-k * np.sin(turns), k * np.cos(turns)], axis=1)
+    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), waves]), y, rcond=None)
+    return fitted[0] + waves @ fitted[1:], slopes @ fitted[1:]
+
+
+def _ahead(t: Array, y: Array, frequency: float, lag: float) -> Array:
+    """What a sensor with a first-order `lag` [s] was given, y + lag y', where it told `y`; its noise stays as it is."""
+    return y + lag * _harmonics(t, y, frequency)[1] if lag else y
+
+
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
     """Displacement [m] without noise and force [N] of F = const - K x - B x' - F_c sign x' at the trial's times.
 
     The displacement keeps its first five harmonics; the constant gives the trial's mean force.
     """
-    order = min(HARMONICS, int(0.2 * len(sine.t) / max(1.0, (sine.t[-1] - sine.t[0]) * sine.frequency)))
-    angle = sine.omega * sine.t
-    k = np.arange(1, max(1, order) + 1)
-    waves = np.concatenate([np.cos(np.outer(angle, k)), np.sin(np.outer(angle, k))], axis=1)
-    slopes = sine.omega * np.concatenate([-k * np.sin(np.outer(angle, k)), k * np.cos(np.outer(angle, k))], axis=1)
-    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(angle), waves]), sine.x, rcond=None)
-    x, v = fitted[0] + waves @ fitted[1:], slopes @ fitted[1:]
+    x, v = _harmonics(sine.t, sine.x, sine.frequency)
     F = -K * (x - sine.mean) - B * v - F_c * np.sign(v)
     return x, F + sine.force - float(three_parameter(sine.t, F[:, None], sine.frequency)[0][0])
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from pmabench.analysis import tuning
+from pmabench.analysis import skew, tuning
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -25,6 +25,7 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
 METHOD = "gain-steps"
+CHANNELS = ("pressure", "displacement")
 LONGEST_TRACE = 1500
 USED = ("finished", "failed")
 """Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
@@ -46,6 +47,21 @@ class _Cell:
     def good(self) -> list[int]:
         """Indices of trials with a value."""
         return [i for i, found in enumerate(self.found) if not found.refused]
+
+    @property
+    def skew(self) -> float:
+        """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
+        return skew.apart(self.runs, CHANNELS)
+
+    @property
+    def seen(self) -> Loop | None:
+        """The loop behind the first trial that tells one."""
+        return next((self.found[i].loop for i in self.good if self.found[i].loop is not None), None)
+
+    @property
+    def loop(self) -> Loop | None:
+        """The same, where the skew leaves its dead time something."""
+        return self.seen if self.seen is not None and self.skew <= skew.WIDE * self.seen.dead_time else None
 
 
 def name_of(trial: TrialData) -> str:
@@ -82,10 +98,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces += _traces(cell, K_u)
         if K_u.value is None or T_u.value is None:
             continue
-        loop = next((cell.found[i].loop for i in cell.good if cell.found[i].loop is not None), None)
+        loop = cell.loop
         if loop is not None:
             lags = [complex(lag).real for lag in loop.lags]
-            loops.append({"at": dict(cell.at), "gain": loop.gain, "dead_time": loop.dead_time, "lags": lags})
+            told = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": cell.skew}
+            loops.append({"at": dict(cell.at), **told})
         settings += tuning.facts(tuning.tune(K_u, T_u, loop=loop), cell.at)
         if "loop" in options:
             given = options["loop"]
@@ -208,14 +225,19 @@ def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
     for level, text in dict.fromkeys(said):
         lines.append(Finding(level, f"{said.count((level, text))} of {len(cell.found)} trials at {where}: {text}"))
     if K_u.value is not None and T_u.value is not None:
-        loop = next((cell.found[i].loop for i in cell.good if cell.found[i].loop is not None), None)
+        loop = cell.loop
         text = f"at {where} the loop oscillates at K_u = {show(K_u.value, 'gain', 4)}, T_u = {T_u.value:.4g} s"
         if loop is not None:
+            apart = f" +- {skew.milliseconds(cell.skew)} (clocks)" if cell.skew else ""
             lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
             text += (
                 f"; seen from there the plant has {loop.gain * 1e6:.4g} mm/kPa,"
-                f" dead time {loop.dead_time * 1e3:.3g} ms and lags {lags}"
+                f" dead time {loop.dead_time * 1e3:.3g} ms{apart} and lags {lags}"
             )
+        elif cell.seen is not None:
+            between = skew.milliseconds(cell.skew)
+            text += f"; the plant is not told: pressure and displacement may be {between} apart, its dead time is "
+            text += skew.milliseconds(cell.seen.dead_time)
         lines.append(Finding("note", text))
     return lines
 

@@ -194,7 +194,12 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
         quantity=_text(e["quantity"]),
         method=_text(e["method"]),
         at=_point(e["at"]),
-        parts=Parts(_maybe(parts["repeats"]), _maybe(parts["method"]), _maybe(parts["calibration"])),
+        parts=Parts(
+            repeats=_maybe(parts["repeats"]),
+            method=_maybe(parts["method"]),
+            calibration=_maybe(parts["calibration"]),
+            skew=_number(parts.get("skew", 0.0)),
+        ),
         n=int(_number(e["n"])),
         bias=_maybe(e["bias"]),
         corrected=_flag(e["corrected"]),

@@ -81,7 +81,8 @@ def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
                 row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
             ends = e.ci95 or (None, None)
             told = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
-            told |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "bias": e.bias}
+            told |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
+            told["bias"] = e.bias
             row |= {key: None if value is None else value / unit.scale for key, value in told.items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
             rows.append(row | {"note": e.note, "trials": " ".join(e.trials)})

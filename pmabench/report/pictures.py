@@ -80,9 +80,8 @@ def drawable(analysis: Analysis) -> Analysis:
 
 
 def _sound(e: Estimate) -> bool:
-    return _small(
-        e.value or 0.0, e.parts.repeats or 0.0, e.parts.method or 0.0, e.parts.calibration or 0.0, *e.at.values()
-    )
+    parts = (e.parts.repeats, e.parts.method, e.parts.calibration, e.parts.skew)
+    return _small(e.value or 0.0, *(part or 0.0 for part in parts), *e.at.values())
 
 
 def _small(*values: float) -> bool:

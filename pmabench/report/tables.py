@@ -182,8 +182,12 @@ def _whole(estimates: Sequence[Estimate]) -> pd.DataFrame:
 
 
 def parts_table(analysis: Analysis) -> pd.DataFrame:
-    """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row."""
+    """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
+
+    The column `skew` is there where streams have clocks of their own.
+    """
     rows = []
+    skewed = any(e.parts.skew for e in analysis.estimates)
     for e in analysis.estimates:
         unit = shown(e.quantity, e.unit)
 
@@ -201,6 +205,7 @@ def parts_table(analysis: Analysis) -> pd.DataFrame:
                 "repeats": half(e.parts.repeats),
                 "by method": half(e.parts.method),
                 "calibration": half(e.parts.calibration),
+                **({"skew": half(e.parts.skew)} if skewed else {}),
                 "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
                 "note": clean(e.note if e.note != e.coordinate else ""),

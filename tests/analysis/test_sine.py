@@ -101,12 +101,11 @@ def test_friction_below_1_mm_per_s_bends_the_harmonic_line_and_is_owned_up_to() 
 
 def test_calibration_and_time_skew_widen_the_interval() -> None:
     found = analysis_of(Muscle51().trials(), {"time_skew": 0.002}, gain_uncertainty=0.01)
-    both, turn = sqrt(2) * 0.01, 2 * pi * 3.0 * 0.002
-    skewed = 0.002 * K + B * turn**2 / 2
-    assert value(found, "B", "sine-harmonic").parts.calibration == pytest.approx(
-        sqrt((both * B) ** 2 + skewed**2), rel=1e-3
-    )
-    assert value(found, "F_c", "sine-harmonic").parts.calibration == pytest.approx(0.0, abs=1e-3)
+    parts = value(found, "B", "sine-harmonic").parts
+    assert parts.calibration == pytest.approx(sqrt(2) * 0.01 * B, rel=1e-3)
+    assert parts.skew == pytest.approx(0.002 * K, rel=0.12), "delta K, and a part of second order"
+    assert value(found, "F_c", "sine-harmonic").parts.skew < 0.01
+    assert value(found, "phi", "sine-harmonic", {"frequency": 3.0}).parts.skew == pytest.approx(2 * pi * 3.0 * 0.002)
     assert "2 ms apart" in found.findings[0].text
     late = analysis_of(Muscle51(skew=0.002).trials(), {"time_skew": 0.002})
     low, high = value(late, "B", "sine-harmonic").ci95
