@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, common, plan_options
+from pmabench.cli.space import needed, size, too_little
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 @click.command(name="check")
 @plan_options()
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
+@click.option("--out", default="runs", type=click.Path(path_type=Path), help="Where the run would go, for the disk.")
 @click.option("--simulate", is_flag=True, help="Run the plan on a simulated bench and show the peaks.")
 @common
 def command(
@@ -25,6 +28,7 @@ def command(
     bench: str,
     specimen: str,
     settings: list[tuple[str, str]],
+    out: Path,
     *,
     show_plan: bool,
     simulate: bool,
@@ -35,6 +39,9 @@ def command(
     prepared = prepare(protocol, bench, specimen, settings)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
+    summary["disk"] = too_little(summary["bytes"], out)
+    if summary["disk"]:
+        warnings = [*warnings, f"too little room on the disk, `run` refuses: {summary['disk']}"]
     peaks = _simulate(plan, mounted) if simulate else None
     if peaks is not None:
         summary["simulated"] = peaks
@@ -65,7 +72,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "steps": len(plan.steps),
         "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
         "rows": rows,
-        "bytes": rows * (8 * (1 + len(plan.record)) + 2),
+        "bytes": needed(plan),
         "commands": {
             name: {
                 "lowest": low,
@@ -113,7 +120,8 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
         f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
     )
     console.print(
-        f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, {_size(summary['bytes'])}"
+        f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, "
+        f"{size(summary['bytes'])} on disk while running"
     )
     rows = []
     for name, span in summary["commands"].items():
@@ -145,10 +153,3 @@ def _print_steps(plan: Plan) -> None:
 
 def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _size(count: int) -> str:
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if count > size:
-            return f"{count / size:,.1f} {unit} on disk while running"
-    return f"{count / 1e3:.0f} kB on disk while running"

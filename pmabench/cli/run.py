@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common, plan_options, session_options
 from pmabench.cli.progress import CLEAR, progress_line
+from pmabench.cli.space import needed, too_little
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -101,6 +102,8 @@ def execute(
 
     for warning in prepared.warnings():
         ui.note(warning)
+    if lack := too_little(needed(prepared.plan, None if continues is None else continues.steps), out):
+        raise RecordError(lack)
     mounted = prepared.mounted
     if mounted.session is not None:
         with _operated(ui, mounted, "session", yes=yes) as (operator, shown):

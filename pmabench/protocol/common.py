@@ -57,6 +57,8 @@ class ProtocolHead(Strict):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ()
     """Channels that the reduction of this kind needs."""
+    gives: ClassVar[tuple[str, ...]] = ()
+    """Coefficients that the reduction of this kind can give."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)]
@@ -207,6 +209,14 @@ class Compilation:
         for needed in self.head.cannot_do_without:
             if needed not in self.head.record:
                 self.fault(("record",), f'lacks "{needed}", without which nothing can be fitted; add it')
+
+    def needs_coefficients(self) -> None:
+        """Check that what is to be accepted can come out."""
+        gives = self.head.gives
+        for name in self.head.accept:
+            if name not in gives:
+                kind = self.document.data.get("kind")
+                self.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(gives)}', key=True)
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""

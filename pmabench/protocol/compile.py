@@ -49,6 +49,7 @@ def compile_protocol(document: Document, protocol: Any, mounted: Mounted) -> Pla
     """The plan of a protocol on a bench with a specimen; raises `InvalidFile` with every problem."""
     c = Compilation(document, mounted, protocol)
     c.needs_bench()
+    c.needs_coefficients()
     try:
         plan: Plan = protocol.compile(c)
     except InvalidFile as error:

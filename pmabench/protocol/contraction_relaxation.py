@@ -58,6 +58,7 @@ class ContractionRelaxation(ProtocolHead):
     """Protocol of kind contraction-relaxation."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
+    gives: ClassVar[tuple[str, ...]] = ("F_ce", "K", "B_c", "B_r", "F_c")
     kind: Literal["contraction-relaxation"]
     sweep: Sweep[ContractionAxes]
     reference_trial: ReferenceTrial | None = None

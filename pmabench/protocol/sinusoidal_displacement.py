@@ -47,6 +47,7 @@ class SinusoidalDisplacement(ProtocolHead):
     """Protocol of kind sinusoidal-displacement."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
+    gives: ClassVar[tuple[str, ...]] = ("K", "B", "F_c")
     kind: Literal["sinusoidal-displacement"]
     sweep: Sweep[SineAxes]
     trial: SineTrial

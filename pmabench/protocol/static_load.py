@@ -54,6 +54,7 @@ class StaticLoad(ProtocolHead):
     """Protocol of kind static-load."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
+    gives: ClassVar[tuple[str, ...]] = ("F_ce",)
     kind: Literal["static-load"]
     sweep: Sweep[StaticAxes]
     trial: StaticTrial

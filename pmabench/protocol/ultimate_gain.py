@@ -49,6 +49,7 @@ class UltimateGain(ProtocolHead):
     """Protocol of kind ultimate-gain."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
+    gives: ClassVar[tuple[str, ...]] = ("K_u", "T_u")
     kind: Literal["ultimate-gain"]
     sweep: Sweep[UltimateAxes]
     trial: UltimateTrial

@@ -259,3 +259,26 @@ def test_the_longest_time_of_hands_counts_the_vent_before_them_and_the_wait_afte
     compiled = plan("contraction-relaxation", ("sweep.repeat.count", "1"), ("prepare.precondition.cycles", "0"))
     shortest, longest = compiled.duration()
     assert longest - shortest == pytest.approx(11 * 30.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "symbol", "gives"),
+    [
+        ("static-load", "K_u", "F_ce"),
+        ("contraction-relaxation", "B", "F_ce, K, B_c, B_r, F_c"),
+        ("sinusoidal-displacement", "B_c", "K, B, F_c"),
+        ("ultimate-gain", "K", "K_u, T_u"),
+    ],
+)
+def test_what_a_kind_cannot_give_cannot_be_accepted(tmp_path, name, symbol, gives):
+    text = (ROOT / "protocols" / f"{name}.yaml").read_text().split("\naccept:")[0]
+    path = tmp_path / "protocol.yaml"
+    path.write_text(f"{text}\naccept:\n  {gives.split(', ')[0]}: {{relative_interval: 5 %}}\n")
+    make_plan(path, mounted(BENCH_OF[name]))
+    path.write_text(f"{text}\naccept:\n  {symbol}: {{relative_interval: 5 %}}\n")
+    with pytest.raises(InvalidFile) as caught:
+        make_plan(path, mounted(BENCH_OF[name]))
+    (problem,) = caught.value.problems
+    line = path.read_text().splitlines().index(f"  {symbol}: {{relative_interval: 5 %}}") + 1
+    assert (problem.line, problem.column) == (line, 3)
+    assert problem.message == f'"{name}" does not give {symbol}; it gives {gives}'
