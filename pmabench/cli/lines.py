@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pmabench.base.errors import Interrupted
 from pmabench.cli.common import say
+from pmabench.cli.progress import CLEAR
 
 Wait = Callable[[], None]
 
@@ -26,18 +27,16 @@ class AtLines:
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Wait) -> str:
         """Ask until the word is `clear`."""
-        say(text)
+        say(f"{CLEAR if sys.stderr.isatty() else ''}{text}")
         while True:
             pressure = measured.get("pressure")
             shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
-            if (
-                self.line(f'Measured pressure: {shown}. Type "clear" when it is done and hands are out: ', wait)
-                == "clear"
-            ):
+            prompt = f'Measured pressure: {shown}. Type "clear" when it is done and hands are out: '
+            if self.line(prompt, wait).lower() == "clear":
                 return "clear"
 
     def line(self, prompt: str, wait: Wait) -> str:
-        """The next line that is typed, in small letters; raises Interrupted at the end of the input."""
+        """The next line that is typed; raises Interrupted at the end of the input."""
         sys.stderr.write(prompt)
         sys.stderr.flush()
         descriptor = sys.stdin.fileno()
@@ -50,4 +49,4 @@ class AtLines:
             elif self._realtime:
                 wait()
         line, _, self._typed = self._typed.partition(b"\n")
-        return line.decode("utf-8", "replace").strip().lower()
+        return line.decode("utf-8", "replace").strip()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import InvalidFile, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -63,14 +64,33 @@ def _beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
+GUIDED = ("session", "self-test", "calibration", "setup")
+"""Kinds of runs that have no trials: what they found stands in their events."""
+
+
 def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
-    """The paths that are no folders of analyses, which lie among runs that are named with `*`; those are told."""
-    skipped = [path for path in paths if _holds_analyses(path)]
+    """The paths that are neither analyses nor guided runs, which lie among runs named with `*`; those are told."""
+    skipped = {path: why for path in paths if (why := _nothing_to_process(path))}
     if len(skipped) == len(paths):
-        raise invalid(paths[0], "holds analyses and no run; give run folders")
-    for path in skipped:
-        ui.note(f"{path}: holds analyses, skipped")
+        raise invalid(paths[0], f"{skipped[paths[0]]} and no run with trials; give run folders")
+    for path, why in skipped.items():
+        ui.note(f"{path}: {why}, skipped")
     return [path for path in paths if path not in skipped]
+
+
+def _nothing_to_process(path: Path) -> str:
+    """What a folder is that nothing can be fitted to, in words; empty for any other."""
+    if _holds_analyses(path):
+        return "holds analyses"
+    manifest = path / "manifest.json"
+    if not manifest.is_file():
+        return ""
+    from pmabench.store.folder import read_manifest
+
+    with suppress(InvalidFile):  # what is wrong with it is told when it is loaded
+        kind = read_manifest(path).get("kind")
+        return f"is a run of kind {kind}" if kind in GUIDED else ""
+    return ""
 
 
 def _holds_analyses(path: Path) -> bool:

@@ -121,3 +121,15 @@ def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
     assert without.returncode == 2
     assert "no terminal" in without.stdout + without.stderr
     assert len(list((tmp_path / "calibrations").iterdir())) == 2
+
+
+def test_process_leaves_guided_runs_out_with_a_note(tmp_path):
+    call(tmp_path, "calibrate", "pressure", *ARGUMENTS, "--reference", "g", "--reference-uncertainty", "1 kPa", "--points", "0 kPa, 300 kPa", "--yes")  # fmt: skip
+    (guided,) = tmp_path.glob("runs/*")
+    done = call(tmp_path, "process", str(guided))
+    assert done.returncode == 3
+    assert "is a run of kind calibration and no run with trials" in done.stderr
+    call(tmp_path, "run", "static-load", *ARGUMENTS, "--yes", "--set", "sweep.repeat.count=1")
+    done = call(tmp_path, "process", *(str(path) for path in sorted(tmp_path.glob("runs/*"))))
+    assert done.returncode == 0, done.stderr
+    assert "is a run of kind calibration, skipped" in done.stderr
