@@ -35,7 +35,8 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 
         table = []
         for row in rows:
-            trials = f"{row['trials_finished']}/{row['trials_planned']}"
+            here, before = row["trials_finished"], row["trials_before"]
+            trials = f"{before + here}/{row['trials_planned']}" + (f" ({here} here)" if before else "")
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
             table.append([row["id"], row["status"], trials, length, row["specimen"]])
         texts = ("id", "status", "specimen")

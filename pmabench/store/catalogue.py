@@ -20,7 +20,7 @@ from pmabench.store.folder import files_of, read_manifest, read_seal, status_of
 from pmabench.store.journal import decode, summary
 
 CACHE = ".catalogue.sqlite"
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Row:
     """The cause of a status other than `finished`, in a sentence."""
     simulated: bool
     trials_finished: int
+    trials_before: int
+    """Trials that the runs which this one continues had finished, as its manifest says; not in `trials_finished`."""
     trials_planned: int
     duration: float | None
     """From the first to the last sample or event [s]."""
@@ -124,10 +126,16 @@ def _read(folder: Path) -> Row:
         why=str(told.get("why") or ""),
         simulated=bool(manifest.get("simulated")),
         trials_finished=int(told.get("trials_finished") or 0),
+        trials_before=_before(manifest.get("continues")),
         trials_planned=int(told.get("trials_planned") or 0),
         duration=told.get("duration"),
         size=size,
     )
+
+
+def _before(link: Any) -> int:
+    done = link.get("trials_done") if isinstance(link, Mapping) else None
+    return len({str(trial) for trial in done}) if isinstance(done, list) else 0
 
 
 def _label(value: Any) -> str:

@@ -7,11 +7,13 @@ import pytest
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.cli.process import load_runs
+from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued, finished_trials, open_chain, open_chains
 from pmabench.store.folder import open_json, sealed_json, sha256_of
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run
 from pmabench.store.verify import verify
+from tests.cli.test_cli import call
 from tests.store.runs import RATE, begin, block, die
 
 
@@ -203,3 +205,15 @@ def test_a_link_that_says_nothing_is_refused(tmp_path, link):
     folder = write(tmp_path, "two", [(0, "finished")], **{"before": None}, continues=link)
     with pytest.raises(InvalidFile, match="does not say which run it continues"):
         open_chain(folder)
+
+
+def test_the_list_counts_the_trials_of_the_whole_chain(three):
+    rows = {row.id: row for row in catalogue(three[0].parent)}
+    assert [(rows[name].trials_before, rows[name].trials_finished) for name in ("one", "two", "three")] == [
+        (0, 2),
+        (2, 2),
+        (4, 2),
+    ]
+    text = call("runs", "list", three[0].parent).stdout
+    assert "6/" in text
+    assert "(2 here)" in text
