@@ -36,9 +36,14 @@ class Recorder(Protocol):
     """Where samples and events go: a run folder, or nowhere when a plan is only tried."""
 
     def append(
-        self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
+        self,
+        stream: str,
+        time_ns: NDArray[np.int64],
+        columns: Mapping[str, Any],
+        flags: NDArray[np.uint16],
+        host_ns: int | None = None,
     ) -> None:
-        """Samples as the device gave them."""
+        """Samples as the device gave them; `host_ns` is when the newest was here [ns, bench time]."""
         ...
 
     def event(self, kind: str, t: float, **data: Any) -> None:
@@ -52,7 +57,9 @@ class NoRecord:
     def __init__(self) -> None:
         self.events: list[tuple[str, float, dict[str, Any]]] = []
 
-    def append(self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any) -> None:
+    def append(
+        self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
+    ) -> None:
         """Nothing is kept."""
 
     def event(self, kind: str, t: float, **data: Any) -> None:
@@ -67,9 +74,11 @@ class Forgiving:
         self._recorder = recorder
         self.lost: RecordError | None = None
 
-    def append(self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any) -> None:
+    def append(
+        self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
+    ) -> None:
         """As the other one, while it can."""
-        self._attempt(lambda: self._recorder.append(stream, time_ns, columns, flags))
+        self._attempt(lambda: self._recorder.append(stream, time_ns, columns, flags, host_ns))
 
     def event(self, kind: str, t: float, **data: Any) -> None:
         """As the other one, while it can."""
@@ -108,8 +117,8 @@ class _Source:
         self.ahead = inf
         """What bench time is ahead of the device's clock [s]: the least seen, which the shortest way gives."""
         self.scales = [(channel.name, channel.scale.slope, channel.scale.offset) for channel in channels]
-        self.rows: list[tuple[int, Mapping[str, Sequence[float]], int]] = []
-        """Single samples that are not handed to the recorder yet: time [ns], raw columns of length 1, flags."""
+        self.rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
+        """Single samples not handed to the recorder yet: time [ns], raw columns of length 1, flags, arrival [ns]."""
 
 
 class Acquisition:
@@ -394,7 +403,7 @@ class Acquisition:
             flags |= int(Flag.SLACK)
             self.counts["slack"] += self._recording
         if self._recording:
-            source.rows.append((time_ns, columns, flags))
+            source.rows.append((time_ns, columns, flags, self._arrival(block.host)))
             if len(source.rows) >= self.rate * self._block:
                 self._flush(source)
         if self._watch is not None:
@@ -410,6 +419,7 @@ class Acquisition:
                 np.array([row[0] for row in rows], dtype=np.int64),
                 {name: np.array([row[1][name][0] for row in rows]) for name in source.recorded},
                 np.array([row[2] for row in rows], dtype=np.uint16),
+                rows[-1][3],
             )
 
     def _keep(
@@ -454,7 +464,14 @@ class Acquisition:
         if self._recording:
             self._flush(source)
             self.counts["rows"] += len(time_ns)
-            self._recorder.append(source.name, time_ns, {name: raw[name] for name in source.recorded}, flags)
+            columns = {name: raw[name] for name in source.recorded}
+            self._recorder.append(source.name, time_ns, columns, flags, self._arrival(host))
+
+    def _arrival(self, host: int) -> int | None:
+        """When the newest sample was here [ns, bench time]: noted by the driver, else now; virtual time needs none."""
+        if not self._realtime:
+            return None
+        return host if host >= 0 else round(self.clock.now() * 1e9)
 
 
 class Tripped(LimitTripped):

@@ -173,7 +173,7 @@ class Service:
         return {"identities": self.guard.describe(), "streams": self._streams()}
 
     def _streams(self) -> list[str]:
-        return [name for name, device in self.guard.devices.items() if isinstance(device, Stream)]
+        return [name for name, device in list(self.guard.devices.items()) if isinstance(device, Stream)]
 
     def do_arm(self, peer: _Peer, run: str) -> None:
         """Arm; from here on the state folder says so, and an end without a word is an unclean one."""
@@ -197,9 +197,9 @@ class Service:
         """A sine."""
         self.guard.sine(**sine)
 
-    def do_valves(self, peer: _Peer, *, closed: bool) -> None:
-        """All valves closed or open."""
-        self.guard.valves(closed=closed)
+    def do_valves(self, peer: _Peer, *, closed: bool, only: str = "") -> None:
+        """All valves (or one) closed or open."""
+        self.guard.valves(closed=closed, only=only)
 
     def do_place(self, peer: _Peer, force: float, mass: float) -> None:
         """What hands put on."""
@@ -303,7 +303,9 @@ class Service:
         if self._engine is None and self.guard.run:
             about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
             with suppress(OSError, ValueError):
-                Path(self.guard.run, "guard.json").write_text(json.dumps(about), encoding="utf-8")
+                part = Path(self.guard.run, ".guard.json.part")
+                part.write_text(json.dumps(about), encoding="utf-8")
+                part.replace(Path(self.guard.run, "guard.json"))
         for peer in self._peers:
             if peer.waits:
                 with suppress(OSError):

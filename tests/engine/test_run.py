@@ -121,7 +121,7 @@ def test_contraction_beyond_its_limit_trips_at_that_sample():
 
 def test_the_record_that_fails_is_a_failed_run(monkeypatch):
     class Full(NoRecord):
-        def append(self, stream, time_ns, columns, flags):
+        def append(self, stream, time_ns, columns, flags, host_ns=None):
             raise RecordError("disk full: runs/x/streams/plant.arrows")
 
     monkeypatch.setattr(run_module, "NoRecord", Full)
@@ -179,7 +179,7 @@ def test_samples_lie_on_the_grid_and_only_recorded_time_is_kept(monkeypatch):
     kept = []
 
     class Keep(NoRecord):
-        def append(self, stream, time_ns, columns, flags):
+        def append(self, stream, time_ns, columns, flags, host_ns=None):
             kept.extend(time_ns.tolist())
 
     monkeypatch.setattr(run_module, "NoRecord", Keep)
@@ -280,7 +280,7 @@ def test_no_number_is_flagged_with_the_rest_of_its_block(monkeypatch):
     kept = []
 
     class Keep(NoRecord):
-        def append(self, stream, time_ns, columns, flags):
+        def append(self, stream, time_ns, columns, flags, host_ns=None):
             kept.extend(flags.tolist())
 
     monkeypatch.setattr(run_module, "NoRecord", Keep)
