@@ -25,7 +25,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     guard = Guard(bench, RealClock(), threads=True, forgiving=True)
     guard.open()
     try:
-        sampled = [name for name, device in guard.devices.items() if isinstance(device, Stream)]
+        sampled = [name for name, device in list(guard.devices.items()) if isinstance(device, Stream)]
         guard.begin_safe()
         guard.step_safe({})
         for name in sampled:

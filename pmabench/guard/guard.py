@@ -138,7 +138,7 @@ class Guard:
     def close(self) -> None:
         """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
         safe = self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed
-        for name, device in self.devices.items():
+        for name, device in list(self.devices.items()):
             try:
                 if safe and isinstance(device, Watchdog):
                     self._owners[name].call(device.disarm_watchdog)
@@ -252,14 +252,14 @@ class Guard:
 
     def place(self, load: Load) -> None:
         """Tell the devices that have an operator inside what hands did."""
-        for name, device in self.devices.items():
+        for name, device in list(self.devices.items()):
             if isinstance(device, Hands):
                 self._owners[name].call(partial(device.place, load))
 
-    def valves(self, *, closed: bool) -> None:
-        """Every valve as it stands in a run, or (not `closed`) in the safe state: hands go in with the dump open."""
+    def valves(self, *, closed: bool, only: str = "") -> None:
+        """Every valve (or `only` one) as it stands in a run, or (not `closed`) in the safe state: hands go in with the dump open."""
         self._refuse_unless_active("valves")
-        for valve in self._valves.values():
+        for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
             self._owners[valve.device].call(self._switching(valve, closed=closed == (valve.safe == "open")))
 
     def value_sent(self, name: str, value: float) -> float:
@@ -361,11 +361,13 @@ class Guard:
         self.begin_safe(tripped=tripped, why=why)
         vent = self.step_safe({})
         while vent is None:
+            before = self.clock.now()
             try:
                 latest = measure()
             except Exception:  # the vent's outcome is recorded whatever goes wrong while measuring
                 latest = {}
-                self.clock.wait_until(self.clock.now() + 0.1)
+            if self.clock.now() <= before:
+                self.clock.wait_until(before + 0.1)
             vent = self.step_safe(latest)
         return vent
 

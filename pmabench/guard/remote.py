@@ -143,9 +143,9 @@ class RemoteGuard:
         """As `Guard.sine`."""
         self.ask("sine", name=name, mean=mean, amplitude=amplitude, frequency=frequency, cycles=cycles)
 
-    def valves(self, *, closed: bool) -> None:
+    def valves(self, *, closed: bool, only: str = "") -> None:
         """As `Guard.valves`."""
-        self.ask("valves", closed=closed)
+        self.ask("valves", closed=closed, only=only)
 
     def place(self, load: Load) -> None:
         """As `Guard.place`."""

@@ -1,0 +1,393 @@
+"""The safe state: begun once, in order, carried on when an action fails, sent again until confirmed (S3, S4, P6)."""
+
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.bench.interface import DeviceRecord, SafeAction, ValveRecord
+from pmabench.guard import course
+from pmabench.guard.guard import Guard, State
+from pmabench.guard.owner import Direct, Owner
+from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Plain, Rig, armed, bench, opened
+
+RAMP = SafeAction("ramp", "pressure", 0.0, 5.0, 100e3)
+LOW = {"pressure": 5e3}
+
+
+def advance(guard, seconds, latest=None):
+    guard.clock.wait_until(guard.clock.now() + seconds)
+    return guard.step_safe(latest or {})
+
+
+def test_actions_go_out_in_the_declared_order_and_the_outcome_says_each():
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    rig.told.clear()
+    vent = guard.safe_state(lambda: LOW, why="test")
+    assert rig.told == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert vent.actions == ("stop displacement: sent", "set pressure: sent", "open dump_valve: sent",
+                            "confirm pressure: 5000 below 20000")  # fmt: skip
+    assert (vent.result, guard.state, guard.why) == ("confirmed", State.SAFE, "test")
+
+
+def test_a_safe_ramp_begins_where_the_output_stands_not_where_its_last_ramp_ends():
+    guard, rig = armed(bench(safe_state=(RAMP, *SAFE)))
+    guard.ramp("pressure", 0.0, 600e3, 10e3)
+    guard.clock.wait_until(guard.clock.now() + 3.0)
+    guard.begin_safe()
+    guard.step_safe({})
+    segment = rig.values("follow")[-1][2]
+    assert segment.origin * OUTPUT.scale.slope == pytest.approx(30e3, abs=OUTPUT.scale.slope)
+    assert (segment.target, segment.rate * OUTPUT.scale.slope) == (0.0, pytest.approx(100e3))
+
+
+def test_a_safe_ramp_out_of_a_sine_begins_on_the_sine():
+    guard, rig = armed(bench(safe_state=(RAMP,)))
+    guard.sine("pressure", 300e3, 100e3, 0.25, 10)
+    guard.clock.wait_until(guard.clock.now() + 1.0)
+    guard.begin_safe()
+    guard.step_safe({})
+    assert rig.values("follow")[-1][2].origin * OUTPUT.scale.slope == pytest.approx(400e3, abs=OUTPUT.scale.slope)
+
+
+def test_courses_are_the_closed_forms():
+    assert course.step(3.0)(9.0) == 3.0
+    ramp = course.ramp(10.0, 1.0, 5.0, 2.0)
+    assert [ramp(t) for t in (10.0, 11.0, 12.0, 99.0)] == [1.0, 3.0, 5.0, 5.0]
+    sine = course.sine(10.0, 1.0, 2.0, 0.25, 2)
+    assert [sine(t) for t in (9.0, 10.0, 11.0, 13.0, 18.0, 30.0)] == pytest.approx([1.0, 1.0, 3.0, -1.0, 1.0, 1.0])
+
+
+def test_a_ramp_is_waited_for_and_a_hold_too():
+    guard, rig = armed(bench(safe_state=(RAMP, SafeAction("hold", "", 0.0, 2.0), *SAFE[1:])))
+    guard.set("pressure", 200e3)
+    rig.told.clear()
+    guard.begin_safe()
+    assert advance(guard, 1.9) is None
+    assert rig.values("write", "switch") == []
+    assert advance(guard, 0.2) is None  # the ramp took 2 s
+    assert advance(guard, 1.9) is None
+    assert rig.values("write", "switch") == []
+    advance(guard, 0.2)
+    assert rig.values("write", "switch") == [("write", "p", 0.0), ("switch", "v", False)]
+    assert advance(guard, 0.1, LOW).confirmed
+
+
+def test_a_ramp_that_fails_goes_over_the_second_way_and_nothing_waits_for_it():
+    guard, rig = armed(bench(safe_state=(RAMP, *SAFE)))
+    guard.set("pressure", 200e3)
+    rig.wrong["follow"] = "no answer"
+    rig.told.clear()
+    guard.begin_safe()
+    guard.step_safe({})
+    assert rig.values("write", "switch") == [("write", "p", 0.0), ("switch", "v", False)]
+    until = time.monotonic() + 5.0
+    while not rig.values("rescue"):
+        assert time.monotonic() < until
+    assert rig.values("rescue") == [("rescue", "p", 0.0)]
+
+
+def test_hurry_leaves_out_waits_and_nothing_else():
+    guard, rig = armed(bench(safe_state=(RAMP, SafeAction("hold", "", 0.0, 2.0), *SAFE)))
+    guard.set("pressure", 200e3)
+    guard.begin_safe()
+    guard.step_safe({})
+    rig.told.clear()
+    guard.begin_safe(hurry=True)
+    guard.step_safe({})
+    assert rig.told == [("write", "p", 0.0), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert advance(guard, 0.1, LOW).confirmed
+
+
+def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
+    guard, rig = armed()
+    rig.told.clear()
+    guard.begin_safe()
+    for _ in range(9):
+        assert advance(guard, 0.1, {"pressure": 200e3}) is None
+    assert len(rig.values("switch")) == 2
+    vent = advance(guard, 0.3, {"pressure": 200e3})
+    assert vent.result == "commanded"
+    assert vent.actions[-1] == "confirm pressure: 200000.0 not below 20000 within 1 s"
+
+
+@pytest.mark.parametrize("value", [float("nan"), None, float("inf"), 20e3])
+def test_nothing_but_a_number_below_confirms(value):
+    guard, _ = armed()
+    assert guard.safe_state(lambda: {} if value is None else {"pressure": value}).result == "commanded"
+
+
+@pytest.mark.parametrize("call", ["write", "switch", "halt"])
+def test_an_action_that_fails_goes_over_the_second_way_where_there_is_one(call):
+    guard, rig = armed()
+    rig.wrong[call] = "no answer"
+    deadline = time.monotonic() + 5.0
+    guard.begin_safe()
+    while (vent := advance(guard, 0.001, LOW)) is None:
+        assert time.monotonic() < deadline
+    told = next(text for text in vent.actions if {"write": "set", "switch": "open", "halt": "stop"}[call] in text)
+    if call == "halt":
+        assert told == "stop displacement: failed (dac.displacement: no answer)" or "no answer" in told
+    else:
+        assert told.endswith("sent over the second way")
+        assert rig.values("rescue") == [("rescue", {"write": "p", "switch": "v"}[call], 0.0)]
+
+
+def test_all_ways_failing_is_a_failed_vent_and_the_rest_is_still_done():
+    guard, rig = armed()
+    rig.wrong |= {"write": "no answer", "rescue": "no answer either"}
+    deadline = time.monotonic() + 5.0
+    guard.begin_safe()
+    while (vent := advance(guard, 0.001, LOW)) is None:
+        assert time.monotonic() < deadline
+    assert rig.values("switch") == [("switch", "v", False)]
+    assert "set pressure: failed (dac: no answer either)" in vent.actions
+    assert vent.result == "confirmed", "the measured pressure says so"
+
+
+def test_devices_that_cannot_do_an_action_fail_it_and_stop_nothing():
+    plain = replace(DEVICE, driver=f"{Plain.__module__}:Plain")
+    guard = Guard(bench(plain, safe_state=(*SAFE[:3], RAMP, SafeAction("close", "dump_valve", 0.0, 0.2))), RealClock())
+    guard.open()
+    vent = guard.safe_state(dict)
+    assert vent.result == "failed"
+    assert [text.split(" (")[0] for text in vent.actions] == [
+        "stop displacement: failed", "set pressure: failed", "open dump_valve: failed", "ramp pressure: failed",
+        "close dump_valve: failed",
+    ]  # fmt: skip
+
+
+def test_a_device_that_was_not_opened_fails_and_stops_nothing():
+    other = DeviceRecord("other", DRIVER, valves=(ValveRecord("supply", "other", "s", safe="closed"),))
+    actions = (SafeAction("close", "supply", 0.0, 0.2), SafeAction("set", "nothing", 0.0, 0.2), *SAFE)
+    guard, rig = opened(bench(devices=(DEVICE, other), safe_state=actions))
+    del guard.devices["other"]
+    vent = guard.safe_state(lambda: LOW)
+    assert vent.actions[:2] == (
+        "close supply: failed (other: is not open)",
+        "set nothing: failed (nothing: is not open)",
+    )
+    assert rig.values("switch") == [("switch", "v", False)]
+
+
+@pytest.mark.parametrize("tripped", [True, False])
+def test_after_the_safe_state_only_the_safe_state_passes(tripped):
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    guard.safe_state(lambda: LOW, tripped=tripped)
+    assert guard.state is (State.TRIPPED if tripped else State.SAFE)
+    rig.told.clear()
+    for command in (
+        lambda: guard.set("pressure", 0.0),
+        lambda: guard.set("pressure", 100e3),
+        lambda: guard.ramp("pressure", 0.0, 100e3, 1e3),
+        lambda: guard.sine("displacement", 0.0, 0.0, 1.0, 1.0),
+        lambda: guard.valves(closed=True),
+        guard.release,
+        guard.arm,
+    ):
+        with pytest.raises(LimitRefused):
+            command()
+    assert rig.told == []
+    guard.begin_safe(tripped=True)
+    assert rig.told == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    guard.step_safe({})
+    assert guard.state is State.TRIPPED
+
+
+def test_a_command_while_the_safe_state_is_under_way_is_refused():
+    guard, rig = armed()
+    guard.begin_safe()
+    with pytest.raises(LimitRefused, match="stopping"):
+        guard.set("pressure", 0.0)
+    guard.begin_safe()
+    assert rig.values("write") == [] or len(rig.values("write")) == 1
+
+
+def test_the_valves_open_for_hands_and_close_again():
+    guard, rig = armed()
+    guard.valves(closed=False)
+    guard.valves(closed=True)
+    assert rig.told == [("switch", "v", False), ("switch", "v", True)]
+
+
+def test_the_watchdog_is_let_go_only_where_the_bench_is_confirmed_to_be_safe():
+    guard, rig = armed()
+    guard.safe_state(dict)
+    guard.close()
+    assert rig.values("disarm_watchdog") == []
+    guard, rig = armed()
+    guard.safe_state(lambda: LOW)
+    rig.wrong["close"] = "no answer"
+    guard.close()
+    assert rig.values("disarm_watchdog") == [("disarm_watchdog",)]
+
+
+def test_a_watchdog_that_has_bitten_is_noticed():
+    guard, rig = armed()
+    guard.feed_watchdogs()
+    rig.wrong["feed_watchdog"] = "its watchdog has vented"
+    guard.feed_watchdogs()
+    with pytest.raises(DeviceError, match="has vented"):
+        guard.feed_watchdogs()
+
+
+# -- devices that hang ----------------------------------------------------------------------------------------------
+
+
+def test_a_call_that_hangs_is_not_waited_for_and_the_vent_goes_round_it():
+    guard, rig = armed(threads=True)
+    released = rig.wrong["write"] = threading.Event()
+    try:
+        begin = time.monotonic()
+        with pytest.raises(DeviceError, match=r"did not answer within 0.2 s"):
+            guard.set("pressure", 300e3)
+        with pytest.raises(DeviceError, match="has not answered yet"):
+            guard.set("pressure", 300e3)
+        guard.begin_safe(tripped=True)
+        while not [told for told in rig.values("rescue") if told[1] == "p"]:
+            guard.step_safe({})
+            assert time.monotonic() - begin < 5.0
+        while not [told for told in rig.values("rescue") if told[1] == "v"]:
+            guard.step_safe({})
+            assert time.monotonic() - begin < 5.0
+        while guard.step_safe(LOW) is None:
+            assert time.monotonic() - begin < 5.0
+    finally:
+        released.set()
+    assert [told for told in rig.told if told[0] == "rescue"] == [("rescue", "p", 0.0), ("rescue", "v", 0.0)]
+    deadline = time.monotonic() + 5.0
+    while rig.values("write")[-1:] != [("write", "p", 0.0)]:
+        assert time.monotonic() < deadline, "what was commanded last is the safe value"
+    guard.close()
+
+
+def test_a_hung_feed_is_not_piled_up():
+    guard, rig = armed(threads=True)
+    released = rig.wrong["feed_watchdog"] = threading.Event()
+    for _ in range(50):
+        guard.feed_watchdogs()
+    released.set()
+    guard.set("pressure", 1e3)
+    assert len(rig.values("feed_watchdog")) == 1
+    guard.close()
+
+
+def test_an_owner_that_comes_back_can_be_asked_again():
+    owner, released = Owner("x"), threading.Event()
+    with pytest.raises(DeviceError, match="did not answer"):
+        owner.call(lambda: released.wait(20.0), 0.01)
+    assert owner.submit(lambda: 1).behind
+    released.set()
+    deadline = time.monotonic() + 5.0
+    while True:
+        try:
+            assert owner.call(lambda: 7, 5.0) == 7
+            break
+        except DeviceError:
+            assert time.monotonic() < deadline
+
+
+@pytest.mark.parametrize("owner", [Owner("x"), Direct("x")])
+def test_what_a_device_raises_is_a_device_error(owner):
+    with pytest.raises(DeviceError, match="x: ZeroDivisionError: integer division or modulo by zero"):
+        owner.call(lambda: 1 // 0)
+    with pytest.raises(LimitRefused, match="mine"):
+        owner.call(lambda: (_ for _ in ()).throw(LimitRefused("mine")))
+
+
+def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(monkeypatch):
+    monkeypatch.setattr("pmabench.guard.guard.OPENS_WITHIN", 0.3)
+    Rig.made.clear()
+    released = threading.Event()
+    hangs = DeviceRecord("hangs", DRIVER, options={"wrong": {"open": released}}, watchdog=1.0)
+    dead = DeviceRecord("dead", "no_such:Driver", watchdog=1.0)
+    guard = Guard(bench(devices=(hangs, dead, DEVICE)), RealClock(), threads=True, forgiving=True)
+    began = time.monotonic()
+    opening = threading.Thread(target=guard.open)
+    opening.start()
+    while "dac" not in Rig.made or len(Rig.made["dac"].told) < 4:
+        assert time.monotonic() - began < 5.0
+    assert Rig.made["dac"].told == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert opening.is_alive(), "it did not wait for the one that hangs"
+    opening.join()
+    released.set()
+    assert guard.describe().keys() == {"dac"} or guard.describe().keys() == {"dac", "hangs"}
+    guard.close()
+
+
+def test_a_device_of_several_actions_without_a_safe_start_is_only_opened():
+    guard = Guard(bench(safe_state=(RAMP, *SAFE)), RealClock(), threads=True, forgiving=True)
+    guard.open()
+    assert Rig.made["dac"].told == [("open",)]
+    guard.close()
+
+
+# -- commands -------------------------------------------------------------------------------------------------------
+
+
+def test_a_name_that_is_no_output_is_refused():
+    guard, _ = armed()
+    with pytest.raises(LimitRefused, match='no output "presure"'):
+        guard.set("presure", 0.0)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf"), 21e-3])
+def test_a_rate_that_is_none_or_too_high_is_refused(rate):
+    guard, rig = armed()
+    with pytest.raises(LimitRefused, match="cannot be ramped"):
+        guard.ramp("displacement", 0.0, 10e-3, rate)
+    assert rig.told == []
+
+
+@pytest.mark.parametrize(
+    ("frequency", "cycles"), [(0.0, 1.0), (-1.0, 1.0), (1.0, 0.0), (float("nan"), 1.0), (1.0, float("inf"))]
+)
+def test_a_sine_that_is_none_is_refused(frequency, cycles):
+    guard, rig = armed()
+    with pytest.raises(LimitRefused, match="a sine needs"):
+        guard.sine("pressure", 1e5, 1e4, frequency, cycles)
+    assert rig.told == []
+
+
+def test_a_sine_that_moves_too_fast_is_refused():
+    guard, rig = armed()
+    with pytest.raises(LimitRefused, match="the sine moves at"):
+        guard.sine("displacement", 0.0, 0.0 + 10e-3, 1.0, 1.0) if False else guard.sine(
+            "displacement", 5e-3, 5e-3, 1.0, 1.0
+        )
+    assert rig.told == []
+
+
+def test_streams_hands_and_what_would_be_sent():
+    guard, rig = armed()
+    assert guard.stream("dac", 100.0) == 100.0
+    rig.reads["pressure"] = 12.0
+    assert guard.collect("dac").columns["pressure"][0] == 12.0
+    assert guard.latest == {"pressure": 12.0}
+    assert guard.stream("dac", 0.0) == 0.0
+    assert guard.value_sent("pressure", 1.0) == 0.0
+    from pmabench.bench.interface import Load
+
+    guard.place(Load(10.0, 1.0))
+    assert rig.values("place") == [("place", 10.0, 1.0)]
+    for ask in (lambda: guard.collect("none"), lambda: guard.stream("none", 1.0)):
+        with pytest.raises(DeviceError, match="takes no samples"):
+            ask()
+
+
+def test_an_empty_block_tells_nothing_new():
+    guard, rig = armed()
+    rig.collect = lambda: type("Empty", (), {"time": [], "columns": {}})()
+    guard.collect("dac")
+    assert guard.latest == {}
+
+
+def test_the_bench_of_these_tests_is_sound():
+    assert BENCH.devices == (DEVICE,)
+    assert DEVICE.outputs == (OUTPUT, DRIVE)
+    assert SAFE == BENCH.safe_state
