@@ -74,17 +74,21 @@ class Service:
         signal.signal(signal.SIGTERM, self._note_signal)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         while not self._over():
-            try:
-                for key, _events in self._selector.select(TICK):
-                    if key.fileobj is self._listener:
-                        self._accept()
-                    else:
-                        self._hear(key.data)
-                self._tick()
-            except Exception:  # whatever it is: the bench is made safe by what still works
-                _write_down()
-                with suppress(Exception):
-                    self._end("lost", "an error in the guard; see guard.log")
+            self.turn()
+
+    def turn(self) -> None:
+        """Hear who has something to say, then do what is due."""
+        try:
+            for key, _events in self._selector.select(TICK):
+                if key.fileobj is self._listener:
+                    self._accept()
+                else:
+                    self._hear(key.data)
+            self._tick()
+        except Exception:  # whatever it is: the bench is made safe by what still works
+            _write_down()
+            with suppress(Exception):
+                self._end("lost", "an error in the guard; see guard.log")
 
     def _accept(self) -> None:
         with suppress(OSError):

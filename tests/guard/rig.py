@@ -131,7 +131,7 @@ DRIVER = f"{__name__}:Rig"
 OUTPUT = OutputRecord(
     "pressure", "pressure", "dac", "p", Scale(600e3 / 4000, 0.0), 1.0, 0.0, 0.0, 600e3, "a:1:1", "b:2:2"
 )
-DRIVE = OutputRecord("displacement", "displacement", "dac", "x", Scale(1e-3, 0.0), 0.0, 0.0, 0.0, 50e-3, rate=20e-3)
+DRIVE = OutputRecord("displacement", "length", "dac", "x", Scale(1e-3, 0.0), 0.0, 0.0, 0.0, 50e-3, rate=20e-3)
 CHANNEL = ChannelRecord("pressure", "pressure", "dac", "p", "float64", "Pa", Scale(), -1e5, 1e6)
 VALVE = ValveRecord("dump_valve", "dac", "v")
 E_STOP = InterlockRecord("e-stop", "dac", "in0")

@@ -1,0 +1,525 @@
+"""The guard as a service: silence, lost links, strangers, replays, its own errors; nothing commands past it (S7b, P3)."""
+
+import json
+import random
+import socket
+import struct
+import time
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from pmabench.base.errors import RecordError
+from pmabench.guard import process
+from pmabench.guard.guard import State
+from pmabench.guard.wire import LONGEST, Messages, encode, exchange
+from tests.guard.rig import DEVICE, DRIVE, OUTPUT, SAFE, bench
+from tests.guard.serving import TOKEN, Serving
+from tests.reliability.cases import cases
+
+SAFE_COMMANDS = [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+
+
+def outputs_of(rig):
+    return rig.values("write", "follow", "switch", "halt")
+
+
+def test_an_engine_is_served_and_leaves():
+    with Serving() as serving:
+        link = serving.link()
+        opened = serving.ask(link, "open")
+        assert opened["streams"] == ["dac"]
+        assert opened["identities"]["dac"]["model"] == "rig"
+        assert serving.ask(link, "arm", run="")["state"] == "running"
+        assert serving.ask(link, "set", name="pressure", value=3e5)["sent"] == 3e5
+        assert "error" not in serving.ask(link, "ramp", name="pressure", origin=3e5, target=1e5, rate=1e5)
+        assert "error" not in serving.ask(
+            link, "sine", name="pressure", mean=2e5, amplitude=1e4, frequency=1.0, cycles=2
+        )
+        assert "error" not in serving.ask(link, "valves", closed=False)
+        assert "error" not in serving.ask(link, "place", force=10.0, mass=1.0)
+        assert serving.ask(link, "stream", device="dac", rate=100.0)["rate"] == 100.0
+        serving.rig.reads["pressure"] = 5.0
+        block = serving.ask(link, "collect", device="dac", seen={})
+        assert (block["rows"], block["columns"]) == (1, ["pressure"])
+        assert struct.unpack("=d", block["payload"][8:]) == (5.0,)
+        assert serving.ask(link, "status")["run"] == ""
+        ended = serving.ask(link, "safe", tripped=False, hurry=False, why="end")
+        assert ended["ended"] == {"how": "engine", "why": "end"}
+        serving.until_over()
+        assert serving.station.noted[-1][0] == "safe"
+        assert serving.ask(link, "status")["vent"]["result"] == "confirmed"
+        assert not serving.service._over()
+        serving.ask(link, "bye")
+        assert serving.service._over()
+
+
+def test_before_the_proof_is_released_only_low_pressure_passes_here_too():
+    from pmabench.bench.records import ProofTest
+
+    with Serving(bench(proof=ProofTest(50e3, 20e3, 1.0))) as serving:
+        link = serving.link()
+        serving.ask(link, "open")
+        serving.ask(link, "arm", run="")
+        assert "not proven" in serving.ask(link, "set", name="pressure", value=3e5)["error"]["text"]
+        serving.ask(link, "release")
+        assert "error" not in serving.ask(link, "set", name="pressure", value=3e5)
+
+
+def ended_by(serving, why, *, how="lost"):
+    serving.until_over()
+    assert why in serving.service._ended["why"]
+    assert serving.service._ended["how"] == how
+    assert outputs_of(serving.rig)[-3:] == SAFE_COMMANDS
+    assert serving.station.noted[-1][0] == "tripped"
+    assert serving.guard.state is State.TRIPPED
+
+
+def test_a_silent_engine_is_lost():
+    with Serving() as serving:
+        serving.armed()
+        began = time.monotonic()
+        ended_by(serving, "the engine was silent for")
+        assert time.monotonic() - began > process.SILENCE
+
+
+def test_what_the_guard_itself_takes_is_no_silence(monkeypatch):
+    with Serving() as serving:
+        link = serving.link()
+        serving.ask(link, "open")
+        slow = serving.guard.arm
+        monkeypatch.setattr(serving.guard, "arm", lambda run: (time.sleep(1.2 * process.SILENCE), slow(run)))
+        assert serving.ask(link, "arm", run="")["state"] == "running"
+        serving.service.turn()
+        assert serving.guard.state is State.RUNNING
+
+
+def test_a_link_that_is_closed_is_a_lost_engine():
+    with Serving() as serving:
+        serving.armed().close()
+        ended_by(serving, "the engine has gone")
+
+
+def test_an_engine_that_says_goodbye_too_early_is_lost():
+    with Serving() as serving:
+        serving.ask(serving.armed(), "bye")
+        ended_by(serving, "left an armed bench")
+
+
+def test_an_open_interlock_and_a_lost_device_end_it():
+    with Serving() as serving:
+        serving.armed()
+        serving.rig.high = False
+        ended_by(serving, 'the interlock "e-stop" is open', how="trip")
+    with Serving() as serving:
+        serving.armed()
+        serving.rig.wrong["level"] = "link lost"
+        ended_by(serving, "dac: link lost")
+    with Serving() as serving:
+        serving.armed()
+        serving.rig.wrong["feed_watchdog"] = "its watchdog has vented"
+        link = serving.service._engine.link
+        assert link is not None
+        ended_by(serving, "its watchdog has vented")
+
+
+def test_a_computer_that_slept_is_a_trip_and_a_changed_wall_clock_is_not(monkeypatch):
+    with Serving() as serving:
+        link = serving.armed()
+        monkeypatch.setattr(process.time, "time", lambda: 4e9)
+        serving.ask(link, "status")
+        assert serving.guard.state is State.RUNNING
+        boot = time.clock_gettime
+        monkeypatch.setattr(process.time, "clock_gettime", lambda clock: boot(clock) + 3600.0)
+        ended_by(serving, "the computer slept", how="trip")
+
+
+def test_a_system_that_does_not_tell_of_sleep_never_slept(monkeypatch):
+    monkeypatch.delattr(process.time, "CLOCK_BOOTTIME")
+    assert process._slept() == 0.0
+
+
+def test_a_guard_that_is_told_to_end_vents_first():
+    with Serving() as serving:
+        serving.armed()
+        serving.service._note_signal(15, None)
+        assert not serving.service._over()
+        ended_by(serving, "told to end")
+        assert serving.service._over()
+
+
+def test_a_latched_bench_is_made_safe_again_and_refused():
+    with Serving(latch="burst, yesterday") as serving:
+        link = serving.link()
+        told = serving.ask(link, "open")["error"]
+        assert told["type"] == "LimitRefused"
+        assert "burst, yesterday" in told["text"]
+        assert outputs_of(serving.rig) == SAFE_COMMANDS
+        assert "cannot be armed" in serving.ask(link, "arm", run="")["error"]["text"]
+        assert outputs_of(serving.rig) == SAFE_COMMANDS
+        serving.until_over()
+
+
+def test_a_vent_from_somebody_else_is_answered_at_once_and_when_it_is_over():
+    with Serving() as serving:
+        engine, other = serving.armed(), serving.link()
+        serving.rig.reads["pressure"] = 3e5
+        first = serving.ask(other, "vent", who="me")
+        assert first["commanded"] is True
+        assert first["vent"] is None
+        assert outputs_of(serving.rig) == SAFE_COMMANDS
+        assert serving.ask(engine, "status")["ended"] == {"how": "vent", "why": "vent by me"}
+        serving.rig.reads["pressure"] = 1e3
+        serving.until_over()
+        assert next(iter(Messages().feed(other.recv(1 << 16))))[0]["vent"]["result"] == "confirmed"
+        assert serving.guard.state is State.SAFE
+        assert serving.ask(other, "vent", who="me")["vent"]["result"] == "confirmed"
+
+
+def test_the_first_cause_is_the_one_that_is_told():
+    with Serving() as serving:
+        engine = serving.armed()
+        serving.ask(serving.link(), "vent", who="me")
+        serving.ask(engine, "safe", tripped=True, hurry=True, why="other")
+        serving.until_over()
+        assert serving.service._ended["why"] == "vent by me"
+        assert serving.guard.state is State.TRIPPED
+
+
+def test_only_one_engine_is_served():
+    with Serving() as serving:
+        engine, other = serving.armed(), serving.link()
+        assert "has an engine already" in serving.ask(other, "set", name="pressure", value=1e5)["error"]["text"]
+        assert "error" not in serving.ask(engine, "set", name="pressure", value=1e5)
+        assert [told for told in outputs_of(serving.rig) if told[-1] != 0.0] == [("write", "p", 666.0)]
+        other.close()
+        serving.service.turn()
+        assert serving.guard.state is State.RUNNING
+        serving.ask(engine, "bye")
+        late = serving.link()
+        assert "has an engine already" in serving.ask(late, "arm", run="")["error"]["text"]
+
+
+def test_a_stranger_is_hung_up_on_and_nothing_happens():
+    with Serving() as serving:
+        engine, stranger = serving.armed(), serving.link()
+        for token in ("", "guess", None, ["secret"]):
+            stranger = serving.link()
+            message = {"do": "set", "token": token, "at": time.monotonic(), "name": "pressure", "value": 1e5}
+            assert serving.say(stranger, encode(message)) is None
+        assert outputs_of(serving.rig) == []
+        assert "error" not in serving.ask(engine, "status")
+        assert serving.guard.state is State.RUNNING
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [b"\xff" * 64, struct.pack("!II", LONGEST, 1), struct.pack("!II", 5, 0) + b"nonse", struct.pack("!II", 2, 0) + b"[]",
+     struct.pack("!II", 60000, 0) + b"[" * 60000, struct.pack("!II", 4, 0) + b"\xff\xfe\xfd\xfc"],
+)  # fmt: skip
+def test_bytes_that_are_no_message_end_the_link_and_the_run(raw):
+    with Serving() as serving:
+        stranger = serving.link()
+        assert serving.say(stranger, raw) is None
+        engine = serving.armed()
+        assert serving.say(engine, raw) is None
+        ended_by(serving, "the engine has gone")
+
+
+@pytest.mark.parametrize("at", [None, 0.0, time.monotonic() - 60.0, 1e12, float("nan"), "now"])
+def test_a_command_that_was_sent_too_long_ago_is_not_carried_out(at):
+    """A guard that stood still must not do afterwards what its engine has given up."""
+    with Serving() as serving:
+        link = serving.armed()
+        for do, data in (("set", {"name": "pressure", "value": 1e5}), ("valves", {"closed": True}), ("release", {})):
+            assert "error" in serving.say(link, encode({"do": do, "token": TOKEN, "at": at, **data}))
+        assert outputs_of(serving.rig) == []
+        assert "error" not in serving.say(link, encode({"do": "status", "token": TOKEN, "at": at}))
+        serving.say(
+            link, encode({"do": "safe", "token": TOKEN, "at": at, "tripped": False, "hurry": False, "why": "x"})
+        )
+        assert outputs_of(serving.rig)[-3:] == SAFE_COMMANDS
+
+
+@pytest.mark.parametrize(
+    "message",
+    [{"do": "set"}, {"do": "set", "name": ["pressure"], "value": 1.0}, {"do": "set", "name": "pressure", "value": "1"},
+     {"do": "set", "name": "pressure", "value": 10**400}, {"do": "nothing"}, {"do": 5}, {"do": ["set"]}, {},
+     {"do": "set", "name": "pressure", "value": 1.0, "peer": 1}, {"do": "collect", "device": "dac", "seen": 5},
+     {"do": "collect", "device": [], "seen": {}}, {"do": "stream", "device": "dac", "rate": "fast"},
+     {"do": "collect", "device": "dac", "seen": {"x": "y"}}, {"do": "open"}, {"do": "arm", "run": ""}],
+)  # fmt: skip
+def test_an_engines_mistake_is_told_to_it_and_commands_nothing(message):
+    with Serving() as serving:
+        link = serving.armed()
+        answer = serving.say(link, encode({"token": TOKEN, "at": time.monotonic(), **message}))
+        assert answer["error"]["text"]
+        assert outputs_of(serving.rig) == []
+        assert "error" not in serving.ask(link, "set", name="pressure", value=1e5)
+        link.close()
+        ended_by(serving, "the engine has gone")
+
+
+def test_a_run_name_that_is_no_path_ends_nothing(tmp_path):
+    with Serving() as serving:
+        link = serving.link()
+        serving.ask(link, "open")
+        serving.ask(link, "arm", run="\0")
+        link.close()
+        ended_by(serving, "the engine has gone")
+
+
+def test_a_lost_engine_finds_what_happened_in_its_run(tmp_path):
+    with Serving() as serving:
+        link = serving.link()
+        serving.ask(link, "open")
+        serving.ask(link, "arm", run=str(tmp_path))
+        link.close()
+        ended_by(serving, "the engine has gone")
+        told = json.loads((tmp_path / "guard.json").read_text())
+        assert (told["cause"], told["vent"]["result"]) == ("the engine has gone", "confirmed")
+
+
+def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_measure():
+    with Serving() as serving:
+        link = serving.armed()
+        serving.rig.reads["pressure"] = 3e5
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        serving.ask(link, "collect", device="dac", seen={"pressure": 0.0, "supply": 7.0})
+        assert serving.guard.latest == {"pressure": 3e5, "supply": 7.0}
+        serving.until_over()
+        assert serving.station.noted[-1][0] == "tripped", "not confirmed"
+
+
+def test_an_error_in_the_guard_itself_makes_the_bench_safe(monkeypatch):
+    with Serving() as serving:
+        serving.armed()
+        monkeypatch.setattr(serving.guard, "refuse_open_interlock", lambda: 1 / 0)
+        ended_by(serving, "an error in the guard")
+
+
+def test_an_error_in_every_turn_does_not_end_the_guard(monkeypatch):
+    with Serving() as serving:
+        serving.armed()
+        monkeypatch.setattr(serving.guard, "step_safe", lambda latest: 1 / 0)
+        serving.service._engine.link.shutdown(socket.SHUT_RDWR)
+        for _ in range(20):
+            serving.service.turn()
+        assert not serving.service._over()
+        monkeypatch.undo()
+        ended_by(serving, "the engine has gone")
+
+
+def test_a_state_that_cannot_be_written_is_told_and_ends_no_vent(monkeypatch):
+    def full(*_args, **_data):
+        raise RecordError("disk full")
+
+    with Serving() as serving:
+        link = serving.armed()
+        monkeypatch.setattr(serving.station, "note", full)
+        link.close()
+        serving.until_over()
+        assert outputs_of(serving.rig)[-3:] == SAFE_COMMANDS
+    with Serving() as serving:
+        link = serving.link()
+        serving.ask(link, "open")
+        monkeypatch.setattr(serving.station, "note", full)
+        assert serving.ask(link, "arm", run="")["error"] == {"type": "RecordError", "text": "disk full"}
+        assert outputs_of(serving.rig) == []
+
+
+def test_a_log_that_cannot_be_written_ends_nothing(monkeypatch):
+    def full():
+        raise OSError("no space")
+
+    monkeypatch.setattr(process.traceback, "print_exc", full)
+    with Serving() as serving:
+        link = serving.armed()
+        assert serving.say(link, b"\xff" * 64) is None
+        ended_by(serving, "the engine has gone")
+
+
+def test_a_vent_whose_asker_has_gone_is_done_all_the_same():
+    with Serving() as serving:
+        serving.armed()
+        other = serving.link()
+        other.sendall(encode({"do": "vent", "token": TOKEN, "who": "me"}))
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        other.close()
+        serving.until_over()
+        assert outputs_of(serving.rig)[:3] == SAFE_COMMANDS
+
+
+def test_the_watchdog_is_fed_while_the_safe_state_lasts():
+    from pmabench.bench.interface import SafeAction
+
+    with Serving(bench(safe_state=(SafeAction("hold", "", 0.0, 0.4), *SAFE))) as serving:
+        link = serving.armed()
+        serving.ask(link, "safe", tripped=False, hurry=False, why="x")
+        serving.until_over()
+        assert len(serving.rig.values("feed_watchdog")) >= 4
+        serving.rig.wrong["feed_watchdog"] = "gone"
+        serving.service.turn()
+
+
+def test_nobody_who_comes_is_not_waited_for(monkeypatch):
+    with Serving() as serving:
+        assert not serving.service._over()
+        monkeypatch.setattr(process, "CONNECTS_WITHIN", -1.0)
+        assert serving.service._over()
+
+
+def test_an_accept_that_fails_ends_nothing(monkeypatch):
+    with Serving() as serving:
+        serving.armed()
+
+        class Broken:
+            def accept(self):
+                raise OSError("too many open files")
+
+        monkeypatch.setattr(serving.service, "_listener", Broken())
+        serving.service._accept()
+        assert serving.guard.state is State.RUNNING
+
+
+# -- wire -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_exchange_needs_an_answer():
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as link:
+        other, _ = listener.accept()
+        other.sendall(encode({"a": 1}, b"xyz")[:5])
+        with pytest.raises(TimeoutError):
+            exchange(link, {"do": "x"}, 0.05)
+        other.sendall(encode({"a": 1}, b"xyz")[5:])
+        other.close()
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as link:
+        other, _ = listener.accept()
+        other.sendall(encode({"a": 1}, b"xyz"))
+        assert exchange(link, {"do": "x"}, 5.0) == ({"a": 1}, b"xyz")
+        other.shutdown(socket.SHUT_WR)
+        with pytest.raises(ConnectionError):
+            exchange(link, {"do": "x"}, 5.0)
+        other.close()
+
+
+# -- an engine that lies --------------------------------------------------------------------------------------------
+
+NUMBERS = [0.0, -1.0, 1.0, 599e3, 600e3, 600.1e3, 1e9, -1e9, 1e308, float("nan"), float("inf"), -float("inf"), 25e-3,
+           50e-3, 51e-3, 10**400, True, None, "1", [1.0], {"a": 1}]  # fmt: skip
+
+
+def a_message(rng):
+    """A request, legal or not."""
+    do = rng.choice(["set", "set", "set", "ramp", "sine", "valves", "place", "stream", "collect", "status", "arm", "open",
+                     "release", "__init__", "end", "", 7])  # fmt: skip
+    number = lambda: rng.choice([*NUMBERS, rng.uniform(-1e5, 9e5), rng.uniform(0.0, 60e-3)])  # noqa: E731
+    name = rng.choice(["pressure", "pressure", "displacement", "dump_valve", "", None, ["pressure"]])
+    fields = {
+        "set": {"name": name, "value": number()},
+        "ramp": {"name": name, "origin": number(), "target": number(), "rate": number()},
+        "sine": {"name": name, "mean": number(), "amplitude": number(), "frequency": number(), "cycles": number()},
+        "valves": {"closed": rng.choice([True, False, None])},
+        "place": {"force": number(), "mass": number()},
+        "stream": {"device": rng.choice(["dac", "x", None]), "rate": number()},
+        "collect": {
+            "device": rng.choice(["dac", "x", None]),
+            "seen": rng.choice([{}, {"pressure": 0.0}, 5, {"a": "b"}]),
+        },
+        "arm": {"run": rng.choice(["", 5, "\0"])},
+    }.get(do, {})
+    if rng.random() < 0.1 and fields:
+        fields.pop(rng.choice(list(fields)))
+    if rng.random() < 0.05:
+        fields[rng.choice(["peer", "self", "x"])] = number()
+    return {"do": do, "token": TOKEN, "at": time.monotonic(), **fields}
+
+
+def legal_set(message, state):
+    value, limits = message.get("value"), {"pressure": 600e3, "displacement": 50e-3}
+    return (
+        state is State.RUNNING
+        and message["do"] == "set"
+        and set(message) == {"do", "token", "at", "name", "value"}
+        and isinstance(message["name"], str)
+        and message["name"] in limits
+        and type(value) is float
+        and 0.0 <= value <= limits[message["name"]]
+    )
+
+
+def judge(told):
+    """Whether what reached the device lies inside its limits, decoded here again."""
+    most = {"p": 600e3 / OUTPUT.scale.slope, "x": 50.0}
+    for kind, output, *how in (call for call in told if call[0] in {"write", "follow"}):
+        if kind == "write":
+            assert -1e-6 <= how[0] <= most[output] * (1 + 1e-8), (output, how)
+        elif kind == "follow":
+            s = how[0]
+            ends = [
+                s.origin - abs(s.amplitude),
+                s.origin + abs(s.amplitude),
+                s.target if s.kind == "ramp" else s.origin,
+            ]
+            assert all(-1e-6 <= end <= most[output] * (1 + 1e-8) for end in ends), (output, s)
+
+
+def test_an_engine_that_lies_commands_nothing_illegal_and_the_guard_survives(record_property):
+    count = cases(10_000)
+    record_property("cases", count)
+    rng, tally = random.Random(3), Counter()
+    done, kept = 0, b""
+    quiet = bench(replace(DEVICE, outputs=(OUTPUT, replace(DRIVE, rate=0.0))), safe_state=SAFE[:3])
+    while done < count:
+        with Serving(quiet) as serving:
+            link = serving.armed()
+            while done < count:
+                done += 1
+                message = a_message(rng)
+                raw, way = encode(message), rng.random()
+                if way < 0.01:
+                    raw = bytearray(raw)
+                    raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+                    raw = bytes(raw)
+                elif way < 0.015:
+                    raw = raw[: rng.randrange(len(raw))]
+                elif way < 0.03 and kept:
+                    raw = kept
+                elif way < 0.04:
+                    raw = encode({**message, "token": "wrong"})
+                elif way < 0.05:
+                    raw = encode({**message, "at": message["at"] - rng.uniform(0.6, 1e6)})
+                else:
+                    kept = kept or raw
+                before, state = len(serving.rig.told), serving.guard.state
+                link.sendall(raw)
+                if raw != encode(message):
+                    link.shutdown(socket.SHUT_WR)
+                answer = serving.say(link, b"") if way >= 0.05 else drained(serving, link)
+                judge(serving.rig.told[before:])
+                if way >= 0.05:
+                    assert answer is not None
+                    tally["refused" if "error" in answer else "done"] += 1
+                    if legal_set(message, state):
+                        tally["legal"] += 1
+                        assert "error" not in answer, (message, answer)
+                        assert serving.rig.values("write"), "a legal command was blocked"
+                    if len(serving.rig.told) > 1000:
+                        serving.rig.told.clear()
+                else:
+                    tally["broken"] += 1
+                    break
+            judge(serving.rig.told)
+            if done < count:
+                serving.until_over()
+                assert outputs_of(serving.rig)[-3:] == SAFE_COMMANDS, "its engine was lost, and it vented"
+    assert min(tally[name] for name in ("refused", "done", "legal", "broken")) > count // 100
+
+
+def drained(serving, link):
+    """Let it read all that was sent, up to the end of the link."""
+    until = time.monotonic() + 5.0
+    while serving.service._engine is not None:
+        serving.service.turn()
+        assert time.monotonic() < until
