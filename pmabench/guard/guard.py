@@ -257,7 +257,7 @@ class Guard:
                 self._owners[name].call(partial(device.place, load))
 
     def valves(self, *, closed: bool, only: str = "") -> None:
-        """Every valve (or `only` one) as it stands in a run, or (not `closed`) in the safe state: hands go in with the dump open."""
+        """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state: dump open for hands."""
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
             self._owners[valve.device].call(self._switching(valve, closed=closed == (valve.safe == "open")))

@@ -12,15 +12,17 @@ from pmabench.bench.compile import Mounted
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
-from pmabench.protocol.plan import Ask
+from pmabench.protocol.plan import Ask, Hold, Set
 from pmabench.session.at_rest import at_rest
-from pmabench.session.checks import FAILED, NOT_MEASURED, Check, SelfTestFailed, refuse
+from pmabench.session.checks import FAILED, NOT_MEASURED, Check, SelfTestFailed, judged, refuse
 from pmabench.session.guided import guided_plan
 from pmabench.session.listening import listen
 from pmabench.session.stepping import MOVED, Stepping
 from pmabench.session.words import load_text, moving_mass
 
 PHASE = "self-test"
+LEAK = 10.0
+"""How long the pressure is watched with the isolation valve shut [s]."""
 REST = 1.0
 """How long channels at rest are listened to [s]."""
 
@@ -74,8 +76,32 @@ class SelfTesting:
             executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
             series = listen(acquisition, REST)
         Stepping(executor, mounted, test, series).run(self.checks, load)
-        self.checks.append(_leak())
+        self.checks.append(self._leak(executor))
         refuse(self.checks)
+
+    def _leak(self, executor: Executor) -> Check:
+        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        name = self._mounted.bench_file.air.isolation_valve
+        valve = next((valve for valve in executor.bench.valves if valve.name == name), None)
+        if valve is None or valve.safe != "closed":
+            why = "cannot be measured on this bench: no isolation valve that is switched"
+            return Check("leak", "", "", NOT_MEASURED, why)
+        executor.do(Set(PHASE, "pressure", self._test.points[-1]))
+        executor.do(Hold(PHASE, self._test.settle))
+        executor.guard.valves(closed=False, only=name)
+        executor.do(Hold(PHASE, 1.0))
+        reading = listen(executor.acquisition, LEAK)["pressure"].reading()
+        executor.do(Set(PHASE, "pressure", 0.0))
+        executor.guard.valves(closed=True, only=name)
+        executor.do(Hold(PHASE, self._test.settle))
+        falls = -reading.drift / LEAK
+        return judged(
+            "leak",
+            f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",
+            f"at most {show(60 * self._test.leak, 'pressure', 3)} per min",
+            good=falls <= self._test.leak,
+            hint="look at hoses, fittings and the muscle between the isolation valve and its end",
+        )
 
 
 def run_self_test(
@@ -134,8 +160,3 @@ def _relief(mounted: Mounted) -> Check:
         return Check("relief valve", "", "", NOT_MEASURED, "none on this bench")
     value = f"opens at {show(float(opens), 'pressure')} (bench file)"
     return Check("relief valve", value, f"below {show(never, 'pressure')}")
-
-
-def _leak() -> Check:
-    name = "leak"
-    return Check(name, "", "", NOT_MEASURED, "cannot be measured on this bench: no isolation valve that is switched")

@@ -1,12 +1,15 @@
 """The start check names each fault of the bench by the wire to look at; nothing runs then."""
 
+import numpy as np
 import pytest
 
+from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.session import ensure, state
+from pmabench.session.self_test import run_self_test
 from pmabench.session.session import SessionFailed
 from pmabench.store.reader import open_run
-from tests.engine.benches import mounted
+from tests.engine.benches import ROOT, SPECIMEN, mounted
 
 FAULTS = {
     "pressure and force swapped": (
@@ -72,3 +75,32 @@ def test_the_free_end_driven(tmp_path):
     assert table["force at 100 kPa"].value == "rises by 59 N"  # 1.08 x 100 - 49
     assert abs(float(table["time of force against pressure"].value.split()[0])) < 5.0
     assert set(ready.in_session["zeros"]) == {"pressure", "force"}
+
+
+@pytest.mark.parametrize(("leak", "said"), [(0.0, "ok"), (1e-4, "ok"), (0.01, "failed")])
+def test_leak_by_pressure_decay_behind_an_isolation_valve(tmp_path, leak, said):
+    """P' = -leak P: at 100 kPa and 1 % per second 60 kPa per minute at the beginning; 5 kPa per minute are allowed."""
+    (tmp_path / "benches").symlink_to(ROOT / "fixtures" / "benches")
+    path = tmp_path / "isolated.yaml"
+    path.write_text(
+        (ROOT / "fixtures" / "benches" / "mock-session.yaml").read_text().replace(": mock.yaml", ": benches/mock.yaml")
+        + f"""
+devices: {{plant: {{options: {{leak: {leak}}}}}}}
+air: {{isolation_valve: isolation_valve}}
+outputs: {{isolation_valve: {{device: plant, output: isolation_valve, energised: open}}}}
+safe_state:
+  - {{set: pressure, to: 0 kPa, within: 200 ms}}
+  - {{open: dump_valve, within: 200 ms}}
+  - {{close: isolation_valve, within: 200 ms}}
+  - {{confirm: pressure, below: 20 kPa, within: 5 s}}
+"""
+    )
+    tables = []
+    outcome = run_self_test(mount(path, SPECIMEN), ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    check = next(check for check in tables[0] if check.name == "leak")
+    assert check.verdict == said
+    top = 100.0 / (1 + leak * 0.0955)  # what a regulator of that lag holds against the leak
+    mean = top * np.exp(-leak * 1.0) * np.exp(-leak * 5.0)
+    assert float(check.value.split()[2]) == pytest.approx(60 * leak * mean, abs=0.4, rel=0.02)
+    assert outcome.vent.confirmed
+    assert (outcome.exit_code == 6) == (said == "failed")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, Options, read_options
+from pmabench_drivers.mock.options import E_STOP, VALVES, Options, read_options
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import Simulation
@@ -21,7 +21,8 @@ class MockBench:
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
     `displacement`, and `dump_valve` to be switched: it is there when the bench names it as a valve, and open, so that
-    the muscle empties whatever the regulator does, unless it is energised. Digital input: `e_stop`.
+    the muscle empties whatever the regulator does, unless it is energised; and `isolation_valve`, there when named,
+    which lets nothing through unless it is energised. Digital input: `e_stop`.
     Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
     the plant catch up with it, and when the clock was taken back, the plant goes back too. Whoever takes the clock back
     calls `collect` (which then returns nothing) before time goes on: a jump back and forth between two calls is not
@@ -103,14 +104,14 @@ class MockBench:
         self._simulation().halt(output)
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Energise the dump valve, which closes it, or not."""
+        """Energise a valve or not."""
         self._valve(output)
-        self._simulation().switch(on=on)
+        self._simulation().switch(output, on=on)
 
     def is_on(self, output: str) -> bool:
-        """Whether the dump valve is energised."""
+        """Whether a valve is energised."""
         self._valve(output)
-        return self._simulation().energised
+        return self._simulation().is_on(output)
 
     def level(self, name: str) -> bool:
         """Whether the emergency stop's contact is closed, which holds the input high."""
@@ -140,7 +141,7 @@ class MockBench:
     def _valve(self, output: str) -> None:
         known = [valve.output for valve in self._device.valves]
         if output not in known:
-            raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or [DUMP_VALVE])}')
+            raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or VALVES)}')
 
     def _now(self) -> float:
         return round(self._clock.now(), 9)

@@ -15,6 +15,10 @@ INPUTS = (*SENSORS, "supply", "pressure_set", "displacement_set")
 """All channel inputs; the last one where the free end is driven."""
 DUMP_VALVE = "dump_valve"
 """The output that switches the valve."""
+ISOLATION_VALVE = "isolation_valve"
+"""The output that switches a valve between regulator and muscle: shut without power."""
+VALVES = (DUMP_VALVE, ISOLATION_VALVE)
+"""All valves."""
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
 

@@ -17,7 +17,7 @@ from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
 from pmabench.model.signal import Wave, constant, ramp, sine
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
-from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, INPUTS, Options, SensorError
+from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, INPUTS, ISOLATION_VALVE, VALVES, Options, SensorError
 
 MEMORY = 2.5
 """How far the plant can be taken back [s]; a block of virtual time is at most 1 s."""
@@ -37,8 +37,10 @@ class _Valve:
 
     energised: bool = False
     open: bool = False
+    through: bool = False
+    """The isolation valve is energised: regulator and muscle are connected."""
     held: float | None = None
-    """The pressure that a stuck regulator holds [Pa]."""
+    """The pressure that a stuck regulator or a shut isolation valve holds [Pa]."""
     forced: tuple[float, float] | None = None
     """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
 
@@ -85,12 +87,13 @@ class Simulation:
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
         self._pending: deque[Block] = deque(maxlen=BUFFER)
-        _known(device.name, "output", [valve.output for valve in device.valves], DUMP_VALVE)
-        _known(device.name, "digital input", [item.input for item in device.interlocks], E_STOP)
+        _known(device.name, "output", [valve.output for valve in device.valves], VALVES)
+        _known(device.name, "digital input", [item.input for item in device.interlocks], (E_STOP,))
         for error in self.errors.values():
             self._check_error(error)
         self._regulator = setup.regulator
-        self._has_valve = bool(device.valves)
+        self._has_valve = any(valve.output == DUMP_VALVE for valve in device.valves)
+        self._isolated = any(valve.output == ISOLATION_VALVE for valve in device.valves)
         self._valve = _Valve(open=self._has_valve)
         self._settle()
 
@@ -144,10 +147,14 @@ class Simulation:
         else:
             self._plant.command(constant(self._plant.time, self.setpoint(output)))
 
-    def switch(self, *, on: bool) -> None:
-        """Energise the dump valve, which closes it, or not."""
-        self._valve = replace(self._valve, energised=on)
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise the dump valve, which closes it, or the isolation valve, which opens it; or not."""
+        self._valve = replace(self._valve, energised=on) if output == DUMP_VALVE else replace(self._valve, through=on)
         self._settle()
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve is energised."""
+        return self._valve.energised if output == DUMP_VALVE else self._valve.through
 
     @property
     def energised(self) -> bool:
@@ -177,8 +184,9 @@ class Simulation:
         """Bring the muscle's air in line with valve and faults as they are at this moment; the strongest one counts."""
         faults, valve, supply, time = self.faults, self._valve, self._plant.supply, self._plant.time
         held = None
-        if self._is_due(faults.regulator_stuck_at):
-            held = supply.value(time) if valve.held is None else valve.held
+        shut = self._isolated and not valve.through
+        if shut or self._is_due(faults.regulator_stuck_at):
+            held = supply.value(time) if valve.held is None or (shut and valve.open) else valve.held
         opens = valve.open and not valve.energised
         if not valve.energised and self._has_valve and not self._is_due(faults.dump_stuck_at):
             opens = True
@@ -187,8 +195,10 @@ class Simulation:
             forced = 0.0, BURST_LAG
         elif opens:
             forced = 0.0, self._options.dump_lag * self._options.slow_vent
-        elif self._is_due(faults.supply_lost_at):
+        elif self._is_due(faults.supply_lost_at) and not shut:
             forced = 0.0, SUPPLY_LAG
+        elif shut and self._regulator.leak:
+            forced = 0.0, 1.0 / self._regulator.leak
         elif held is not None:
             forced = held, self._regulator.lag
         if forced != valve.forced:
@@ -332,10 +342,10 @@ class Simulation:
         self._pending.append(self._damage.done(as_block(time_ns, columns), self.faults, self.errors))
 
 
-def _known(device: str, word: str, names: list[str], only: str) -> None:
+def _known(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:
     for name in names:
-        if name != only:
-            raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, [only])}')
+        if name not in known:
+            raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, known)}')
 
 
 def _waves(segment: Segment, scale: Scale, now: float, limits: tuple[float, float]) -> tuple[Wave, ...]:
