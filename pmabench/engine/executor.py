@@ -60,8 +60,8 @@ class Bench(Commands, Protocol):
         """Hands put a load on."""
         ...
 
-    def valves(self, *, closed: bool) -> None:
-        """Close every valve, or open them."""
+    def valves(self, *, closed: bool, only: str = "") -> None:
+        """Close every valve (or one), or open them."""
         ...
 
 
