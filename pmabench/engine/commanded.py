@@ -36,6 +36,9 @@ class _Course:
     at: course.Course
     fell: float
     """When it was last going down [s]."""
+    begun: float
+    before: course.Course | None
+    """What was commanded until then."""
 
 
 @dataclass
@@ -47,31 +50,32 @@ class Commanded:
     def set(self, output: str, t: float, value: float) -> None:
         """A step at `t` [s]."""
         before = self.at(output, t)
-        self._note(output, course.step(value), t, down=before is not None and value < before)
+        self._note(output, course.step(value), t, t, down=before is not None and value < before)
 
     def ramp(self, output: str, t: float, origin: float, target: float, rate: float) -> None:
         """A ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
         ends = t + abs(target - origin) / rate
-        self._note(output, course.ramp(t, origin, target, rate), ends, down=target < origin)
+        self._note(output, course.ramp(t, origin, target, rate), t, ends, down=target < origin)
 
     def sine(self, output: str, t: float, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """A sine that begins at `t` [s]; frequency in Hz."""
-        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t + cycles / frequency, down=True)
+        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t, t + cycles / frequency, down=True)
 
     def at(self, output: str, t: float) -> float | None:
         """The commanded value [SI] at `t` [s], or None before the first command."""
         known = self._courses.get(output)
-        return None if known is None else known.at(t)
+        at = None if known is None else known.at if t >= known.begun else known.before
+        return None if at is None else at(t)
 
     def fell(self, output: str) -> float:
         """Since when the output is not going down any more [s]; minus infinity where it never was."""
         known = self._courses.get(output)
         return -math.inf if known is None else known.fell
 
-    def _note(self, output: str, at: course.Course, until: float, *, down: bool) -> None:
+    def _note(self, output: str, at: course.Course, t: float, until: float, *, down: bool) -> None:
         before = self._courses.get(output)
         fell = until if down else (before.fell if before is not None else -math.inf)
-        self._courses[output] = _Course(at, fell)
+        self._courses[output] = _Course(at, fell, t, before.at if before is not None else None)
 
 
 class Commander:

@@ -1,0 +1,178 @@
+"""Each kind of limit on what is measured, on synthetic samples; how they are cut into blocks does not matter (S2)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
+from pmabench.engine.commanded import Commanded
+from pmabench.engine.watch import SETTLES, Watch
+
+RATE = 500.0
+CHANNEL = ChannelRecord("pressure", "pressure", "adc", "p", "int32", "count", Scale(), 0.0, 1000e3)
+T = np.arange(2000) / RATE
+
+
+def limit(kind, **changes):
+    given = {"low": None, "high": None, "delay": 0.0, "action": "vent", "source": "test:1:1", **changes}
+    return TripRecord("pressure", kind=kind, **given)
+
+
+def look(trip, samples, t=T, cuts=(), commanded=None):
+    """Every trip of a signal that comes in blocks."""
+    watch = Watch([trip], [CHANNEL], commanded)
+    found = []
+    for first, last in itertools.pairwise(sorted({0, *cuts, len(samples)})):
+        for crossed in watch.look(t[first:last], {"pressure": np.asarray(samples[first:last], dtype=float)}):
+            found.append((round(crossed.t, 6), crossed.value, crossed.over, str(crossed)))
+            if trip.action in {"stop", "vent"}:
+                return found
+    return found
+
+
+def step(at, before=100e3, after=700e3):
+    return np.where(at <= T, after, before)
+
+
+def commands(*steps):
+    made = Commanded()
+    for t, value in steps:
+        made.set("pressure", t, value)
+    return made
+
+
+NOISE = np.random.default_rng(5).normal(0.0, 50.0, len(T))
+CASES = {
+    # name: limit, signal, commanded, moment of the trip [s]
+    "above": (limit("range", high=650e3), step(1.0), None, 1.0),
+    "at the limit": (limit("range", high=650e3), step(1.0, after=650e3), None, 1.0),
+    "below": (limit("range", low=-30e3), step(1.0, after=-30e3), None, 1.0),
+    "above for long enough": (limit("range", high=650e3, delay=0.1), step(1.0), None, 1.1),
+    "no number": (limit("range", high=650e3), step(1.0, after=math.nan), None, 1.0),
+    "no number for long enough": (limit("range", high=650e3, delay=0.02), step(1.0, after=math.nan), None, 1.02),
+    "infinite": (limit("range", low=-30e3), step(1.0, after=math.inf), None, 1.0),
+    "rate upwards": (limit("rate", high=1e6), np.interp(T, [1.0, 1.2], [1e5, 5e5]), None, 1.012),
+    "rate downwards": (limit("rate", high=1e6), np.interp(T, [1.0, 1.2], [5e5, 1e5]), None, 1.012),
+    "frozen": (limit("frozen", delay=0.5), np.where(T < 1.0, 1e5 + NOISE, 1e5), None, 1.5),
+    "off range high": (limit("off-range", delay=0.01), step(1.0, after=1000e3), None, 1.01),
+    "off range low": (limit("off-range"), step(1.0, after=0.0), None, 1.0),
+    "off range, no number": (limit("off-range"), step(1.0, after=math.nan), None, 1.0),
+    "far from what is commanded": (limit("following", high=60e3, delay=0.5), 1e5 + NOISE, commands((1.0, 3e5)), 1.5),
+    "burst": (limit("burst", high=60e3, window=0.05), np.interp(T, [1.0, 1.1], [3e5, 0.0]), commands((0.0, 3e5)), 1.022),
+    "slack": (limit("slack", low=10.0), step(1.0, after=5.0), None, 1.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_crossing_is_found_at_its_sample(name):
+    trip, samples, commanded, moment = CASES[name]
+    found = look(trip, samples, commanded=commanded)
+    assert [item[0] for item in found] == [pytest.approx(moment, abs=1.01 / RATE)]
+    assert "test:1:1" in found[0][3]
+
+
+@pytest.mark.parametrize("name", CASES)
+@given(cuts=st.lists(st.integers(0, len(T)), max_size=12))
+def test_blocks_do_not_matter(name, cuts):
+    trip, samples, commanded, _ = CASES[name]
+    assert look(trip, samples, cuts=cuts, commanded=commanded)[0][:1] == look(trip, samples, commanded=commanded)[0][:1]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_single_cut_gives_the_same(name):
+    trip, samples, commanded, moment = CASES[name]
+    whole = look(trip, samples, commanded=commanded)[0]
+    near = round(moment * RATE)
+    for cut in [*range(0, len(T), 97), *range(near - 40, near + 40)]:
+        assert look(trip, samples, cuts=[cut], commanded=commanded)[0][0] == whole[0]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_sample_by_sample_gives_the_same(name):
+    trip, samples, commanded, moment = CASES[name]
+    watch = Watch([trip], [CHANNEL], commanded)
+    found = next(
+        crossed[0].t for t, value in zip(T, samples, strict=True)
+        if (crossed := watch.look_once(float(t), {"pressure": float(value)}))
+    )  # fmt: skip
+    assert found == pytest.approx(moment, abs=1.01 / RATE)
+
+
+QUIET = {
+    "inside": (limit("range", low=-30e3, high=650e3), np.linspace(0, 649e3, len(T)), None),
+    "too short": (limit("range", high=650e3, delay=0.1), np.where((T >= 1.0) & (T < 1.098), 700e3, 1e5), None),
+    "again and again, each too short": (limit("range", high=650e3, delay=0.1), np.where(T % 0.1 < 0.09, 700e3, 1e5), None),
+    "slow": (limit("rate", high=1e6), np.interp(T, [1.0, 1.5], [1e5, 5e5]), None),
+    "alive": (limit("frozen", delay=0.5), np.where(np.arange(len(T)) % 240, 1e5, 1e5 + 1), None),
+    "in range": (limit("off-range"), np.linspace(1.0, 999e3, len(T)), None),
+    "follows in time": (limit("following", high=60e3, delay=0.5), np.interp(T, [1.0, 1.6], [1e5, 3e5]), commands((1.0, 3e5))),
+    "never commanded": (limit("following", high=60e3), step(1.0), None),
+    "rises": (limit("burst", high=60e3, window=0.05), np.interp(T, [1.0, 1.1], [0.0, 3e5]), commands((0.0, 3e5))),
+    "falls as commanded": (limit("burst", high=60e3, window=0.05), np.interp(T, [1.0, 1.1], [3e5, 0.0]),
+                           commands((0.0, 3e5), (1.0, 0.0))),
+    "falls slowly": (limit("burst", high=60e3, window=0.05), np.interp(T, [1.0, 2.0], [3e5, 0.0]), commands((0.0, 3e5))),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", QUIET)
+@given(cuts=st.lists(st.integers(0, len(T)), max_size=6))
+def test_what_is_inside_does_not_trip(name, cuts):
+    trip, samples, commanded = QUIET[name]
+    assert look(trip, samples, cuts=cuts, commanded=commanded) == []
+
+
+@given(cuts=st.lists(st.integers(0, len(T)), max_size=12), period=st.floats(0.05, 1.0), high=st.floats(1e5, 6e5))
+def test_a_warning_comes_and_goes_at_the_same_samples_however_it_is_cut(cuts, period, high):
+    samples = 3.5e5 + 3e5 * np.sin(2 * np.pi * T / period)
+    trip = limit("range", high=high, delay=0.01, action="warn")
+    found = look(trip, samples, cuts=cuts)
+    assert found == look(trip, samples)
+    assert [item[2] for item in found] == [bool(n % 2) for n in range(len(found))]
+
+
+def test_a_fall_that_settles_is_no_burst_and_one_afterwards_is():
+    fall = np.interp(T, [3.2, 3.3], [3.03e5, 0.0])
+    early, late = commands((0.0, 4e5), (3.2 - SETTLES + 0.3, 3e5)), commands((0.0, 4e5), (3.2 - SETTLES - 0.1, 3e5))
+    trip = limit("burst", high=60e3, window=0.05)
+    for cuts in ([], [700], [1610], list(range(0, 2000, 25))):
+        assert look(trip, fall, cuts=cuts, commanded=early) == []
+        assert [item[0] for item in look(trip, fall, cuts=cuts, commanded=late)] == [3.22]
+
+
+def test_a_silent_channel_is_found_by_the_time_and_heard_again():
+    watch = Watch([limit("stale", delay=0.25, action="warn")])
+    assert watch.silent(10.0) == []
+    assert watch.silent(10.2) == []
+    (found,) = watch.silent(10.25)
+    assert "has given no sample for 0.250 s" in str(found)
+    assert watch.silent(11.0) == []
+    (over,) = watch.look(np.array([11.0]), {"pressure": np.array([1.0])}, 11.1)
+    assert over.over
+    assert watch.silent(11.3) == []
+    assert len(watch.silent(11.4)) == 1
+
+
+def test_a_device_clock_that_is_far_ahead_hides_no_silence():
+    watch = Watch([limit("stale", delay=0.25)])
+    watch.look(np.array([5000.0]), {"pressure": np.array([1.0])}, 1.0)
+    assert len(watch.silent(1.25)) == 1
+
+
+def test_a_missing_channel_and_an_empty_block_tell_nothing():
+    watch = Watch([limit("range", high=1.0)])
+    assert watch.look(T[:1], {"force": np.array([5.0])}) == []
+    assert watch.look(T[:0], {"pressure": np.zeros(0)}) == []
+    assert watch.look_once(0.0, {"force": 5.0}) == []
+
+
+def test_the_first_that_ends_the_run_is_the_last_that_is_told():
+    warn, stop = limit("range", high=2e5, action="warn"), limit("range", high=4e5, action="stop")
+    watch = Watch([stop, warn, limit("range", high=6e5)], [CHANNEL])
+    found = watch.look(T, {"pressure": np.linspace(0.0, 8e5, len(T))})
+    assert [item.limit.action for item in found] == ["warn", "stop"]
