@@ -21,7 +21,7 @@ from pmabench.cli.common import Ui, common
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
 def command(ui: Ui, bench: str, plant: str, preset: str, seed: int, log: Path | None, control: int) -> int | None:
-    """Serve the Modbus and serial text devices of BENCH on this machine, in real time, until Ctrl-C.
+    """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
     Devices stand at the addresses of the bench file: Modbus TCP on 127.0.0.1, serial ports as links to
     pseudo-terminals. Nothing else is reached. The operator's hands are the lines typed here: "load 6 kg", "load

@@ -4,29 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.control import Control
-from pmabench_drivers.emulator.indicator import Indicator
+from pmabench_drivers.emulator.faults import Faults as LinkFaults
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import RtuDevice, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.registers import Registers
 from pmabench_drivers.mock.options import Faults
-from pmabench_drivers.modbus import map_file
-from pmabench_drivers.options import Reader
-from pmabench_drivers.serial_ascii import options as text_options
 
-MODBUS = "pmabench_drivers.modbus:ModbusDevice"
-TEXT = "pmabench_drivers.serial_ascii:SerialIndicator"
-Served = TcpDevice | RtuDevice | Indicator
+SERVERS = {
+    "pmabench_drivers.modbus:ModbusDevice": "pmabench_drivers.emulator.modbus_server",
+    "pmabench_drivers.serial_ascii:SerialIndicator": "pmabench_drivers.emulator.indicator",
+}
+"""Driver -> the module whose `serve(device, plant, log)` makes the device that it talks to."""
+
+
+class Served(Protocol):
+    """One emulated device at its address."""
+
+    address: str
+    faults: LinkFaults
+
+    def start(self) -> None:
+        """Begin to serve."""
+
+    def close(self) -> None:
+        """Hang up."""
 
 
 class Emulator:
-    """The devices with the drivers `modbus` and `serial-ascii`, at the addresses that the bench gives them."""
+    """The devices whose drivers have an emulator, at the addresses that the bench gives them."""
 
     def __init__(
         self,
@@ -38,9 +49,9 @@ class Emulator:
         log: Path | None = None,
         control: int = 0,
     ) -> None:
-        served = [device for device in devices if device.driver in {MODBUS, TEXT}]
+        served = [device for device in devices if device.driver in SERVERS]
         if not served:
-            raise UsageError("the bench has no device with the driver modbus or serial-ascii")
+            raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
         self.plant = RealPlant(plant, preset, dump_valve=any(device.valves for device in served), seed=seed)
         self.log = CommandLog(log)
         self.devices: dict[str, Served] = {}
@@ -69,23 +80,7 @@ class Emulator:
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
     def _serve(self, device: DeviceRecord) -> Served:
-        reader = Reader()
-        if device.driver == TEXT:
-            text = text_options.read_options(device, reader)
-            reader.refuse(device.name)
-            return Indicator(device, text, self.plant, device.address)
-        options = map_file.read_options(device, reader)
-        reader.refuse(device.name)
-        registers = Registers(device, options, self.plant, self.log)
-        host, _, port = device.address.rpartition(":")
-        if not port.isdecimal():
-            return RtuDevice(registers, options.map.unit_id, self.log, device.address)
-        if host not in {"127.0.0.1", "localhost"}:
-            raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
-        try:
-            return TcpDevice(registers, options.map.unit_id, self.log, int(port))
-        except OSError as error:
-            raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
+        return cast(Served, import_module(SERVERS[device.driver]).serve(device, self.plant, self.log))
 
     def _act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         """What the control socket asks for."""

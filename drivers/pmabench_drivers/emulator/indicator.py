@@ -9,12 +9,22 @@ from time import monotonic
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
-from pmabench_drivers.serial_ascii.options import Options
+from pmabench_drivers.options import Reader
+from pmabench_drivers.serial_ascii.options import Options, read_options
 
 OTHER_UNITS = {"N": "kg", "kN": "kg", "kg": "lb", "mm": "in", "cm": "in", "um": "mil", "kPa": "bar", "bar": "psi"}
 GARBAGE = "\x00\x7f@#"
+
+
+def serve(device: DeviceRecord, plant: RealPlant, _log: CommandLog) -> Indicator:
+    """The indicator that a device of the driver `serial-ascii` talks to."""
+    reader = Reader()
+    options = read_options(device, reader)
+    reader.refuse(device.name)
+    return Indicator(device, options, plant, device.address)
 
 
 class Indicator:

@@ -10,15 +10,37 @@ import time
 from collections.abc import Callable
 from itertools import count
 
+from pmabench.base.errors import UsageError
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.faults import Faults
 from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
 from pmabench_drivers.emulator.registers import Registers
+from pmabench_drivers.modbus.map_file import read_options
+from pmabench_drivers.options import Reader
 
 GARBAGE = b"\x00\xff\x13"
 WATCH = 0.005
 """How often the watchdog is looked at [s]."""
+
+
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
+    """What a device of the driver `modbus` talks to: TCP on this machine, or RTU on a pseudo-terminal."""
+    reader = Reader()
+    options = read_options(device, reader)
+    reader.refuse(device.name)
+    registers = Registers(device, options, plant, log)
+    host, _, port = device.address.rpartition(":")
+    if not port.isdecimal():
+        return RtuDevice(registers, options.map.unit_id, log, device.address)
+    if host not in {"127.0.0.1", "localhost"}:
+        raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
+    try:
+        return TcpDevice(registers, options.map.unit_id, log, int(port))
+    except OSError as error:
+        raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
 
 
 class _Device:

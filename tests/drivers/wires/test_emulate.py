@@ -89,7 +89,7 @@ def refused(*arguments):
 def test_what_cannot_be_served_is_refused_in_a_sentence(tmp_path):
     code, why = refused("mock")
     assert code == 2
-    assert "no device with the driver modbus or serial-ascii" in why
+    assert "no device whose driver has an emulator" in why
     path = own_bench(tmp_path)
     text = path.read_text()
     elsewhere = tmp_path / "elsewhere.yaml"
