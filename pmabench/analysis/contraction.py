@@ -27,8 +27,6 @@ KIND = "contraction-relaxation"
 METHOD = "measured-pressure"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
-WIDE = 0.25
-"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
 OPEN_FORCE = "not identifiable: K is not at this pressure, and F_ce and K x stand for one another"
 OPEN_FRICTION = "not identifiable: K is at no pressure"
 FEWEST = 3
@@ -202,7 +200,7 @@ def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Esti
     parts, bias = pooled.trust.parts(combination, NUMERICS * abs(value))
     start = solved.index(symbol)
     size = float(np.median(np.abs(solved.theta[start : start + len(solved.knots)])))
-    if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
+    if (parts.repeats or 0.0) > contraction_view.WIDE * max(abs(value), size):
         note = f"not identifiable: the {moving} samples near this pressure leave it open"
         return Estimate(value=None, note=note, **base)
     return _settled(campaign, Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, **base))

@@ -7,12 +7,15 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis import replay
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign
-from pmabench.analysis.intervals import Pooled
+from pmabench.analysis.intervals import NORMAL, Pooled
+from pmabench.analysis.pooled import SYMBOLS, spread
 from pmabench.analysis.results import Estimate, Finding, Trace
+from pmabench.analysis.segments import Gate, Samples, velocity
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
 
@@ -20,6 +23,10 @@ MISFIT = 3.0
 """A residual this many times larger than the channels' noise explains puts the model's form in doubt."""
 UNEVEN = 2.0
 """Variance between trials by that of noise, from which on it is said that trials differ."""
+WIDE = 0.25
+"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
+BLIND = 0.15
+"""Share of the largest contraction that a free run may move where a coefficient is open."""
 SHOWN = 6
 LONGEST_TRACE = 1500
 COARSE = 4
@@ -97,8 +104,8 @@ def overlays(
 ) -> tuple[tuple[Trace, ...], float | None]:
     """Measured and modelled contraction of some trials, run freely from rest, and the root mean square error [m].
 
-    Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the error counts where the
-    pressure lies in the fit's range.
+    Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the others as far as the
+    coefficients are known that their motion asks for, nan from there on.
     """
     unknown = {e.at["pressure"] for e in estimates if e.value is None and e.symbol in ("F_ce", "K", "B_c")}
     used = [i for i in np.unique(pooled.segments.trial).tolist() if campaign.trials[i].point["pressure"] not in unknown]
@@ -116,7 +123,8 @@ def overlays(
         samples, trial = campaign.samples[i], campaign.trials[i]
         rows = np.arange(0, len(samples.t), COARSE)
         model, x = run.x[: len(rows), column], samples.x[rows]
-        ok = samples.ok[rows] & (P[: len(rows), column] >= pooled.fit.knots[0])
+        model[samples.t[rows] >= _known_until(samples, pooled, campaign.rate)] = np.nan
+        ok = samples.ok[rows] & (P[: len(rows), column] >= pooled.fit.knots[0]) & np.isfinite(model)
         power += float(np.sum((model - x)[ok] ** 2))
         count += int(ok.sum())
         stride = -(-len(rows) // LONGEST_TRACE)
@@ -137,6 +145,35 @@ def overlays(
             )
         )
     return tuple(traces), sqrt(power / max(1, count))
+
+
+def _known_until(samples: Samples, pooled: Pooled, rate: float) -> float:
+    """When the motion begins [s] that makes `BLIND` of it go where a coefficient is open that it asks for."""
+    solved = pooled.fit
+    low, high = solved.knots[0], solved.knots[-1]
+    grid = np.linspace(low, high, 256)
+    P = np.where(np.isfinite(samples.P), samples.P, low)
+    cell = np.clip(((P - low) / (high - low) * 255).round().astype(np.intp), 0, 255)
+    F_ce, K, B_c, B_r = (_told(pooled, symbol, grid)[cell] & (P >= low) for symbol in SYMBOLS)
+    v = velocity(samples.t, samples.x, Gate().samples(rate)[1])
+    blind = samples.ok & (samples.x > Gate.lift) & ~(F_ce & K & np.where(v > 0, B_c, B_r))
+    travelled = np.cumsum(np.where(blind, np.abs(v) / rate, 0.0))
+    lost = np.flatnonzero(travelled > BLIND * float(np.max(samples.x[samples.ok], initial=0.0)))
+    if not len(lost):
+        return float("inf")
+    seeing = np.flatnonzero(~blind[: lost[0]])
+    return float(samples.t[seeing[-1] + 1 if len(seeing) else 0])
+
+
+def _told(pooled: Pooled, symbol: str, P: Array) -> NDArray[np.bool_]:
+    """Whether a coefficient is known at pressures P (n,) [Pa], by the scatter that is left to it there."""
+    solved = pooled.fit
+    k = len(solved.knots)
+    mine = slice(solved.index(symbol), solved.index(symbol) + k)
+    hats = spread(P[:, None], np.ones((len(P), 1)), solved.knots)
+    half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
+    size = float(np.median(np.abs(solved.theta[mine])))
+    return np.asarray(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
 
 
 def _thinned(P: Array) -> Array:

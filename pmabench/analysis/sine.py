@@ -15,7 +15,7 @@ import numpy as np
 from pmabench.analysis import skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
-from pmabench.analysis.sine_fit import Fitted, Member, Muscle
+from pmabench.analysis.sine_fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.analysis.sine_loop import NotUsable, measure
 from pmabench.analysis.sine_traces import traces_of
 from pmabench.base.quantities import show
@@ -52,17 +52,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
-        estimates += fitted.estimates(dict(key), scales, slopes)
+        found = fitted.estimates(dict(key), scales, slopes)
+        estimates += found
         findings += fitted.findings(dict(key))
         lines.append({"at": dict(key), **fitted.facts()})
-        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle)
+        told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
+        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if told >= {"K", "B", "F_c"} else None)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    told = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
-    if estimates and (lack := scales.lack(told)):
+    scaled = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
+    if estimates and (lack := scales.lack(scaled)):
         findings.append(Finding("note", lack))
     return Analysis.of(
         KIND,

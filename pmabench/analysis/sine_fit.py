@@ -287,6 +287,8 @@ class Fitted:
                         f"trial {member.name}: {member.sine.distortion:.0%} of the measured displacement is no sine",
                     )
                 )
+        if self.alone:
+            lines.append(Finding("note", f"at {where}, {ALONE}"))
         stiffness = {f: float(np.mean([sine.stiffness for sine in sines])) for f, sines in self.by_frequency.items()}
         spread = (max(stiffness.values()) - min(stiffness.values())) / abs(self.K.start)
         if spread > CHANGES:

@@ -15,33 +15,30 @@ from pmabench.store.records import Array
 LONGEST_TRACE = 1500
 
 
-def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle) -> list[Trace]:
+def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
     """One loop per frequency (the last cycle of its first trial), and the Bode table.
 
-    `sines` by frequency [Hz].
+    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all told: no model stands beside the loops.
     """
     where = ", ".join(
         show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
     )
     name = "-".join(f"{at[key]:g}" for key in at)
-    K, B, F_c = muscle.K, muscle.B, muscle.F_c
     traces = []
     groups = sorted(sines.items())
     for frequency, members in groups:
         sine = members[0]
         last = sine.t >= sine.t[-1] - 1 / frequency
         stride = -(-int(last.sum()) // LONGEST_TRACE)
-        model = along(sine, K, B, F_c)[1]
+        columns = {"displacement": sine.x, "force": sine.F}
+        if muscle is not None:
+            columns["model"] = along(sine, muscle.K, muscle.B, muscle.F_c)[1]
         traces.append(
             Trace(
                 f"loop-{name}-{frequency:g}",
                 "loop",
                 f"Loop at {frequency:g} Hz, {where}",
-                {
-                    "displacement": sine.x[last][::stride],
-                    "force": sine.F[last][::stride],
-                    "model": model[last][::stride],
-                },
+                {name: values[last][::stride] for name, values in columns.items()},
                 {"displacement": "length", "force": "force", "model": "force"},
                 {"frequency": frequency, "width": sine.width, "area": sine.area},
             )
@@ -73,7 +70,7 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
                 "speed": "speed",
                 "width": "force",
             },
-            {"K": K, "B": B, "F_c": F_c},
+            {} if muscle is None else {"K": muscle.K, "B": muscle.B, "F_c": muscle.F_c},
         )
     )
     return traces

@@ -99,6 +99,8 @@ def _overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         "Grey: measured; red: the fitted muscle, run freely with the measured pressure. Below: their difference, "
         f"rms {reach(misfits)} {unit}.{how_many(chosen, able)}"
     )
+    if any(not np.isfinite(p.columns["model"]).all() for p in panels):
+        caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
     alt = (
         f"Contraction over time, measured and modelled, in {len(panels)} panel{'s' if len(panels) > 1 else ''}: "
         f"{'; '.join(p.title for p in panels)}. Root mean square difference {reach(misfits)} {unit}"

@@ -211,7 +211,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "protocol": grid(provenance.protocol_table(runs, names)),
         "deviations": provenance.deviations(runs, names),
         "notes": notes_of(runs, names),
-        "coefficients": grid(tables.primary_table(analyses)),
+        "coefficients": grid(*tables.primary_table(analyses)),
         "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
         "curves": grid(tables.curves_table(analyses), group=True),
         "sections": sections,

@@ -42,15 +42,20 @@ def loops(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         title = f"Loops of {second} over {first}".replace("displacement", "contraction") + (
             f", {where}" if where else ""
         )
-        caption = "Grey: the last measured cycle at each frequency; red: the fitted muscle along the same motion."
+        caption = "Grey: the last measured cycle at each frequency"
+        caption += (
+            "; red: the fitted muscle along the same motion."
+            if "model" in names
+            else ". No model is drawn: stiffness, damping and friction are not all known here."
+        )
         width = [t.marks["width"] for t in chosen if "width" in t.marks]
         if width:
             unit = shown("force")
             caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
         alt = (
             f"{labels['y']} over {labels['x']} as closed loops at {', '.join(p.title for p in panels)}"
-            f"{f', {where}' if where else ''}. Loops grow wider as the frequency rises where damping acts."
-        )
+            f"{f', {where}' if where else ''}."
+        ) + (" Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else "")
         table = numbers([(_frequency(t), t) for t in chosen])
         draw = bound(plots.loops, panels, labels)
         found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=simulated))
@@ -95,8 +100,7 @@ def bode(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     caption = (
         "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
         "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
-        "Lines: the fitted K, B and F_c."
-    )
+    ) + ("Lines: the fitted K, B and F_c." if any("B fit" in p.columns for p in panels) else "No line is known.")
     alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(p.title for p in panels)}."
     names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
     table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
 """A method that gives one of these over pressure belongs in the coefficient table."""
+PLACES = {"pressure", "mean", "amplitude"}
+"""Coordinates of the table of primary methods; what has others (a frequency, a set-point) stands under its test."""
 
 
 @dataclass(frozen=True)
@@ -64,19 +66,28 @@ def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     return _pivot([e for e in chosen if e.method in methods])
 
 
-def primary_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
-    """The coefficients of each test's primary method, which comes first in it: one row per pressure; text."""
+def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
+    """The coefficients of each test's primary method, which comes first in it: one row per operating point; text.
+
+    Beside the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
+    text says where it was one.
+    """
     chosen = [
         e
         for a in analyses
         for e in a.estimates
-        if set(e.at) == {"pressure"} and not e.coordinate and e.method == a.estimates[0].method
+        if "pressure" in e.at and set(e.at) <= PLACES and not e.coordinate and e.method == a.estimates[0].method
     ]
     by = {
         symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
         for symbol in {e.symbol for e in chosen}
     }
-    return _beside(chosen, lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+    met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
+    alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
+    slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
+    frame = _beside(slim, lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+    methods = ", ".join(dict.fromkeys(e.method for e in chosen if set(e.at) & set(alike)))
+    return frame, f"{clean(methods)} at {point_text(alike)}" if alike else ""
 
 
 def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
@@ -92,17 +103,18 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
 
 
 def _beside(estimates: Sequence[Estimate], column: Callable[[Estimate], str]) -> pd.DataFrame:
-    """One row per pressure, the columns in the order of symbols."""
-    label, unit = point_shown("pressure")
-    head = unit.label(label)
+    """One row per operating point, the columns in the order of symbols."""
     order = in_order((e.symbol for e in estimates), SYMBOLS)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
-    rows: dict[float, dict[str, str]] = {}
+    points = in_order((name for e in estimates for name in e.at), POINTS)
+    heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
+    rows: dict[tuple[float, ...], dict[str, str]] = {}
     for e in estimates:
-        P = round(e.at["pressure"] / unit.scale, 6)
-        rows.setdefault(P, {head: number(P)})[column(e)] = cell(e)
-    columns = list(dict.fromkeys([head, *(column(e) for e in estimates)]))
-    return pd.DataFrame([rows[P] for P in sorted(rows)], columns=columns, dtype=object).fillna("")
+        at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
+        place = tuple(at.get(name, float("-inf")) for name in points)
+        rows.setdefault(place, {heads[name]: number(at[name]) for name in at})[column(e)] = cell(e)
+    columns = list(dict.fromkeys([*heads.values(), *(column(e) for e in estimates)]))
+    return pd.DataFrame([rows[place] for place in sorted(rows)], columns=columns, dtype=object).fillna("")
 
 
 def other_tables(analysis: Analysis) -> list[Table]:

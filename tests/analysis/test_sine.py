@@ -174,6 +174,10 @@ def test_one_frequency_cannot_tell_damping_from_friction() -> None:
     assert "one frequency only" in value(found, "F_c", "sine-harmonic").note
     assert number(found, "K", "sine-harmonic") == pytest.approx(K, rel=1e-3)
     assert json.dumps(found.to_dict(), allow_nan=False)
+    assert any("one frequency only" in finding.text for finding in found.findings)
+    (loop,) = [trace for trace in found.traces if trace.figure == "loop"]
+    assert "model" not in loop.columns, "a line without damping is none of this muscle"
+    assert "model" in next(trace for trace in ideal().traces if trace.figure == "loop").columns
 
 
 def test_a_wrong_sign_and_a_bent_sine_are_told() -> None:

@@ -70,6 +70,24 @@ def test_the_coefficient_table_names_units_and_what_cannot_be_told():
     assert list(main.index) == ["150", "200", "250", "300", "350", "400", "450", "500"]
 
 
+def test_sines_alone_have_their_coefficients_in_the_first_table():
+    frame, told = tables.primary_table([samples.sine()])
+    assert list(frame.columns) == ["P [kPa]", "K [N/mm]", "B [N·s/mm]"]
+    assert frame["K [N/mm]"].to_list() == ["6.773 ± 0.020"]
+    assert told == "sine-harmonic at mean x = 30 mm, amplitude = 10 mm"
+    one = samples.sine()
+    shallow = [replace(e, at={**e.at, "amplitude": 0.002}, value=2 * (e.value or 0.0)) for e in one.estimates]
+    frame, told = tables.primary_table([replace(one, estimates=(*one.estimates, *shallow))])
+    assert list(zip(frame["amplitude [mm]"], frame["K [N/mm]"], strict=True)) == [
+        ("2", "13.546 ± 0.020"),
+        ("10", "6.773 ± 0.020"),
+    ]
+    assert told == "sine-harmonic at mean x = 30 mm"
+    frame, told = tables.primary_table([samples.contraction(), one])
+    assert len(frame) == 8, "a row for each pressure, with what the sines say of one of them"
+    assert told
+
+
 def test_every_estimate_is_in_one_table():
     analysis = samples.contraction()
     cells = list(tables.coefficient_table([analysis]).to_numpy().ravel())
