@@ -20,7 +20,6 @@ def _at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, E
         for e in analysis.estimates
         if (e.symbol, e.method, e.coordinate) == (symbol, method, "")
         and e.value is not None
-        and e.parts.combined is not None
         and "pressure" in e.at
         and "frequency" not in e.at
     }
@@ -33,7 +32,8 @@ def _mean_damping(analysis: Analysis) -> dict[float, Estimate]:
     found = {}
     for pressure in contracting.keys() & relaxing.keys():
         one, two = contracting[pressure], relaxing[pressure]
-        half = hypot(one.parts.combined or 0.0, two.parts.combined or 0.0) / 2
+        halves = [half for half in (one.parts.combined, two.parts.combined) if half is not None]
+        half = hypot(*halves) / 2 if len(halves) == 2 else None
         mean = ((one.value or 0.0) + (two.value or 0.0)) / 2
         found[pressure] = replace(one, symbol="B", value=mean, parts=Parts(repeats=half))
     return found
@@ -75,7 +75,7 @@ PAIRS: tuple[tuple[str, str, str, Callable[[Analysis], Values], str, Callable[[A
 def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
     """The differences between tests of one specimen at the same pressures; None where nothing can be compared.
 
-    A value without an interval is compared with nothing.
+    A value without an interval is compared with nothing, and a finding says so.
 
     Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
     (E_n number at most 1, ISO/IEC 17043). Calibration errors that both tests share are counted in both: the judgement
@@ -88,11 +88,17 @@ def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
         if left_kind not in by_kind or right_kind not in by_kind:
             continue
         one, two = left(by_kind[left_kind]), right(by_kind[right_kind])
-        differences = [_difference(one[p], two[p], p, title) for p in sorted(one.keys() & two.keys())]
+        both = sorted(one.keys() & two.keys())
+        without = [p for p in both if one[p].parts.combined is None or two[p].parts.combined is None]
+        differences = [_difference(one[p], two[p], p, title) for p in both if p not in without]
         if differences:
             estimates += differences
             findings.append(_sentence(symbol, title, differences))
-    if not estimates:
+        if without:
+            where = ", ".join(show(p, "pressure") for p in without)
+            text = f"{symbol}, {title}: not compared at {where}, where one of the two has no interval"
+            findings.append(Finding("note", text))
+    if not findings:
         return None
     return Analysis(
         KIND,

@@ -174,7 +174,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     figures = _Figures()
     front, used = front_pictures(analyses)
     first_page = [figures.add(p) for p in front]
-    sections = [_section(a, figures, used) for a in analyses]
+    sections = [_section(a, figures, used) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     judged = [run for run in runs if provenance.accepts(run)]
     failed = [wording.clean(text) for text in verdicts(judged, analyses)]
     accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}

@@ -326,7 +326,7 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
     """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
     from rich.text import Text
 
-    for analysis in analyses:
+    for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
         shown_estimates, beside = _without_comparison(analysis)

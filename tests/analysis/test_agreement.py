@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 
 from pmabench.analysis.agreement import agreement
+from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.report.html import render
 
 
 def estimate(symbol, value, half, pressure, method, quantity="stiffness", **at):
@@ -62,3 +64,19 @@ def test_nothing_in_common_is_nothing():
 def test_a_value_that_is_none_is_not_compared():
     broken = replace(STEPS, estimates=tuple(replace(e, value=None) for e in STEPS.estimates))
     assert agreement([broken, sines(6800.0, 40.0)]) is None
+
+
+def test_a_value_without_an_interval_is_not_compared_and_that_is_said():
+    bare = sines(6800.0, None)
+    found = agreement([STEPS, bare])
+    assert [(e.symbol, e.coordinate) for e in found.estimates] == [("B", "difference")]
+    assert [f.text for f in found.findings if "not compared" in f.text] == [
+        "K, sine against steps: not compared at 300 kPa, where one of the two has no interval"
+    ]
+    halved = tuple(replace(e, parts=Parts()) if e.symbol == "B_r" else e for e in STEPS.estimates)
+    found = agreement([replace(STEPS, estimates=halved), bare])
+    assert found.estimates == ()
+    assert [f.text.partition(",")[0] for f in found.findings] == ["K", "B"]
+    assert verdicts([], [found]) == []
+    text = render([STEPS, bare, found], [])
+    assert "where one of the two has no interval" in text
