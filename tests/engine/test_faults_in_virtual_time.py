@@ -1,0 +1,314 @@
+"""Faults of plant and sensors on the mock bench: which limit trips, what is recorded, how soon it vents (S2)."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from pmabench.base.clock import VirtualClock
+from pmabench.bench.interface import TripRecord
+from pmabench.engine import run as run_module
+from pmabench.engine.acquire import Acquisition, NoRecord
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+from pmabench.guard.guard import Guard
+from pmabench.protocol.plan import Hold, Ramp, Set, WaitUntil
+from tests.engine.benches import STEPS, mounted, one_trial, plan
+
+SAMPLE = 1 / 500.0
+
+
+def limited(*trips, name="mock", **options):
+    made = mounted(name, **options)
+    return replace(made, bench=replace(made.bench, trips=(*made.bench.trips, *trips)))
+
+
+def limit(kind, channel="pressure", **changes):
+    given = {"low": None, "high": None, "delay": 0.0, "action": "vent", "source": "test:1:1", **changes}
+    return TripRecord(channel, kind=kind, **given)
+
+
+def execute(made, steps, **options):
+    return run_plan(one_trial(*steps), made, ConfirmedBeforehand(), out=None, **options)
+
+
+def event(outcome, kind):
+    return next((t, data) for k, t, data in outcome.events if k == kind)
+
+
+HOLD = (Set("h", "pressure", 3e5), Hold("h", 8.0))
+FALL = (Set("h", "pressure", 3e5), Hold("h", 2.5), Ramp("r", "pressure", 3e5, 0.0, 5e4))
+FAULTS = {
+    # name: limits on top, options of the mock, steps, kind of limit and channel that trip, earliest and latest [s]
+    "regulator sticks, and too much contraction": (
+        (limit("range", "displacement", high=0.030),), {"faults": {"regulator_stuck_at": 5.0}},
+        (Set("h", "pressure", 5.5e5), Hold("h", 8.0)), "range", "displacement", 3.0, 6.0,
+    ),
+    "no number": ((), {"faults": {"nan_at": 5.0}}, HOLD, "range", "pressure", 5.0, 5.01),
+    "sensor at its end": ((), {"errors": {"pressure": {"end": "high", "at": 5.0}}}, HOLD, "range", "pressure", 5.0, 5.01),
+    "cut wire": ((), {"errors": {"pressure": {"end": "low", "at": 5.0}}}, HOLD, "range", "pressure", 5.0, 5.01),
+    "stuck sensor": ((limit("frozen", delay=0.5),), {"faults": {"pressure_stuck_at": 5.0}}, HOLD, "frozen", "pressure", 5.49, 5.51),
+    "burst": ((limit("burst", high=60e3, window=0.05),), {"faults": {"burst_at": 6.0}}, HOLD, "burst", "pressure", 6.0, 6.1),
+    "supply lost": ((limit("following", high=60e3, delay=0.3),), {"faults": {"supply_lost_at": 6.0}}, HOLD,
+                    "following", "pressure", 6.3, 6.9),
+    "regulator sticks while it should fall": ((limit("following", high=60e3, delay=0.3),), {"faults": {"regulator_stuck_at": 5.0}},
+                                              FALL, "following", "pressure", 6.5, 8.5),
+    "jump of the sensor": ((limit("rate", high=9e6),), {"errors": {"pressure": {"offset": 2e5, "at": 5.0}}}, HOLD,
+                           "rate", "pressure", 5.0, 5.05),
+    "slack": ((limit("slack", "force", low=-20.0, delay=0.05),), {"errors": {"force": {"offset": -400.0, "at": 5.0}}}, HOLD,
+              "slack", "force", 5.04, 5.06),
+    "off range": ((limit("off-range", "force", delay=0.01),), {"errors": {"force": {"end": "low", "at": 5.0}}}, HOLD,
+                  "off-range", "force", 5.0, 5.02),
+}  # fmt: skip
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    """When the safe state was begun [s]."""
+    begun = []
+    begin = Guard.begin_safe
+
+    def noted(self, **how):
+        begun.append(self.clock.now())
+        begin(self, **how)
+
+    monkeypatch.setattr(Guard, "begin_safe", noted)
+    return begun
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_trips_its_limit_and_vents_at_that_sample(name, commands):
+    trips, options, steps, kind, channel, earliest, latest = FAULTS[name]
+    outcome = execute(limited(*trips, **options), steps)
+    assert (outcome.status, outcome.exit_code) == ("tripped", 5), outcome.why
+    _, trip = event(outcome, "trip")
+    assert (trip["limit"], trip["channel"]) == (kind, channel), outcome.why
+    moment = event(outcome, "trip")[0]
+    assert earliest <= moment <= latest, outcome.why
+    assert commands[0] - moment <= SAMPLE + 1e-9, "time from the sample to the vent"
+    assert [k for k, _, _ in outcome.events if k in {"trip", "vent"}] == ["trip", "vent"]
+
+
+@pytest.mark.parametrize("kind", STEPS)
+@pytest.mark.parametrize("name", ["no number", "sensor at its end"])
+def test_a_fault_is_seen_in_every_kind_of_step(name, kind, commands):
+    trips, options, *_ = FAULTS[name]
+    outcome = execute(limited(*trips, **options), STEPS[kind])
+    assert outcome.status == "tripped"
+    assert commands[0] - event(outcome, "trip")[0] <= SAMPLE + 1e-9
+
+
+def test_a_gap_longer_than_its_limit_trips_where_the_limit_is_shorter(monkeypatch):
+    """In virtual time samples come in blocks of at most a second; a silent device gives none."""
+    from pmabench_drivers.mock import MockBench
+
+    from pmabench.bench.interface import Block
+
+    real = MockBench.collect
+
+    def silent(self):
+        block = real(self)
+        return block if self._clock.now() < 5.0 else Block([], {name: [] for name in block.columns})
+
+    monkeypatch.setattr(MockBench, "collect", silent)
+    outcome = execute(limited(limit("stale", delay=0.25)), HOLD)
+    assert outcome.status == "tripped"
+    assert "has given no sample" in outcome.why
+    assert outcome.vent.result == "commanded"
+
+
+# -- a stop that is controlled --------------------------------------------------------------------------------------
+
+
+def stoppable(*trips, **options):
+    made = limited(*trips, **options)
+    return replace(made, bench=replace(made.bench, stop_rate=1e5))
+
+
+def test_a_stop_takes_the_pressure_down_at_its_rate_and_is_not_cut_by_its_own_cause():
+    made = stoppable(limit("range", "displacement", high=0.02, action="stop"))
+    outcome = execute(made, HOLD)
+    stopped, how = event(outcome, "controlled-stop")
+    assert how == {"origin": 3e5, "rate": 1e5}
+    vented = event(outcome, "vent")[0]
+    assert vented - stopped >= 3.0 - 1e-6, "the ramp takes 3 s"
+    assert (outcome.status, outcome.vent.result) == ("tripped", "confirmed")
+    assert sum(kind == "trip" for kind, _, _ in outcome.events) == 1
+
+
+def test_a_limit_that_vents_cuts_a_controlled_stop():
+    made = stoppable(
+        limit("range", "displacement", high=0.02, action="stop"),
+        errors={"force": {"end": "high", "at": 7.0}},
+    )
+    outcome = execute(made, (Set("h", "pressure", 3e5), Hold("h", 8.0)))
+    stopped, vented = event(outcome, "controlled-stop")[0], event(outcome, "vent")[0]
+    if stopped < 7.0:
+        assert vented < 7.0 + 1.5
+    assert outcome.status == "tripped"
+    assert "displacement" in outcome.why
+
+
+def test_a_controlled_stop_is_no_burst_and_no_following_error(commands):
+    made = stoppable(limit("range", "displacement", high=0.02, action="stop"), limit("burst", high=4e3, window=0.05),
+                     limit("following", high=60e3, delay=0.5))  # fmt: skip
+    outcome = execute(made, HOLD)
+    assert sum(kind == "trip" for kind, _, _ in outcome.events) == 1
+    assert event(outcome, "vent")[0] - event(outcome, "controlled-stop")[0] >= 3.0 - 1e-6
+
+
+def test_the_proof_test_is_no_burst():
+    made = limited(limit("burst", high=10e3, window=0.2), name="mock")
+    from pmabench.bench.records import ProofTest
+
+    made = replace(made, bench=replace(made.bench, proof=ProofTest(80e3, 20e3, 3.0)))
+    outcome = execute(made, (Set("h", "pressure", 2e5), Hold("h", 1.0)))
+    assert outcome.status == "finished", outcome.why
+
+
+# -- trip and stop rule in one block ----------------------------------------------------------------------------------
+
+
+def reached(above, trip):
+    made = limited(limit("range", "displacement", high=trip, source="trip:1:1"))
+    return execute(
+        made, (Set("w", "pressure", 5e5), WaitUntil("w", "displacement", "above", above, 0.002, 8.0), Hold("w", 0.05))
+    )
+
+
+def test_a_stop_rule_before_a_crossing_in_the_same_block_ends_the_wait():
+    outcome = reached(above=0.010, trip=0.050)
+    assert outcome.extremes["displacement"][1] < 0.050
+    assert outcome.status == "finished", outcome.why
+
+
+def test_a_crossing_before_the_stop_rule_in_the_same_block_ends_the_run():
+    outcome = reached(above=0.020, trip=0.015)
+    assert outcome.status == "tripped"
+    assert 0.015 <= event(outcome, "trip")[1]["value"] < 0.0155
+    assert outcome.extremes["displacement"][1] < 0.020, "only what moved on while it was vented"
+    assert "trip:1:1" in outcome.why
+
+
+# -- hold, and hands ----------------------------------------------------------------------------------------------------
+
+
+def test_a_limit_that_holds_keeps_the_next_command_back_until_it_is_over():
+    hold = limit("range", "force", high=130.0, action="hold")
+    steps = (Set("a", "pressure", 1e5), Hold("a", 1.0), Set("b", "pressure", 1.2e5), Hold("b", 1.0))
+    free = execute(limited(), steps)
+    outcome = execute(limited(hold, errors={"force": {"offset": 500.0, "at": 3.5}}), steps)
+    assert outcome.status == "tripped"
+    assert "held for 60 s" in outcome.why
+    assert free.status == "finished"
+    assert any(data.get("action") == "hold" for kind, _, data in outcome.events if kind == "warning")
+
+
+def keys(*typed):
+    left = list(typed)
+
+    class Typing(ConfirmedBeforehand):
+        def poll(self, measured):
+            return [left.pop(0)[1]] if left and self.clock.now() >= left[0][0] else []
+
+    return Typing()
+
+
+def typed(monkeypatch, *keyed):
+    operator = keys(*keyed)
+    real = run_module.VirtualClock
+
+    def clock():
+        operator.clock = real()
+        return operator.clock
+
+    monkeypatch.setattr(run_module, "VirtualClock", clock)
+    return operator
+
+
+def test_the_key_v_vents_now_and_says_who(monkeypatch):
+    operator = typed(monkeypatch, (5.0, ("key", "v")))
+    outcome = run_plan(one_trial(*HOLD), stoppable(), operator, out=None)
+    assert (outcome.status, outcome.exit_code) == ("aborted", 130)
+    assert "the operator (key v)" in outcome.why
+    assert not [kind for kind, _, _ in outcome.events if kind == "controlled-stop"]
+
+
+def test_notes_and_pauses_are_recorded_where_they_are_typed(monkeypatch):
+    from pmabench.protocol.plan import Record
+
+    steps = [
+        step
+        for n in (0, 1)
+        for step in (Record("t", True, n), Set("t", "pressure", 2e5), Hold("t", 1.5), Record("t", False, n))
+    ]
+    operator = typed(monkeypatch, (0.5, ("note", "it creaks")), (1.0, ("key", "p")), (3.2, ("key", "p")))
+    outcome = run_plan(plan(*steps, trials=2), mounted(), operator, out=None)
+    assert outcome.status == "finished", outcome.why
+    kinds = [kind for kind, _, _ in outcome.events]
+    assert event(outcome, "note")[1]["text"] == "it creaks"
+    assert kinds.index("pause") > kinds.index("trial-end")
+    assert kinds.index("goes-on") < kinds.index("trial-begin", kinds.index("pause"))
+    assert event(outcome, "pause")[0] < event(outcome, "goes-on")[0]
+
+
+def test_a_trial_is_repeated_where_it_was_asked_for(monkeypatch):
+    operator = typed(monkeypatch, (5.0, ("key", "r")))
+    outcome = run_plan(one_trial(*HOLD), mounted(), operator, out=None)
+    assert [data["attempt"] for kind, _, data in outcome.events if kind == "trial-begin"] == [1, 2]
+    assert outcome.status == "finished"
+
+
+# -- the end: sampling and status ------------------------------------------------------------------------------------
+
+
+def test_a_stream_that_fails_to_stop_spoils_neither_the_vent_nor_the_record(monkeypatch):
+    def broken(self):
+        raise RuntimeError("it does not stop")
+
+    monkeypatch.setattr(Acquisition, "stop", broken)
+    outcome = execute(mounted(), HOLD)
+    assert outcome.vent.confirmed
+    assert (outcome.status, outcome.exit_code) == ("error", 1)
+    assert "it does not stop" in outcome.why
+
+
+def test_the_cause_is_told_not_what_failed_after_it(monkeypatch):
+    def broken(self):
+        raise RuntimeError("it does not stop")
+
+    monkeypatch.setattr(Acquisition, "stop", broken)
+    outcome = execute(limited(faults={"nan_at": 5.0}), HOLD)
+    assert outcome.status == "tripped"
+    assert "it does not stop" not in outcome.why
+
+
+def test_the_vent_goes_out_before_sampling_is_ended(monkeypatch, commands):
+    order = []
+    stop, begin = Acquisition.stop, Acquisition.begin_safe_state
+    monkeypatch.setattr(
+        Acquisition, "begin_safe_state", lambda self: (order.append(("watch off", len(commands))), begin(self))
+    )
+    monkeypatch.setattr(Acquisition, "stop", lambda self: (order.append(("stop", len(commands))), stop(self)))
+    outcome = execute(mounted(), HOLD)
+    assert outcome.status == "finished"
+    assert [name for name, _ in order] == ["watch off", "stop"]
+    assert order[0][1] >= 1
+
+
+def test_a_vent_that_is_not_confirmed_is_worse_than_a_lost_record():
+    from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
+    from pmabench.engine.ending import exit_code
+    from pmabench.guard.safe import Vent
+
+    good, sent, bad = Vent("confirmed", ()), Vent("commanded", ()), Vent("failed", ())
+    lost = RecordError("full")
+    order = [(None, lost, bad, 5), (None, lost, sent, 5), (LimitTripped("x"), lost, good, 5), (DeviceError("x", "y"), lost, good, 7),
+             (DeviceError("x", "y"), None, good, 4), (Interrupted("SIGTERM", 143), None, good, 143),
+             (VerdictFailed("x"), None, good, 6), (None, None, good, 0), (None, None, sent, 5), (ValueError(), None, good, 1)]  # fmt: skip
+    assert [exit_code(cause, record, vent) for cause, record, vent, _ in order] == [code for *_, code in order]
+
+
+def test_the_judge_of_these_tests_has_a_clock():
+    assert math.isclose(VirtualClock().now(), 0.0)
+    assert NoRecord().events == []
