@@ -186,13 +186,13 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
     return outcome.exit_code
 
 
-def print_checks(ui: Ui, checks: Sequence[Check]) -> None:
+def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
     """The table of a self-test; below it what to look at."""
     from pmabench.report.terminal import print_grid
 
     if not checks:
         return
-    console = ui.console()
+    console = ui.console(err=err)
     heads = ["check", "value", "limit", "verdict"]
     rows = [[c.name, c.value or (c.hint if c.verdict == "not measured" else ""), c.limit, c.verdict] for c in checks]
     print_grid(console, heads, rows, heads)

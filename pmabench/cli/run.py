@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pmabench.cli.prepare import Prepared
     from pmabench.engine.operator import Operator
     from pmabench.engine.run import Continues, Outcome
+    from pmabench.session.checks import Check
 
 
 @click.command(name="run")
@@ -97,6 +98,7 @@ def execute(
 
     With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
+    from pmabench.cli.devices import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.session.session import ensure
 
@@ -107,9 +109,21 @@ def execute(
     mounted = prepared.mounted
     if mounted.session is not None:
         with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
-            mounted = ensure(
-                mounted, operator, out, operator_name=operator_name, say=ui.note, **shown, **(session or {})
-            )
+            tables: list[Sequence[Check]] = []
+            try:
+                mounted = ensure(
+                    mounted,
+                    operator,
+                    out,
+                    operator_name=operator_name,
+                    say=ui.note,
+                    told=tables.append,
+                    **shown,
+                    **(session or {}),
+                )
+            finally:
+                for checks in tables if not (ui.quiet or ui.json) else ():
+                    print_checks(ui, checks, err=True)
     with _operated(ui, mounted, prepared.plan.kind, yes=yes) as (operator, shown):
         return run_plan(
             prepared.plan,
