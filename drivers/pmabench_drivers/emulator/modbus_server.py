@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from itertools import count
+from typing import Protocol
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
@@ -43,10 +44,22 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice 
         raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
 
 
+class Answering(Protocol):
+    """What stands behind a wire: the registers of one device."""
+
+    device: DeviceRecord
+
+    def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
+        """What is read, or nothing; `Refused` where the device says no."""
+
+    def look_at_watchdog(self) -> None:
+        """Vent by itself where its watchdog has run out."""
+
+
 class _Device:
     """What both kinds of wire share: a request goes in, an answer comes out, or none, or the connection ends."""
 
-    def __init__(self, registers: Registers, unit_id: int, log: CommandLog) -> None:
+    def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
         self.registers, self.faults, self.log, self.unit_id = registers, Faults(), log, unit_id
         self._connections = count(1)
         self._ended = threading.Event()
@@ -91,7 +104,7 @@ class _Device:
 class TcpDevice(_Device):
     """Modbus TCP on 127.0.0.1; port 0 takes a free one. `address` says which."""
 
-    def __init__(self, registers: Registers, unit_id: int, log: CommandLog, port: int) -> None:
+    def __init__(self, registers: Answering, unit_id: int, log: CommandLog, port: int) -> None:
         super().__init__(registers, unit_id, log)
         self._listener = socket.create_server(("127.0.0.1", port))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
@@ -150,7 +163,7 @@ class TcpDevice(_Device):
 class RtuDevice(_Device):
     """Modbus RTU on a pseudo-terminal that is reached by the link `path`; answers in the order of the questions."""
 
-    def __init__(self, registers: Registers, unit_id: int, log: CommandLog, path: str) -> None:
+    def __init__(self, registers: Answering, unit_id: int, log: CommandLog, path: str) -> None:
         super().__init__(registers, unit_id, log)
         self._terminal = Terminal(path)
         self.address = path
