@@ -334,4 +334,6 @@ def test_values_without_an_interval_are_not_called_alike():
     steps = replace(K, method="measured-pressure", parts=Parts(10.0, 1.0, 1.0))
     one = Analysis("sinusoidal-displacement", ("a",), True, (K,))
     two = Analysis("contraction-relaxation", ("b",), True, (steps,))
-    assert agreement.agreement([one, two]) is None
+    found = agreement.agreement([one, two])
+    assert found.estimates == ()
+    assert "not compared" in found.findings[0].text
