@@ -13,10 +13,12 @@ import pytest
 
 from pmabench.analysis import contraction, sine
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.ultimate_gain import reduce as reduce_gain
 from pmabench.store.records import ChannelInfo, ClockInfo, RunData, TrialData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.sine_rig import Muscle51, value
+from tests.analysis.test_ultimate_gain import clean
 from tests.analysis.two_clocks import DRIFT, OFFSET, record
 
 K, B = 6773.0, 1900.0
@@ -147,9 +149,10 @@ def strokes() -> RunData:
 def delayed(run: RunData, name: str, first: float, last: float) -> RunData:
     """The run with one channel stamped too late: `first` [s] in the first trial, `last` [s] in the last one."""
     begins = np.array([trial.t[0] for trial in run.trials])
+    course = np.interp(begins, begins[[0, -1]], [first, last]) if len(begins) > 1 else [first]
     trials = [
         replace(trial, channels={**trial.channels, name: np.interp(trial.t - by, trial.t, trial.channels[name])})
-        for trial, by in zip(run.trials, np.interp(begins, begins[[0, -1]], [first, last]), strict=True)
+        for trial, by in zip(run.trials, course, strict=True)
     ]
     return replace(run, trials=tuple(trials))
 
@@ -211,3 +214,19 @@ def test_a_run_of_steps_on_two_clocks_gives_what_one_clock_gives(tmp_path: Path)
             assert abs(e.value - (plain[key].value or 0.0)) <= half, key
             compared += 1
     assert compared >= 5
+
+
+def test_the_dead_time_of_an_identified_loop_is_told_as_far_as_the_clocks_allow() -> None:
+    trial, K_u, _ = clean()
+    run = as_run("ultimate-gain", [trial])
+    (loop,) = reduce_gain([with_clocks(run, "pressure", 0.002)]).facts["loops"]
+    (plain,) = reduce_gain([run]).facts["loops"]
+    assert (loop["skew"], plain["skew"]) == (0.002, 0.0)
+    assert loop["dead_time"] == plain["dead_time"]
+    late = delayed(run, "pressure", 0.002, 0.002)
+    assert abs(reduce_gain([late]).facts["loops"][0]["dead_time"] - plain["dead_time"]) <= 1.05 * loop["skew"]
+    apart = reduce_gain([with_clocks(run, "pressure", 0.05)])
+    assert apart.facts["loops"] == []
+    assert any("may be 50 ms apart, its dead time is 40.8 ms" in f.text for f in apart.findings)
+    gain = next(e for e in apart.estimates if e.symbol == "K_u")
+    assert gain.value == pytest.approx(K_u, rel=0.01), "the gain is the law's own, and has no clock"
