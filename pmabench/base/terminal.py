@@ -58,6 +58,14 @@ def restore(fd: int, before: Attributes | None) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
 
 
+def _taken_back(fd: int) -> bool:
+    """Whether others have the terminal: a shell, which has set it as it wants it."""
+    try:
+        return os.tcgetpgrp(fd) not in (0, os.getpgrp())
+    except (OSError, AttributeError):
+        return False
+
+
 class Keyboard:
     """Keys of a terminal in `key_by_key` mode."""
 
@@ -86,7 +94,7 @@ class Keyboard:
 
 @contextmanager
 def key_by_key(fd: int) -> Iterator[Keyboard]:
-    """Read keys as they are pressed, without echo; the terminal is as before afterwards, whatever happens.
+    """Read keys as they are pressed, without echo; the terminal is as before afterwards, unless a shell took it back.
 
     Raises UsageError where the system has no termios, or `fd` is not a terminal in the foreground.
     """
@@ -104,4 +112,5 @@ def key_by_key(fd: int) -> Iterator[Keyboard]:
         termios.tcsetattr(fd, termios.TCSANOW, changed)
         yield Keyboard(fd)
     finally:
-        restore(fd, before)
+        if not _taken_back(fd):
+            restore(fd, before)

@@ -97,7 +97,7 @@ def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
     if named:
         yield from named
         return
-    yield _from_file(bench, [saved["name"] for _, saved in known if saved])
+    yield _from_file(bench, [word for _, saved in known if saved for word in (Path(saved["path"]).stem, saved["name"])])
 
 
 def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:

@@ -34,8 +34,9 @@ PERIOD = 0.25
 """A picture at most so often [s], but where a key was pressed."""
 LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
-LINKED = "r repeat this trial   p pause or go on   n note   v vent now   Ctrl-C stop and vent"
+LINKED = "r repeat this trial  p pause or go on  n note  v vent now  Ctrl-C stop and vent"  # fits 80 columns
 ALONE = "q quits; the run goes on"
+ORPHANED = "the program of this run died; the guard vents then, and how it ended says:"
 PRESSED = {
     "r": "repeat this trial",
     "p": "pause at low pressure, or go on",
@@ -181,6 +182,8 @@ class Console:
         self._typed = self._refused = ""
         self._note: str | None = None
         self._over = False
+        self._orphaned = False
+        """The run has gone without a word."""
         self._quiet = False
 
     def run(self, *, quiet: bool = False) -> RunState:
@@ -239,10 +242,12 @@ class Console:
             print(line.encode(encoding, "replace").decode(encoding), file=self._stream, flush=True)
 
     def _close(self, width: int) -> None:
-        """What stays on the terminal: the last trials and, of a run that is watched, how it ended."""
+        """What stays on the terminal: the last trials and, where the run itself does not tell it, how it ended."""
         lines = closing(self.state, width)
         if self._link is None:
             lines = [*lines, Text(last_line(self.state))]
+        elif self._orphaned:
+            lines += [Text(text) for text in (ORPHANED, f"pmabench runs show {self.state.files.folder}")]
         ascii_only = "utf" not in (self._stream.encoding or "").lower()
         for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
             self._print(line)
@@ -251,7 +256,7 @@ class Console:
         if self._link is None:
             self._over |= self.state.ended
         elif self._link.closed or os.getppid() != self._parent:
-            self._over = not behind
+            self._over = self._orphaned = not behind
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
@@ -323,9 +328,13 @@ class Console:
         elif key.lower() in PRESSED:
             self._send({"key": key.lower()}, f"{key.lower()} pressed: {PRESSED[key.lower()]}")
 
-    def _send(self, message: dict[str, Any], told: str) -> None:
+    def _send(self, message: dict[str, Any], told: str, *, comes_back: bool = False) -> None:
+        """Send a message and tell it in the log, unless the run's own record of it will be shown."""
         taken = self._link is not None and self._link.send(message)
-        self.state.tell(told if taken else f"{told}; the run did not take it", "info" if taken else "fault")
+        if not taken:
+            self.state.tell(f"{told}; the run did not take it", "fault")
+        elif not comes_back:
+            self.state.tell(told)
 
     def _answer(self, key: str) -> None:
         """One key of an answer; only one of the words counts."""
@@ -345,7 +354,7 @@ class Console:
         elif key == terminal.ENTER:
             text, self._note = (self._note or "").strip(), None
             if text:
-                self._send({"note": text}, f"note: {text}")
+                self._send({"note": text}, f"note: {text}", comes_back=True)
         else:
             self._note = _edited(self._note or "", key, LONGEST_NOTE)
 

@@ -30,6 +30,8 @@ LONGEST_CURVES = 120.0
 """... or to the beginning of the trial, at most so far."""
 LIVE = 2.0
 """Values that the run itself tells are shown for so long [s]."""
+LATEST = 1.0
+"""A trial gets its line so long after its end at the latest [s], whatever samples are missing."""
 LOG = 200
 """Notices that are kept."""
 
@@ -53,6 +55,8 @@ class Trial:
     point: dict[str, float]
     repeat: int
     end: float | None = None
+    seen: float = 0.0
+    """Wall clock when its end was read [s]."""
     events: list[Event] = field(default_factory=list)
     at_limit: list[str] = field(default_factory=list)
 
@@ -92,7 +96,7 @@ class RunState:
 
     def poll(self, now: float | None = None) -> bool:
         """Read what is new; `now` is the wall clock [s]. Whether more waits to be read at once."""
-        now = time.time() if now is None else now
+        self._now = now = time.time() if now is None else now
         before = self.files.there
         events = self.files.events()
         if self.files.there and not before:
@@ -198,7 +202,7 @@ class RunState:
 
     def _close_trial(self, event: Event) -> None:
         if self.trial is not None:
-            self.trial.end = event.t
+            self.trial.end, self.trial.seen = event.t, self._now
             self._waiting.append(self.trial)
             self.trial = None
 
@@ -229,13 +233,20 @@ class RunState:
         """Give each ended trial its line, once all its samples were read."""
         while self._waiting:
             trial = self._waiting[0]
-            if trial.end is None or (self.files.behind and self.samples.reached < trial.end):
+            if trial.end is None or not (self._complete(trial.end) or self._now - trial.seen > LATEST):
                 return
             self._waiting.pop(0)
             line = self._line(trial)
             if line is not None:
                 self.lines = [*(before for before in self.lines if before.index != line.index), line]
                 self.fresh.append(line)
+
+    def _complete(self, end: float) -> bool:
+        """Whether all samples up to a time were read: the run is closed, or every stream has got there."""
+        if self.files.behind:
+            return self.samples.reached >= end
+        slowest = min((stream.rate for stream in self.files.streams.values() if stream.rate), default=np.inf)
+        return self.status != "running" or self.samples.reached >= end - 2.0 / slowest
 
     def _line(self, trial: Trial) -> TrialLine | None:
         rates = {name: stream.rate for name, stream in self.files.streams.items()}
@@ -273,7 +284,6 @@ class RunState:
             for name, value in self._live[1].items():
                 if name in self.channels:
                     self.channels[name].value, self.channels[name].age = value, max(0.0, now - self._live[0])
-        self._now = now
 
     # -- what is shown ------------------------------------------------------------------------------------------------
 

@@ -250,15 +250,17 @@ def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text
     if trials:
         lines += trial_table(state.lines, width, room - notices - gap - len(lines))
     if notices:
-        last = list(state.notices)[-(room - len(lines) - gap) :]
-        lines += [Text(), *(_notice(n.t, n.text, n.level) for n in last)]
+        most = room - len(lines) - gap
+        last = [part for n in list(state.notices)[-most:] for part in _notice(n.t, n.text, n.level, width)]
+        lines += [Text(), *last[-most:]]
     return lines
 
 
-def _notice(t: float | None, text: str, level: str) -> Text:
-    return Text.assemble(
-        (f"{clock(t) if t is not None else '':>7} ", FAINT), (SIGNS[level].ljust(2), LEVELS[level]), " ", clean(text)
-    )
+def _notice(t: float | None, text: str, level: str, width: int) -> list[Text]:
+    """A sentence of the log in as many lines as it needs."""
+    begin = Text.assemble((f"{clock(t) if t is not None else '':>7} ", FAINT), (SIGNS[level].ljust(2), LEVELS[level]))
+    parts = wrapped(clean(text), width - begin.cell_len - 1)
+    return [Text.assemble(begin, " ", parts[0]), *(Text(" " * (begin.cell_len + 1) + part) for part in parts[1:])]
 
 
 def _curves(state: RunState, width: int, height: int) -> list[Text]:

@@ -104,6 +104,10 @@ def event_text(event: Event) -> tuple[str, str] | None:
         force, mass = data.get("force"), data.get("mass")
         told = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
         return told + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
+    if kind == "proof-test":
+        asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
+        told = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, empty {vented:.2g} s after venting"
+        return f"proof test of the vent path: {told}", "info"
     if kind == "vent":
         result = clean(data.get("result", ""))
         return f"vent {result}", "info" if result == "confirmed" else "fault"

@@ -22,9 +22,9 @@ def continue_run(
     """What a new run of `plan` must know to go on after `folder`, which is closed as interrupted if its writer died.
 
     Raises InvalidFile where bench, calibrations, specimen or protocol are not what they were (unless the change is
-    accepted), or where nothing is left to do.
+    accepted), where another run already goes on after it, or where nothing is left to do.
     """
-    from pmabench.store.chain import continued, open_chain
+    from pmabench.store.chain import continued, goes_on, open_chain
     from pmabench.store.folder import read_manifest
 
     manifest = read_manifest(folder)
@@ -43,6 +43,9 @@ def continue_run(
                 for what in refused
             ]
         )
+    if (last := goes_on(folder)) is not None:
+        what = f"{last.name} already goes on after this run, and its trials would be done twice; go on after that one"
+        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}: pmabench run --resume {last}")])
     link = continued(folder)
     done = set(link["trials_done"])
     steps = remaining(plan, done)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from pmabench.base.quantities import QUANTITIES
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
 
@@ -100,11 +101,12 @@ class SafeState:
         value = latest.get(action.target)
         if value is not None and value < action.value:
             self._confirmed += 1
-            self._outcome.append(f"confirm {action.target}: {value:.6g} below {action.value:.6g}")
+            self._outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
             return True
         if now - self._since >= action.within:
-            bound = f"below {action.value:.6g} within {action.within:g} s"
-            self._outcome.append(f"confirm {action.target}: {value} not {bound}")
+            bound = f"below {_shown(action)} within {action.within:g} s"
+            measured = "nothing measured" if value is None else _shown(action, value)
+            self._outcome.append(f"confirm {action.target}: {measured}, not {bound}")
             return True
         if now - self._repeated >= REPEAT:
             self._repeated = now
@@ -131,3 +133,10 @@ class SafeState:
                 self._failed += 1
                 self._outcome.append(f"{name}: failed ({way.error or 'no answer'})")
         self._sent = waiting
+
+
+def _shown(action: SafeAction, value: float | None = None) -> str:
+    """What is measured, or else the bound, in the unit that people read; in SI where the channel's name tells none."""
+    quantity = QUANTITIES.get(action.target)
+    told = action.value if value is None else value
+    return f"{told:.4g}" if quantity is None else quantity.show(told, 4)

@@ -34,6 +34,23 @@ def continued(folder: Path) -> dict[str, Any]:
     }
 
 
+def goes_on(folder: Path) -> Path | None:
+    """The newest run beside `folder` that continues it, or continues one that does; None where there is none."""
+    links: dict[str, Path] = {}
+    for other in sorted(folder.resolve().parent.iterdir()):
+        with suppress(InvalidFile, OSError):
+            link = read_manifest(other).get("continues") if (other / files.MANIFEST).is_file() else None
+            if isinstance(link, dict):
+                links[str(link.get("run"))] = other
+    last, seen = None, set[str]()
+    name = str(read_manifest(folder)["id"])
+    while name in links and name not in seen:
+        seen.add(name)
+        last = links[name]
+        name = str(read_manifest(last)["id"])
+    return last
+
+
 def finished_trials(folder: Path) -> list[int]:
     """Indices of the trials that are finished over the chain that ends with `folder`, each once, in order of time.
 

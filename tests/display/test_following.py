@@ -64,6 +64,23 @@ def test_a_torn_tail_is_waited_for(live, tmp_path):
                 assert everything(state) == everything(whole)
 
 
+def test_a_trial_gets_its_line_from_all_of_its_samples_or_late(live, tmp_path):
+    """Events are written before the samples that belong to them."""
+    whole = read(live.folder)
+    path = live.folder / "streams/daq.arrows"
+    raw = path.read_bytes()
+    path.write_bytes(raw[: len(raw) * 7 // 8])
+    waiting, late = RunState(live.folder), RunState(live.folder)
+    for state in (waiting, late):
+        state.poll(now=1e9)
+        assert [line.index for line in state.lines] == [0]
+    late.poll(now=1e9 + 2.0)
+    assert [line.index for line in late.lines] == [0, 1]
+    path.write_bytes(raw)
+    waiting.poll(now=1e9 + 0.5)
+    assert waiting.lines == whole.lines
+
+
 def test_a_damaged_line_of_the_journal_is_told_and_nothing_after_it_believed(live):
     path = live.folder / "events.jsonl"
     raw = path.read_bytes()

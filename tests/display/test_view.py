@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.display.channel import Channel
-from pmabench.display.console import rendered
+from pmabench.display.console import LINKED, rendered
 from pmabench.display.plain import last_line, plain_line
 from pmabench.display.plot import curve
 from pmabench.display.state import RunState
@@ -200,3 +200,7 @@ def test_a_curve_leaves_out_what_is_no_number_and_what_was_not_recorded():
     y = np.where((t > 0.4) & (t < 0.6), np.nan, 0.0)
     assert curve(t, y, (0.0, 1.0), (0.0, 1.0), (10, 1)) == ["⣀⣀⣀⣀  ⣀⣀⣀⣀"]
     assert curve(t[:0], y[:0], (0.0, 1.0), (0.0, 1.0), (3, 2)) == ["   ", "   "]
+
+
+def test_the_keys_are_told_in_full_on_80_columns():
+    assert len(LINKED) <= 80

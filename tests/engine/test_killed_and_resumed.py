@@ -1,6 +1,7 @@
 """A run that is killed and gone on with until it is done has each trial exactly once, in order (R7)."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -50,9 +51,10 @@ def test_the_kills_lie_everywhere(chains):
     assert max(counts) > 2
 
 
-def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains):
-    """On the first run of a chain, which was closed as interrupted."""
-    first = Path(open_chain(Path(chains["chains"][0]))[0].path)
+def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains, tmp_path):
+    """On the first run of a chain, which was closed as interrupted, without those that go on after it."""
+    there = Path(open_chain(Path(chains["chains"][0]))[0].path)
+    first = Path(shutil.copytree(there, tmp_path / there.name))
     made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
     name = next(name for name in made.mounted.documents if name.startswith("calibrations/"))
     for kind, document in (("calibration", name), ("bench", "bench.yaml"), ("specimen", "specimen.yaml")):
@@ -63,6 +65,16 @@ def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains):
         assert continue_run(first, made.plan, mounted, made.protocol_text, (kind,)).steps
     with pytest.raises(InvalidFile, match="the protocol is not what it was"):
         continue_run(first, made.plan, made.mounted, made.protocol_text + "# changed\n")
+
+
+def test_a_run_that_another_one_goes_on_after_is_not_gone_on_with_again(chains):
+    """Its trials would be done twice; the run to go on after is named, whichever of the chain is given."""
+    long = max((open_chain(Path(last)) for last in chains["chains"]), key=len)
+    made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
+    for run in long[:-1]:
+        with pytest.raises(InvalidFile, match="done twice") as refused:
+            continue_run(Path(run.path), made.plan, made.mounted, made.protocol_text)
+        assert f"pmabench run --resume {long[-1].path}" in str(refused.value)
 
 
 def test_a_run_that_is_done_is_not_gone_on_with(chains):
