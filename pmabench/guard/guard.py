@@ -399,7 +399,12 @@ class Guard:
             self._courses[target.name] = course.ramp(self.clock.now(), stands, action.value, action.rate)
             follow = self._following(target, self._ramp_segment(target, stands, action.value, action.rate))
             lasts = abs(action.value - stands) / action.rate
-            return lambda: follow() or lasts
+
+            def begin() -> float:
+                follow()
+                return lasts
+
+            return begin
         self._courses[target.name] = course.step(action.value)
         return self._writing(target, to_device(target, action.value))
 

@@ -35,8 +35,7 @@ def _refuse_senseless(action: SafeAction, outputs: Mapping[str, OutputRecord], v
     timed = _finite(action.value, action.within, action.rate) and (action.do != "ramp" or action.rate > 0)
     if not known or not timed:
         raise LimitRefused(f'the safe state\'s "{action.do} {action.target}" makes no sense: it is not armed')
-    target = outputs.get(action.target)
-    if action.do in {"set", "ramp"} and target is not None and not target.low <= action.value <= target.high:
+    if action.do in {"set", "ramp"} and not outputs[action.target].low <= action.value <= outputs[action.target].high:
         raise LimitRefused(f'the safe state sends "{action.target}" beyond its limits: it is not armed')
 
 

@@ -75,6 +75,10 @@ class Service:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         while not self._over():
             self.turn()
+        for key in list(self._selector.get_map().values()):
+            self._selector.unregister(key.fileobj)
+            key.fileobj.close()  # type: ignore[union-attr]
+        self._selector.close()
 
     def turn(self) -> None:
         """Hear who has something to say, then do what is due."""

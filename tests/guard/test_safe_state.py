@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from math import inf
 
 import pytest
 
@@ -11,6 +12,7 @@ from pmabench.base.errors import DeviceError, LimitRefused
 from pmabench.bench.interface import DeviceRecord, SafeAction, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
+from pmabench.guard.limits import refuse_outside
 from pmabench.guard.owner import Direct, Owner
 from tests.guard.rig import BENCH, DEVICE, DRIVE, DRIVER, OUTPUT, SAFE, Plain, Rig, armed, bench, opened
 
@@ -30,7 +32,7 @@ def test_actions_go_out_in_the_declared_order_and_the_outcome_says_each():
     vent = guard.safe_state(lambda: LOW, why="test")
     assert rig.told == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
     assert vent.actions == ("stop displacement: sent", "set pressure: sent", "open dump_valve: sent",
-                            "confirm pressure: 5000 below 20000")  # fmt: skip
+                            "confirm pressure: 5 kPa, below 20 kPa")  # fmt: skip
     assert (vent.result, guard.state, guard.why) == ("confirmed", State.SAFE, "test")
 
 
@@ -112,7 +114,7 @@ def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
     assert len(rig.values("switch")) == 2
     vent = advance(guard, 0.3, {"pressure": 200e3})
     assert vent.result == "commanded"
-    assert vent.actions[-1] == "confirm pressure: 200000.0 not below 20000 within 1 s"
+    assert vent.actions[-1] == "confirm pressure: 200 kPa, not below 20 kPa within 1 s"
 
 
 @pytest.mark.parametrize("value", [float("nan"), None, float("inf"), 20e3])
@@ -391,3 +393,72 @@ def test_the_bench_of_these_tests_is_sound():
     assert BENCH.devices == (DEVICE,)
     assert DEVICE.outputs == (OUTPUT, DRIVE)
     assert SAFE == BENCH.safe_state
+
+
+# -- benches of several devices -------------------------------------------------------------------------------------
+
+
+def test_each_device_is_asked_for_what_it_has_and_no_other():
+    """A valve island without watchdog, a reader that the engine owns, a device without hands."""
+    plain = f"{Plain.__module__}:Plain"
+    reader = DeviceRecord("reader", DRIVER)
+    island = DeviceRecord(
+        "island", DRIVER, valves=(ValveRecord("supply", "island", "s", energised="open", safe="closed"),)
+    )
+    relay = DeviceRecord("relay", plain, valves=(ValveRecord("spare", "relay", "r"),))
+    made = bench(devices=(reader, island, DEVICE), safe_state=(SafeAction("close", "supply", 0.0, 0.2), *SAFE))
+    guard, rig = opened(made, threads=True)
+    assert "reader" not in guard.devices
+    guard.arm()
+    assert ("switch", "s", True) in Rig.made["island"].told, "the supply stands open in a run"
+    guard.feed_watchdogs()
+    rig.told.clear()
+    guard.valves(closed=False, only="dump_valve")
+    assert rig.values("switch") == [("switch", "v", False)]
+    assert len(Rig.made["island"].values("switch")) == 1
+    guard.collect("dac")
+    assert guard.step_safe({}) is None, "nothing has begun"
+    vent = guard.safe_state(lambda: LOW, why="first")
+    guard.begin_safe(why="second")
+    assert (vent.result, guard.why) == ("confirmed", "first")
+    assert Rig.made["island"].values("switch")[-1] == ("switch", "s", False)
+    assert Rig.made["island"].values("feed_watchdog") == []
+    guard.close()
+    guard = Guard(bench(devices=(DEVICE, relay), safe_state=SAFE), RealClock(), threads=True, forgiving=True)
+    guard.open()
+    from pmabench.bench.interface import Load
+
+    guard.place(Load(1.0, 0.1))
+    assert guard.safe_state(lambda: LOW).confirmed
+    guard.close()
+
+
+def test_a_watchdog_of_a_device_that_has_none_is_not_fed():
+    guard = Guard(bench(replace(DEVICE, driver=f"{Plain.__module__}:Plain")), RealClock())
+    guard.open()
+    guard.feed_watchdogs()
+    guard.refuse_open_interlock()
+
+
+def test_a_value_that_the_device_would_round_beyond_its_limit_is_refused():
+    """Below the safe value it is rounded upwards, here by up to 15 kPa."""
+    narrow = replace(OUTPUT, low=190e3, safe=201e3, high=201.2e3, resolution=100.0)
+    refuse_outside(narrow, (194e3, 195e3), inf)
+    with pytest.raises(LimitRefused, match="is outside 190 kPa"):
+        refuse_outside(narrow, (200.6e3,), inf)
+    with pytest.raises(LimitRefused, match="is outside 190 kPa"):
+        refuse_outside(narrow, (189e3,), inf)
+
+
+def test_a_safe_state_of_unknown_outputs_is_no_hindrance_where_nobody_answers():
+    guard = Guard(
+        bench(safe_state=(SafeAction("set", "nothing", 0.0, 0.2), *SAFE)), RealClock(), threads=True, forgiving=True
+    )
+    guard.open()
+    assert Rig.made["dac"].told == [("open",), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    guard.close()
+
+
+def test_a_channel_whose_name_tells_no_unit_is_shown_in_si():
+    guard, _ = armed(bench(safe_state=(SafeAction("confirm", "unheard_of", 2.0, 1.0),)))
+    assert guard.safe_state(lambda: {"unheard_of": 1.5}).actions[0].startswith("confirm unheard_of: 1.5")
