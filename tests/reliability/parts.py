@@ -28,5 +28,12 @@ PARTS = (
     Part("notes", "R3", "note killed at every step", 1, ("tests/store/test_notes.py::test_a_note_that_is_killed_anywhere_is_there_whole_or_not_at_all",)),
     Part("clocks", "R6", "offset and drift within what is stated", 1000, ("tests/store/test_clocks.py::test_the_stated_uncertainty_holds_in_nineteen_of_twenty_cases",)),
     Part("same", "R4", "analysis again, byte by byte", 5, ("tests/reliability/test_same_bytes.py",)),
+    Part("protocols", "S1", "generated and hostile protocols", 10_000, ("tests/engine/test_hostile_protocols.py",)),
+    Part("evil", "S1, P3", "an engine that lies to its guard", 100_000, ("tests/guard/test_service.py::test_an_engine_that_lies_commands_nothing_illegal_and_the_guard_survives",)),
+    Part("crash", "S6, S7b", "engine and guard killed and stopped", 10, ("tests/engine/test_killed_in_real_time.py",)),
+    Part("ways-out", "S3, S4, S5, R8", "every cause in every kind of step", 1, ("tests/engine/test_ways_out.py",)),
+    Part("vent", "S7, S9, S10", "vent from outside; two starts at once", 20, ("tests/engine/test_vent_from_outside.py",)),
+    Part("resume", "R7", "run killed and gone on with until done", 200, ("tests/engine/test_killed_and_resumed.py",)),
+    Part("branches", "all of S", "branches of the guard's code", 1, ("tests/guard/test_branches.py",)),
     Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
 )  # fmt: skip
