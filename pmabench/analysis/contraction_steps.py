@@ -62,10 +62,17 @@ def compare(
         for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
     ]
     reference = {(e.symbol, e.at["pressure"]): e.value for e in found if "pressure" in e.at}
+
+    def force_at(P: float) -> float | None:
+        known = options.get("static")
+        if known:
+            return float(known["intercept"]) + float(known["slope"]) * P
+        return None if reference.get(("F_ce", P)) is None else float(primary.values("F_ce", np.array([P]))[0])
+
     raw = [
         entry
         for P in campaign.tested
-        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], primary, options)
+        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
     ]
     estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
     curves = []
@@ -91,8 +98,10 @@ def compare(
     return Beside((*ordered, *_dead_times(campaign, moved)), tuple(curves), _findings(estimates), table)
 
 
-def _at(campaign: Campaign, P: float, steps: Sequence[Step], primary: Fit, options: Mapping[str, Any]) -> list[_Raw]:
-    """All of the papers' coefficients at one pressure [Pa]."""
+def _at(
+    campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], F_ce: float | None
+) -> list[_Raw]:
+    """All of the papers' coefficients at one pressure [Pa]; `F_ce` [N] from elsewhere, None where not told."""
     contract = [step for step in steps if step.phase == "contract"]
     relax = [step for step in steps if step.phase == "relax"]
     result: list[_Raw] = []
@@ -112,16 +121,11 @@ def _at(campaign: Campaign, P: float, steps: Sequence[Step], primary: Fit, optio
         loads = np.array([step.load for step in contract])
         x = np.array([step.fit.end for step in contract])
         regression = regress(loads, x)
-        known = options.get("static")
-        F_ce = (
-            float(known["intercept"]) + float(known["slope"]) * P
-            if known
-            else float(primary.values("F_ce", np.array([P]))[0])
-        )
+    if contract and F_ce is not None:
         one = stiffness(loads, x, F_ce)
         lever = float(x.sum() / (x @ x))
         gains, offsets = {"displacement": -one.K}, {"displacement": -one.K * lever}
-        if campaign.cell and not known:
+        if campaign.cell and not options.get("static"):
             gains["force"], offsets["force"] = F_ce * lever, lever
         half = half_width(one.se_K, one.n - 1)
         add("K", one.K, Parts(half), contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)

@@ -337,6 +337,16 @@ def test_overlays_show_the_fitted_muscle_with_the_measured_pressure():
         assert np.abs(misfit[drawn]).mean() < 0.1e-3
 
 
+def test_a_stiffness_from_a_known_force_is_told_only_where_that_is_known():
+    """One load and one pressure: F_ce and K x stand for one another."""
+    run = contraction_run(rig(), [(58.86, 300e3)])
+    methods = {e.method: e.value for e in reduce([run]).estimates if e.symbol == "K"}
+    assert methods == {"measured-pressure": None}
+    known = reduce([run], {"static": {"intercept": -49.0, "slope": 1.08e-3}}).estimates
+    (K,) = [e.value for e in known if e.method == "step-exponential, F_ce known" and e.symbol == "K"]
+    assert K == pytest.approx((275.0 - 58.86) / 0.031, rel=0.05)
+
+
 def test_a_free_run_ends_where_the_muscle_goes_on_into_what_is_not_known():
     """One pressure: nothing is known below its half, where the last relaxation but one goes."""
     analysis = reduce([contraction_run(rig(), [(58.86, 300e3), (156.96, 300e3)])])
