@@ -19,19 +19,23 @@ from pmabench.store.records import Array, RunData, TrialData
 WIDE = 0.25
 """A coefficient is not told where the skew alone is worth more than this share of it, and more than all else."""
 REFUSED = "not identifiable in time"
-EQUAL = "stated equal"
+EQUAL, ARRIVALS = "stated equal", "host arrivals"
+"""`ClockInfo.how`."""
+NO_JITTER = 1e-6
+"""Arrivals that scatter less than this about a device's own stamps [s] are those stamps."""
 
 
 def apart(runs: Iterable[RunData], channels: Sequence[str]) -> float:
     """Bound of the time between any two of the channels [s], the largest of several runs; 0 in one stream."""
     known = [(run, [name for name in channels if name in run.channels]) for run in runs]
-    return max((run.skew(*pair) for run, names in known for pair in combinations(names, 2)), default=0.0)
+    return round(max((run.skew(*pair) for run, names in known for pair in combinations(names, 2)), default=0.0), 9)
 
 
 def off(runs: Iterable[RunData], channel: str) -> float:
     """Bound of the time between a channel and the commands, which stand on the time of the run [s]."""
     streams = [(run, run.channels[channel].stream) for run in runs if channel in run.channels]
-    return max((run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks), default=0.0)
+    bounds = [run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks]
+    return round(max(bounds, default=0.0), 9)
 
 
 def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, ...], float]:
@@ -43,7 +47,7 @@ def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, 
         for stream in streams if len(streams) > 1 else ():
             group = tuple(name for name in names if run.channels[name].stream == stream)
             found[group] = max(found.get(group, 0.0), run.clocks[stream].uncertainty)
-    return {group: bound for group, bound in found.items() if bound > 0}
+    return {group: bound for group, bound in found.items() if bound >= 1e-9}
 
 
 def courses(trials: Sequence[TrialData]) -> Array:
@@ -93,17 +97,19 @@ def findings(
         for run in runs
         for one, other in combinations([name for name in channels if name in run.channels], 2)
         if run.channels[one].stream != run.channels[other].stream
-        and all(_stated(run, run.channels[name].stream) for name in (one, other))
+        and any(_unbounded(run, run.channels[name].stream) for name in (one, other))
     }
     if pairs:
         names = _and(sorted({name for pair in pairs for name in pair}))
-        text = f"{names} come from different devices whose clocks are stated equal: nothing bounds the time between"
-        said.append(Finding("doubt", f"{text} them, and no interval has a skew part"))
+        text = f"{names} come from different devices, and nothing bounds the time between them: clocks are stated equal"
+        said.append(Finding("doubt", f"{text}, or samples are stamped as they come in, however long they took"))
     return said
 
 
-def _stated(run: RunData, stream: str) -> bool:
-    return stream not in run.clocks or run.clocks[stream].how == EQUAL
+def _unbounded(run: RunData, stream: str) -> bool:
+    """Whether a stream's clock is only said to be that of the run, or its stamps are the arrivals themselves."""
+    clock = run.clocks.get(stream)
+    return clock is None or clock.how == EQUAL or (clock.how == ARRIVALS and clock.uncertainty < NO_JITTER)
 
 
 def _and(names: Sequence[str]) -> str:

@@ -101,12 +101,21 @@ def test_one_device_has_no_skew_and_its_own_clock_changes_nothing() -> None:
     assert sine.reduce([own]).to_dict() == sine.reduce([run]).to_dict()
 
 
-def test_clocks_that_are_only_stated_equal_are_told() -> None:
-    run = with_clocks(as_run("sinusoidal-displacement", sines()), "force", 0.0)
-    stated = replace(run, clocks={"daq": ClockInfo(), "cell": ClockInfo()})
-    texts = [f.text for f in sine.reduce([stated]).findings if f.level == "doubt"]
-    assert any("displacement and force come from different devices whose clocks are stated equal" in t for t in texts)
-    assert not any("stated equal" in f.text for f in sine.reduce([run]).findings)
+@pytest.mark.parametrize(
+    ("daq", "cell", "doubted"),
+    [
+        (ClockInfo(), ClockInfo(), True),
+        (ClockInfo(), ClockInfo(uncertainty=1e-4, how="clock event"), True),
+        (ClockInfo(uncertainty=1e-4, how="host arrivals"), ClockInfo(uncertainty=1e-14, how="host arrivals"), True),
+        (ClockInfo(uncertainty=1e-4, how="host arrivals"), ClockInfo(uncertainty=1e-4, how="host arrivals"), False),
+    ],
+)
+def test_times_that_nothing_bounds_are_told(daq: ClockInfo, cell: ClockInfo, doubted: bool) -> None:
+    """Of two devices, one at least is only said to keep the run's time, or stamps samples as they come in."""
+    run = with_clocks(as_run("sinusoidal-displacement", sines()), "force", 1e-4)
+    found = sine.reduce([replace(run, clocks={"daq": daq, "cell": cell})])
+    said = [f.text for f in found.findings if f.level == "doubt" and "nothing bounds the time" in f.text]
+    assert [text.partition(" come")[0] for text in said] == ["displacement and force"] * doubted
 
 
 @pytest.mark.parametrize("name", ["displacement", "force"])
