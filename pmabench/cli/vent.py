@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,9 +18,6 @@ from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mea
 from pmabench.cli.common import Ui, common
 from pmabench.guard.station import Station, stations
 from pmabench.guard.wire import Messages, encode
-
-if TYPE_CHECKING:
-    pass
 
 ANSWERS_WITHIN = 0.1
 """A guard that does not answer for so long [s] is gone round."""

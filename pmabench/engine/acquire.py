@@ -402,7 +402,7 @@ class Acquisition:
         if self._slack_below > 0 and self.latest.get("force", self._slack_below) < self._slack_below:
             flags |= int(Flag.SLACK)
             self.counts["slack"] += self._recording
-        if self._recording:
+        if self._recording and source.recorded:
             source.rows.append((time_ns, columns, flags, self._arrival(block.host)))
             if len(source.rows) >= self.rate * self._block:
                 self._flush(source)
@@ -461,7 +461,7 @@ class Acquisition:
             slack = force < self._slack_below
             flags[slack] |= SLACK
             self.counts["slack"] += int(slack.sum()) if self._recording else 0
-        if self._recording:
+        if self._recording and source.recorded:
             self._flush(source)
             self.counts["rows"] += len(time_ns)
             columns = {name: raw[name] for name in source.recorded}

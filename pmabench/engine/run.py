@@ -278,14 +278,14 @@ class _Run:
         why = str(cause) if cause is not None else "end of the run"
         self.guard.begin_safe(tripped=isinstance(cause, LimitTripped), why=why)  # first: nothing else is waited for
         acquisition.begin_safe_state()
-        vent = self.guard.safe_state(self._measure, tripped=isinstance(cause, LimitTripped), why=why)
         ending = Forgiving(executor.recorder)
-        recorder, executor.recorder = executor.recorder, ending
-        executor.end_trial("interrupted")
         if isinstance(cause, LimitTripped) and not isinstance(cause, Tripped):
             ending.event("trip", self.clock.now(), reason=str(cause))
         elif cause is not None and not isinstance(cause, Tripped):
             ending.event("ended-early", self.clock.now(), reason=sentence(cause))
+        vent = self.guard.safe_state(self._measure, tripped=isinstance(cause, LimitTripped), why=why)
+        recorder, executor.recorder = executor.recorder, ending
+        executor.end_trial("interrupted")
         ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
         zeros = self._zeros() if vent.confirmed else {}
         if zeros:

@@ -17,7 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pmabench.bench.records import CompiledBench
+from pmabench.bench.interface import Block, Identity
+from pmabench.bench.records import ChannelRecord, CompiledBench, DeviceRecord, Scale
 from pmabench.protocol.plan import Ask, Follow, Hold, Plan, Ramp, Record, Set, WaitUntil
 from tests.engine.benches import STEPS, mounted, plan
 from tests.engine.forked import Forks
@@ -61,6 +62,37 @@ def served(
         yield replace(made, devices=(plant.device,)), plant
 
 
+class Reader:
+    """A device that only measures, for the engine: answers until its file exists, and then hangs."""
+
+    def __init__(self, device: DeviceRecord, clock: Any) -> None:
+        self._flag, self._clock = Path(device.address), clock
+
+    def open(self) -> Identity:
+        return Identity("test", "reader", "1", "0", simulated=True)
+
+    def close(self) -> None:
+        pass
+
+    def start(self, rate: float) -> float:
+        return rate
+
+    def stop(self) -> None:
+        pass
+
+    def collect(self) -> Block:
+        while self._flag.exists():
+            time.sleep(0.05)
+        return Block([int(self._clock.now() * 1e9)], {"supply": [6e5]})
+
+
+def with_reader(made: CompiledBench, flag: Path) -> CompiledBench:
+    """The bench with such a device."""
+    channel = ChannelRecord("supply", "pressure", "gauge", "in", "float64", "Pa", Scale(), -1e5, 1e6)
+    reader = DeviceRecord("gauge", "tests.engine.realtime_rig:Reader", str(flag), channels=(channel,))
+    return replace(made, devices=(*made.devices, reader))
+
+
 class Run:
     """One run under way, with a state folder of its own."""
 
@@ -92,7 +124,8 @@ class Run:
         assert self.said("status") is None, self.lines()
         assert self.said("error") is None, self.lines()
         if self.kind in PRESSED:
-            eventually(lambda: self.plant.state()["pressure"] > PRESSED[self.kind])
+            eventually(lambda: self.plant.state()["pressure"] > PRESSED[self.kind] or self.said("status"))
+            assert self.said("status") is None, self.lines()
 
     @property
     def guard(self) -> dict[str, Any]:

@@ -98,7 +98,8 @@ def test_a_fault_is_seen_in_every_kind_of_step(name, kind, commands):
     assert commands[0] - event(outcome, "trip")[0] <= SAMPLE + 1e-9
 
 
-def test_a_gap_longer_than_its_limit_trips_where_the_limit_is_shorter(monkeypatch):
+@pytest.mark.parametrize("kind", ["hold", "seek sampled"])
+def test_a_gap_longer_than_its_limit_trips_where_the_limit_is_shorter(monkeypatch, kind):
     """In virtual time samples come in blocks of at most a second; a silent device gives none."""
     from pmabench_drivers.mock import MockBench
 
@@ -111,7 +112,7 @@ def test_a_gap_longer_than_its_limit_trips_where_the_limit_is_shorter(monkeypatc
         return block if self._clock.now() < 5.0 else Block([], {name: [] for name in block.columns})
 
     monkeypatch.setattr(MockBench, "collect", silent)
-    outcome = execute(limited(limit("stale", delay=0.25)), HOLD)
+    outcome = execute(limited(limit("stale", delay=0.25)), STEPS[kind])
     assert outcome.status == "tripped"
     assert "has given no sample" in outcome.why
     assert outcome.vent.result == "commanded"
@@ -250,6 +251,21 @@ def test_notes_and_pauses_are_recorded_where_they_are_typed(monkeypatch):
     assert kinds.index("pause") > kinds.index("trial-end")
     assert kinds.index("goes-on") < kinds.index("trial-begin", kinds.index("pause"))
     assert event(outcome, "pause")[0] < event(outcome, "goes-on")[0]
+
+
+def test_hands_are_sent_away_where_the_pressure_rises_while_they_are_in():
+    class Slow(ConfirmedBeforehand):
+        def ask(self, text, measured, wait):
+            for _ in range(100):
+                wait()
+            return "clear"
+
+    outcome = run_plan(one_trial(*HOLD), mounted(errors={"pressure": {"offset": 30e3, "at": 5.0}}), Slow(), out=None)
+    assert outcome.status == "error"
+    assert "hands are not let in" in outcome.why
+    assert "rose above 20 kPa" in outcome.why
+    assert event(outcome, "ended-early")[0] == pytest.approx(5.1, abs=0.11)
+    assert not [kind for kind, _, _ in outcome.events if kind == "answer"]
 
 
 def test_a_trial_is_repeated_where_it_was_asked_for(monkeypatch):

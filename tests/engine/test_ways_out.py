@@ -17,7 +17,7 @@ import pytest
 
 from pmabench.store.reader import open_run
 from tests.engine.forked import Forks, limit_file_size
-from tests.engine.realtime_rig import KINDS, Run, act_at, assert_safe_since, served, table, vent
+from tests.engine.realtime_rig import KINDS, Run, act_at, assert_safe_since, served, table, vent, with_reader
 from tests.realtime import eventually
 from tests.reliability.cases import VARIABLE
 
@@ -197,6 +197,23 @@ def test_ctrl_c_while_hands_are_asked_for(count, forks, lab, tmp_path):
     finally:
         run.kill_rest()
     assert (run.said("status"), run.said("vent")) == ("aborted", "confirmed")
+
+
+def test_a_reading_that_hangs_in_the_engine(forks, lab, tmp_path):
+    """The guard does not wait for it: its own time without the engine is shorter than the reading's deadline."""
+    bench, plant = lab
+    flag = tmp_path / "hang"
+    run = Run(forks, with_reader(bench, flag), plant, tmp_path, "hold")
+    try:
+        run.in_step()
+        moment = act_at(flag.touch)
+        TIMES["reading hangs in the engine"].append(assert_safe_since(plant, moment))
+        assert run.end() == 4, run.lines()
+    finally:
+        run.kill_rest()
+    assert (run.said("status"), run.said("vent")) == ("error", "confirmed")
+    assert "gauge" in run.said("why"), run.lines()
+    assert run.bench_state["what"] == "tripped"
 
 
 def test_the_program_as_a_lab_starts_it(lab, tmp_path):
