@@ -1,7 +1,9 @@
-"""The operator at a display process: answers prompts, presses keys, types notes; never holds the run up."""
+"""The operator of a bench in real time: answers prompts, presses keys, types notes; never holds the run up."""
 
 from __future__ import annotations
 
+import os
+import select
 from collections.abc import Callable, Mapping, Sequence
 
 from pmabench.base.errors import Interrupted
@@ -65,3 +67,42 @@ class AtDisplay(_Keys):
         finally:
             self._display.withdraw()
         return self._answer[1]
+
+
+class InLines:
+    """A person at a terminal without a picture (`--quiet`, `--json`): lines come and go, the bench is watched."""
+
+    def __init__(self, write: Callable[[str], None], fd: int = 0) -> None:
+        self._write, self._fd = write, fd
+
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
+        """Ask until a line is the word `clear`; nothing else counts, nor what was typed before the question."""
+        self._lines()
+        self._write(f'{text}\n{_pressure(measured)} Type "clear" and Enter when it is done and hands are out.')
+        while True:
+            wait()
+            for line in self._lines():
+                if line.strip().lower() == "clear":
+                    return "clear"
+                self._write(f'"{line.strip()}" does not count. {_pressure(measured)} Type "clear" and Enter.')
+
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
+        """Nothing: there are no keys without a picture."""
+        return ()
+
+    def _lines(self) -> list[str]:
+        """Whole lines that were typed, as a terminal hands them over; never waits."""
+        if not select.select([self._fd], [], [], 0)[0]:
+            return []
+        try:
+            typed = os.read(self._fd, 4096)
+        except OSError:
+            typed = b""
+        if not typed:
+            raise Interrupted("end of input at the prompt", 130)
+        return typed.decode("utf-8", "replace").splitlines()
+
+
+def _pressure(measured: Mapping[str, float]) -> str:
+    pressure = measured.get("pressure")
+    return "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."

@@ -100,8 +100,12 @@ def execute(
     """
     from pmabench.cli.devices import print_checks
     from pmabench.engine.run import run_plan
+    from pmabench.protocol.plan import Ask
     from pmabench.session.session import ensure
 
+    steps = prepared.plan.steps if continues is None else continues.steps
+    if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
+        raise UsageError("this run needs hands, and there is no terminal; with --yes prompts count as answered")
     for warning in prepared.warnings():
         ui.note(warning)
     if lack := too_little(needed(prepared.plan, None if continues is None else continues.steps), out):
@@ -144,28 +148,43 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
     """Who answers, and how it is shown; a display is a process that reads what the run writes, never waited for."""
     if not mounted.bench.realtime or ui.quiet or ui.json:
         with progress_line(ui, title) as progress:
-            yield _operator(yes=yes), {"progress": progress}
+            yield _operator(mounted, yes=yes), {"progress": progress}
         return
-    from pmabench.base.terminal import in_front
     from pmabench.cli.operator import AtDisplay, Confirmed
     from pmabench.display.child import Display
 
     display = Display(color=ui.color)
-    answers = in_front(0) and in_front(2)
     try:
-        yield Confirmed(display) if yes else AtDisplay(display, answers=answers), {"begun": display.start}
+        yield (
+            Confirmed(display) if yes else AtDisplay(display, answers=_somebody(mounted)),
+            {"begun": display.start},
+        )
     finally:
         display.close()
 
 
-def _operator(*, yes: bool) -> Operator:
+def _somebody(mounted: Mounted) -> bool:
+    """Whether there is a terminal at which a person can answer; a bench in real time must not be in the background."""
+    if not mounted.bench.realtime:
+        return sys.stdin.isatty()
+    from pmabench.base.terminal import in_front
+
+    return in_front(0) and in_front(2)
+
+
+def _operator(mounted: Mounted, *, yes: bool) -> Operator:
+    """Who answers without a display."""
+    from pmabench.cli.operator import InLines
     from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
+
+    def write(text: str) -> None:
+        click.echo(f"{CLEAR if sys.stderr.isatty() else ''}{text}", err=True)
 
     if yes:
         return ConfirmedBeforehand()
-    if sys.stdin.isatty():
-        return AtTerminal(input, lambda text: click.echo(f"{CLEAR if sys.stderr.isatty() else ''}{text}", err=True))
-    return Nobody()
+    if not _somebody(mounted):
+        return Nobody()
+    return InLines(write) if mounted.bench.realtime else AtTerminal(input, write)
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:

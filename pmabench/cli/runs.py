@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +88,10 @@ def show_run(ui: Ui, run: Path) -> int | None:
             if manifest.get(name):
                 click.echo(f"  {name:12} {manifest[name]}")
         rows = sum(len(t.t) for t in data.trials)
-        click.echo(f"  {'trials':12} {len(data.trials)} of {manifest.get('trials_planned', '?')}, {rows:,} rows")
+        states = Counter(t.status for t in data.trials)
+        finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
+        others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
+        click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
         for channel in data.channels.values():
             click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
         vents = [event for event in data.events if event.kind == "vent"]
@@ -126,10 +130,15 @@ def _print_rest(data: RunData) -> None:
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @common
 def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
-    """Check hashes, checksums, gaps and torn rows of RUNS; exit 3 where something is wrong."""
+    """Check hashes, checksums, gaps and torn rows of RUNS, or of every run in a folder of runs.
+
+    Exit 3 where something is wrong.
+    """
+    from pmabench.store.catalogue import folders_in
     from pmabench.store.verify import verify
 
-    found = {str(run): [str(finding) for finding in verify(run)] for run in runs}
+    folders = [folder for run in runs for folder in (folders_in(run) or [run])]
+    found = {str(folder): [str(finding) for finding in verify(folder)] for folder in folders}
 
     def human() -> None:
         for run, findings in found.items():

@@ -83,10 +83,13 @@ def trial_table(lines: Sequence[TrialLine], width: int, room: int) -> list[Text]
         used += len(part)
     if not parts:
         return []
-    told = Text(_heading(lines, names), FAINT)
-    if width >= WIDE:
-        told.append(_legend(lines[-len(parts) :]), FAINT)
-    return [told, *(row for part in reversed(parts) for row in part)]
+    told, legend = Text(_heading(lines, names), FAINT), Text(_legend(lines[-len(parts) :]), FAINT)
+    below = []
+    if told.cell_len + legend.cell_len <= width:
+        told.append_text(legend)
+    elif legend and used < room and legend.cell_len <= width:
+        below = [legend]
+    return [told, *(row for part in reversed(parts) for row in part), *below]
 
 
 def _legend(lines: Sequence[TrialLine]) -> str:
@@ -95,4 +98,4 @@ def _legend(lines: Sequence[TrialLine]) -> str:
     against = {"expected": "the specimen file", "repeats": "earlier repeats"}
     text = f"  % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
-    return text + ("; * leans on the specimen file: one load does not tell K from F_ce" if starred else "")
+    return text + ("; * leans on the specimen file" if starred else "")

@@ -77,6 +77,12 @@ def catalogue(parent: Path | str) -> list[Row]:
     return rows
 
 
+def folders_in(parent: Path) -> list[Path]:
+    """The run folders directly in a folder, in the order of their names; none where it is a run itself."""
+    itself = (parent / files.MANIFEST).exists() or (parent / files.SEAL).exists()
+    return [] if itself else [parent / name for name, _ in _runs(parent)]
+
+
 def _runs(parent: Path) -> list[tuple[str, str]]:
     """Names of the run folders, and what changes when their seal or manifest does (empty: not closed)."""
     found = []
