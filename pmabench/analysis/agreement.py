@@ -15,14 +15,15 @@ Values = Mapping[float, Estimate]
 
 
 def _at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, Estimate]:
-    return {
-        e.at["pressure"]: e
-        for e in analysis.estimates
-        if (e.symbol, e.method, e.coordinate) == (symbol, method, "")
-        and e.value is not None
-        and "pressure" in e.at
-        and "frequency" not in e.at
-    }
+    """The values of a method by pressure; of several at one pressure none can be compared, and one stands bare."""
+    found: dict[float, Estimate] = {}
+    for e in analysis.estimates:
+        if (e.symbol, e.method, e.coordinate) != (symbol, method, "") or e.value is None:
+            continue
+        if "pressure" in e.at and "frequency" not in e.at:
+            P = e.at["pressure"]
+            found[P] = replace(e, parts=Parts()) if P in found else e
+    return found
 
 
 def _mean_damping(analysis: Analysis) -> dict[float, Estimate]:
@@ -96,7 +97,7 @@ def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
             findings.append(_sentence(symbol, title, differences))
         if without:
             where = ", ".join(show(p, "pressure") for p in without)
-            text = f"{symbol}, {title}: not compared at {where}, where one of the two has no interval"
+            text = f"{symbol}, {title}: not compared at {where}, where one has no interval, or several values"
             findings.append(Finding("note", text))
     if not findings:
         return None

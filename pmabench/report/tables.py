@@ -217,7 +217,7 @@ def parts_table(analysis: Analysis) -> pd.DataFrame:
                 "repeats": half(e.parts.repeats),
                 "by method": half(e.parts.method),
                 "calibration": half(e.parts.calibration),
-                **({"skew": half(e.parts.skew)} if skewed else {}),
+                **({"skew": half(None if e.value is None else e.parts.skew)} if skewed else {}),
                 "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
                 "note": clean(e.note if e.note != e.coordinate else ""),

@@ -71,7 +71,7 @@ def test_a_value_without_an_interval_is_not_compared_and_that_is_said():
     found = agreement([STEPS, bare])
     assert [(e.symbol, e.coordinate) for e in found.estimates] == [("B", "difference")]
     assert [f.text for f in found.findings if "not compared" in f.text] == [
-        "K, sine against steps: not compared at 300 kPa, where one of the two has no interval"
+        "K, sine against steps: not compared at 300 kPa, where one has no interval, or several values"
     ]
     halved = tuple(replace(e, parts=Parts()) if e.symbol == "B_r" else e for e in STEPS.estimates)
     found = agreement([replace(STEPS, estimates=halved), bare])
@@ -79,4 +79,12 @@ def test_a_value_without_an_interval_is_not_compared_and_that_is_said():
     assert [f.text.partition(",")[0] for f in found.findings] == ["K", "B"]
     assert verdicts([], [found]) == []
     text = render([STEPS, bare, found], [])
-    assert "where one of the two has no interval" in text
+    assert "where one has no interval, or several values" in text
+
+
+def test_sines_at_several_means_are_not_compared_as_if_they_were_one():
+    one, two = sines(6800.0, 40.0), sines(5000.0, 40.0)
+    deeper = tuple(replace(e, at={**e.at, "mean": 0.02}) for e in two.estimates)
+    found = agreement([STEPS, replace(one, estimates=(*one.estimates, *deeper))])
+    assert found.estimates == ()
+    assert [f.text.partition(",")[0] for f in found.findings if "several values" in f.text] == ["K", "B"]

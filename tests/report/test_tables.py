@@ -206,3 +206,13 @@ def test_csv_files_hold_full_numbers_with_units_in_headers(tmp_path):
 def test_the_json_of_an_estimate_is_what_the_table_rounds():
     estimate = next(e for e in samples.contraction().estimates if e.symbol == "K")
     assert json.loads(json.dumps(estimate.to_dict()))["value"] == estimate.value
+
+
+def test_the_skew_of_several_clocks_has_a_column_where_there_are_several():
+    one = samples.contraction()
+    assert "skew" not in tables.parts_table(one)
+    several = [replace(e, parts=replace(e.parts, skew=20.0)) if e.symbol == "K" else e for e in one.estimates]
+    frame = tables.parts_table(replace(one, estimates=tuple(several)))
+    told = {(row["symbol"], row["value"] != "not identifiable"): row["skew"] for row in frame.to_dict("records")}
+    assert told["K", True] == "0.020"
+    assert told["B_r", False] == ""
