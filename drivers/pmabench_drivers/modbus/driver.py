@@ -38,7 +38,7 @@ class ModbusDevice:
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
-        self._options: Options = read_options(device, reader)
+        self._options: Options = self.read_options(device, reader)
         reader.refuse(device.name)
         self._device, self._clock, self._map = device, clock, self._options.map
         self._outputs = {output.output: output for output in device.outputs}
@@ -57,8 +57,13 @@ class ModbusDevice:
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
         """What is wrong with the options, each with its place; touches no device."""
         reader = Reader()
-        read_options(device, reader)
+        cls.read_options(device, reader)
         return reader.problems
+
+    @classmethod
+    def read_options(cls, device: DeviceRecord, reader: Reader) -> Options:
+        """The options, strictly; drivers for one kind of device make the register map from options of their own."""
+        return read_options(device, reader)
 
     # -- life -----------------------------------------------------------------------------------------------------
 
