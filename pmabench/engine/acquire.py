@@ -296,9 +296,9 @@ class Acquisition:
             if now - self._collected <= 1.2 * self._block:
                 continue
             try:
+                self._collect()  # first: a guard that has taken over says why
                 if now - self._asked > HUNG and self._watch is not None:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
-                self._collect()
             except Exception as error:  # an error in the program ends the run as a lost device does
                 if self._tripped is None:
                     self._tripped = error

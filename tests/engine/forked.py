@@ -104,6 +104,7 @@ def _child(job: Mapping[str, Any], mount: Any) -> int:
 
     os.setsid()
     os.environ["PMABENCH_STATE"] = job["state"]
+    os.chdir(job.get("cwd", "."))
     told = os.open(job["told"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(told, 1)

@@ -67,7 +67,7 @@ def test_the_bench_is_vented_and_latched(way, forks, lab, tmp_path, record_prope
                 os.kill(run.pid, signal.SIGCONT)
             code = run.end()
             if way == "engine stopped":
-                assert code == 4
+                assert code == 4, run.lines()
                 assert "silent" in run.said("why"), run.said("why")
             elif way == "guard killed":
                 assert code in {4, 5}, run.said("why")

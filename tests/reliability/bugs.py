@@ -186,8 +186,8 @@ BUGS = (
     Bug(
         "the safe state is sent only once",
         "pmabench/guard/safe.py",
-        "            self._repeated = now\n            for command",
-        '            self._repeated = inf = float("inf")\n            for command',
+        "REPEAT = 0.5",
+        "REPEAT = 500.0",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
