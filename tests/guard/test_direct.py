@@ -1,0 +1,76 @@
+"""The safe state without a guard, and the engine's face of a guard that is gone (S4, S7, S10)."""
+
+from dataclasses import replace
+
+import pytest
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError
+from pmabench.guard import remote
+from pmabench.guard.direct import vent_directly
+from pmabench.guard.remote import RemoteGuard
+from pmabench.guard.station import UNCLEAN, Station
+from tests.guard.rig import BENCH, DEVICE, Rig, bench
+
+SAFE_COMMANDS = [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+
+
+def station(**state):
+    made = Station("rig")
+    made.folder.mkdir(parents=True)
+    if state:
+        made.note(**state)
+    return made
+
+
+def test_a_bench_that_nobody_used_is_vented_and_stays_free():
+    where = station()
+    vent = vent_directly(BENCH, where, "test")
+    assert vent.result == "confirmed"
+    assert [told for told in Rig.made["dac"].told if told[0] in {"halt", "write", "switch"}][:3] == SAFE_COMMANDS
+    assert where.latched() == ""
+
+
+@pytest.mark.parametrize(
+    ("state", "why"), [({"what": "armed", "run": "r"}, UNCLEAN), ({"what": "tripped", "why": "burst"}, "burst")]
+)
+def test_a_bench_that_was_left_is_vented_and_latched(state, why):
+    where = station(**state)
+    assert vent_directly(BENCH, where, "test").confirmed
+    assert where.latched().startswith(why)
+
+
+def test_a_vent_that_is_not_confirmed_latches():
+    where = station()
+    dead = replace(DEVICE, options={"wrong": {"collect": "no answer"}})
+    assert vent_directly(bench(dead), where, "test").result == "commanded"
+    assert "safe state commanded" in where.latched()
+    gone = replace(DEVICE, options={"wrong": {"open": "nobody there"}})
+    where = Station("other")
+    where.folder.mkdir()
+    vent = vent_directly(bench(gone), where, "test")
+    assert vent.result == "failed"
+    assert "set pressure: failed (dac: is not open)" in vent.actions
+    assert "safe state failed" in where.latched()
+
+
+def test_a_folder_that_cannot_be_written_hinders_no_vent():
+    assert vent_directly(BENCH, Station("never made"), "test").confirmed
+
+
+def test_the_engine_vents_itself_where_its_guard_is_gone():
+    guard = RemoteGuard(BENCH, RealClock())
+    station(what="armed", run="r")
+    with pytest.raises(DeviceError, match="is not there any more"):
+        guard.set("pressure", 1e5)
+    vent = guard.safe_state(dict, why="lost")
+    assert vent.confirmed
+    assert guard.safe_state(dict) is vent
+    assert Station("rig").latched().startswith(UNCLEAN)
+    guard.close()
+
+
+def test_whatever_goes_wrong_then_is_the_outcome_of_the_vent(monkeypatch):
+    monkeypatch.setattr(remote, "vent_directly", lambda *_: 1 / 0)
+    vent = RemoteGuard(BENCH, RealClock()).safe_state(dict)
+    assert (vent.result, vent.actions) == ("failed", ("ZeroDivisionError: division by zero",))
