@@ -98,6 +98,10 @@ class Guard:
         self._owners: dict[str, Direct | Owner] = {}
         self._outputs = {output.name: output for output in bench.outputs}
         self._valves = {valve.name: valve for valve in bench.valves}
+        ends = [(c.name, c.low) for device in bench.devices for c in device.channels]
+        ends += [(trip.channel, trip.low) for trip in bench.trips if trip.kind == "range" and trip.low is not None]
+        self._floors = {name: end for name, end in sorted(ends) if end < 0}
+        """End of a channel's range or low trip limit below zero [SI]: no more is no reading, confirms nothing."""
         self._safe: SafeState | None = None
         self._tripped = False
         self.run = self.why = ""
@@ -341,7 +345,7 @@ class Guard:
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
             self.state = State.STOPPING
-            self._safe = SafeState(self.bench.safe_state, self._begin, self._rescue, self.clock.now())
+            self._safe = SafeState(self.bench.safe_state, self._begin, self._rescue, self.clock.now(), self._floors)
         elif self._safe.vent is not None:
             for action in self.bench.safe_state:
                 if action.do not in {"confirm", "hold"}:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import inf
 
 from pmabench.base.quantities import QUANTITIES
 from pmabench.bench.interface import SafeAction
@@ -40,7 +41,7 @@ class SafeState:
 
     `begin` starts an action (the result of a ramp is how long it takes [s]) and `rescue` tries it over a second way;
     both return at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for
-    until they are done or their time is over.
+    until they are done or their time is over. A value at or below its entry in `floors` [SI] confirms nothing.
     """
 
     def __init__(
@@ -49,7 +50,9 @@ class SafeState:
         begin: Callable[[SafeAction], Call],
         rescue: Callable[[SafeAction], Call | None],
         now: float,
+        floors: Mapping[str, float] | None = None,
     ) -> None:
+        self._floors = floors or {}
         self._todo = list(actions)
         self._begin, self._rescue = begin, rescue
         self._sent: list[_Sent] = []
@@ -99,13 +102,15 @@ class SafeState:
 
     def _confirm(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
         value = latest.get(action.target)
-        if value is not None and value < action.value:
+        if value is not None and self._floors.get(action.target, -inf) < value < action.value:
             self._confirmed += 1
             self._outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
             return True
         if now - self._since >= action.within:
             bound = f"below {_shown(action)} within {action.within:g} s"
             measured = "nothing measured" if value is None else _shown(action, value)
+            if value is not None and value < action.value:
+                measured += ", which a broken wire reads"
             self._outcome.append(f"confirm {action.target}: {measured}, not {bound}")
             return True
         if now - self._repeated >= REPEAT:

@@ -9,7 +9,7 @@ import pytest
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, LimitRefused
-from pmabench.bench.interface import DeviceRecord, SafeAction, ValveRecord
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, Scale, TripRecord, ValveRecord
 from pmabench.guard import course
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.limits import refuse_outside
@@ -121,6 +121,27 @@ def test_commands_are_sent_again_while_the_confirmation_is_waited_for():
 def test_nothing_but_a_number_below_confirms(value):
     guard, _ = armed()
     assert guard.safe_state(lambda: {} if value is None else {"pressure": value}).result == "commanded"
+
+
+@pytest.mark.parametrize(
+    ("low", "trip", "value", "result"),
+    [
+        (-50e3, None, -50e3, "commanded"),
+        (-50e3, None, -49e3, "confirmed"),
+        (-50e3, -30e3, -40e3, "commanded"),
+        (-50e3, -30e3, -29e3, "confirmed"),
+        (-20e3, -30e3, -20e3, "commanded"),
+        (0.0, None, 0.0, "confirmed"),
+    ],
+)
+def test_what_a_broken_wire_reads_confirms_nothing(low, trip, value, result):
+    """The end of a range or a low trip limit below zero; a range that begins at zero ends where the bench is empty."""
+    channel = ChannelRecord("pressure", "pressure", "dac", "p_in", "float64", "Pa", Scale(1.0, 0.0), low, 1e6)
+    trip_limit = TripRecord("pressure", trip, 650e3, 0.0, "vent")
+    guard, _ = armed(bench(replace(DEVICE, channels=(channel,)), trips=(trip_limit,)))
+    vent = guard.safe_state(lambda: {"pressure": value})
+    assert vent.result == result
+    assert ("broken wire" in vent.actions[-1]) == (result == "commanded")
 
 
 @pytest.mark.parametrize("call", ["write", "switch", "halt"])
