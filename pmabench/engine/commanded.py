@@ -7,8 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pmabench.base.clock import Clock
 from pmabench.guard import course
+
+SETTLES = 2.0
+"""After the command went down, a pressure that falls may still follow it for so long [s]."""
 
 
 class Commands(Protocol):
@@ -34,8 +40,6 @@ class Commands(Protocol):
 @dataclass
 class _Course:
     at: course.Course
-    fell: float
-    """When it was last going down [s]."""
     begun: float
     before: course.Course | None
     """What was commanded until then."""
@@ -46,20 +50,23 @@ class Commanded:
     """The course of each output [SI over s of bench time], noted when it is commanded."""
 
     _courses: dict[str, _Course] = field(default_factory=dict)
+    _falls: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """How fast each output was told to go down [SI/s], and until when a pressure may still follow that [s]."""
 
     def set(self, output: str, t: float, value: float) -> None:
         """A step at `t` [s]."""
         before = self.at(output, t)
-        self._note(output, course.step(value), t, t, down=before is not None and value < before)
+        self._note(output, course.step(value), t, t, math.inf if before is not None and value < before else 0.0)
 
     def ramp(self, output: str, t: float, origin: float, target: float, rate: float) -> None:
         """A ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
         ends = t + abs(target - origin) / rate
-        self._note(output, course.ramp(t, origin, target, rate), t, ends, down=target < origin)
+        self._note(output, course.ramp(t, origin, target, rate), t, ends, rate if target < origin else 0.0)
 
     def sine(self, output: str, t: float, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """A sine that begins at `t` [s]; frequency in Hz."""
-        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t, t + cycles / frequency, down=True)
+        fastest = 2 * math.pi * frequency * abs(amplitude)
+        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t, t + cycles / frequency, fastest)
 
     def at(self, output: str, t: float) -> float | None:
         """The commanded value [SI] at `t` [s], or None before the first command."""
@@ -67,15 +74,18 @@ class Commanded:
         at = None if known is None else known.at if t >= known.begun else known.before
         return None if at is None else at(t)
 
-    def fell(self, output: str) -> float:
-        """Since when the output is not going down any more [s]; minus infinity where it never was."""
-        known = self._courses.get(output)
-        return -math.inf if known is None else known.fell
+    def falling(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How fast the output was told to go down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast."""
+        allowed = np.zeros(len(t))
+        for until, rate in self._falls.get(output, ()):
+            allowed = np.where(t < until, np.maximum(allowed, rate), allowed)
+        return allowed
 
-    def _note(self, output: str, at: course.Course, t: float, until: float, *, down: bool) -> None:
+    def _note(self, output: str, at: course.Course, t: float, ends: float, falls: float) -> None:
         before = self._courses.get(output)
-        fell = until if down else (before.fell if before is not None else -math.inf)
-        self._courses[output] = _Course(at, fell, t, before.at if before is not None else None)
+        self._courses[output] = _Course(at, t, before.at if before is not None else None)
+        still = [fall for fall in self._falls.get(output, ()) if fall[0] > t and fall[1] > falls]
+        self._falls[output] = [*still, (ends + SETTLES, falls)] if falls else still
 
 
 class Commander:

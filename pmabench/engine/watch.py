@@ -15,8 +15,6 @@ from pmabench.engine.commanded import Commanded
 
 Array = NDArray[np.float64]
 
-SETTLES = 2.0
-"""After the command went down, a falling pressure is no burst for so long [s]."""
 RATE_WINDOW = 0.02
 """Over what time a rate is taken where the limit does not say [s]."""
 ENDS = ("stop", "vent")
@@ -223,8 +221,8 @@ class Watch:
         if limit.kind == "rate":
             rate = np.abs(change) / np.maximum(times[first:] - times[before], 1e-9)
             return enough & (rate > (limit.high or 0.0)), rate
-        steady = t - self._commanded.fell(limit.channel) >= SETTLES
-        return steady & (-change > (limit.high or 0.0)), -change
+        allowed = self._commanded.falling(limit.channel, t) * window
+        return -change - allowed > (limit.high or 0.0), -change
 
     @staticmethod
     def _frozen(watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:

@@ -9,6 +9,7 @@ from pmabench.engine.acquire import REAL_BLOCK
 from pmabench.store.reader import open_run
 from tests.engine.forked import Forks
 from tests.engine.realtime_rig import Run, assert_safe_since, served, table
+from tests.realtime import eventually
 from tests.reliability.cases import VARIABLE, cases
 
 pytestmark = pytest.mark.realtime
@@ -44,6 +45,7 @@ def test_a_fault_is_vented_within_two_blocks(tmp_path, record_property):
                         plant.clear(fault)
                     for sensor in ("pressure", "force"):
                         plant.disturb(sensor, None)
+                    eventually(lambda: plant.state()["pressure"] < 5e3)
                 assert run.said("status") == "tripped"
                 assert names in run.said("why")
                 trip = next(event for event in open_run(run.said("folder")).events if event.kind == "trip")

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pmabench.bench.interface import ChannelRecord, Scale, TripRecord
-from pmabench.engine.commanded import Commanded
-from pmabench.engine.watch import SETTLES, Watch
+from pmabench.engine.commanded import SETTLES, Commanded
+from pmabench.engine.watch import Watch
 
 RATE = 500.0
 CHANNEL = ChannelRecord("pressure", "pressure", "adc", "p", "int32", "count", Scale(), 0.0, 1000e3)
@@ -143,6 +143,34 @@ def test_a_fall_that_settles_is_no_burst_and_one_afterwards_is():
     for cuts in ([], [700], [1610], list(range(0, 2000, 25))):
         assert look(trip, fall, cuts=cuts, commanded=early) == []
         assert [item[0] for item in look(trip, fall, cuts=cuts, commanded=late)] == [3.22]
+
+
+@given(cuts=st.lists(st.integers(0, len(T)), max_size=6))
+def test_a_burst_during_a_sine_or_a_ramp_is_found_and_the_motion_itself_is_none(cuts):
+    trip = limit("burst", high=60e3, window=0.05)
+    moving = Commanded()
+    moving.sine("pressure", 0.0, 3e5, 1e5, 1.0, 10)
+    sine = 3e5 + 1e5 * np.sin(2 * np.pi * T)
+    assert look(trip, sine, cuts=cuts, commanded=moving) == []
+    (found,) = look(trip, np.where(T < 1.0, sine, 0.0), cuts=cuts, commanded=moving)
+    assert found[0] == 1.0
+    moving = Commanded()
+    moving.ramp("pressure", 0.0, 6e5, 0.0, 2e5)
+    ramp = 6e5 - 2e5 * np.minimum(T, 3.0)
+    assert look(trip, ramp, cuts=cuts, commanded=moving) == []
+    (found,) = look(trip, np.where(T < 1.0, ramp, 0.0), cuts=cuts, commanded=moving)
+    assert found[0] == 1.0
+
+
+def test_a_faster_fall_before_a_slower_one_is_not_forgotten():
+    both = Commanded()
+    both.ramp("pressure", 0.0, 6e5, 5e5, 1e5)
+    both.ramp("pressure", 1.0, 5e5, 4e5, 1e4)
+    both.set("pressure", 2.0, 5e5)
+    assert both.falling("pressure", np.array([0.5, 2.9, 3.1, 12.9, 13.1])).tolist() == [1e5, 1e5, 1e4, 1e4, 0.0]
+    both.set("pressure", 20.0, 1e5)
+    assert both.falling("pressure", np.array([21.9, 22.1])).tolist() == [math.inf, 0.0]
+    assert Commanded().falling("pressure", np.array([0.0])).tolist() == [0.0]
 
 
 def test_a_silent_channel_is_found_by_the_time_and_heard_again():

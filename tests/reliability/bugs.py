@@ -228,8 +228,8 @@ BUGS = (
     Bug(
         "a burst is judged by the end of its block",
         "pmabench/engine/watch.py",
-        "steady = t - self._commanded.fell(limit.channel) >= SETTLES",
-        "steady = t[-1] - self._commanded.fell(limit.channel) >= SETTLES",
+        "allowed = self._commanded.falling(limit.channel, t) * window",
+        "allowed = self._commanded.falling(limit.channel, t[-1:]) * window",
         ("tests/engine/test_watch.py",),
     ),
     Bug(
