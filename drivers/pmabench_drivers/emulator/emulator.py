@@ -17,6 +17,7 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.mock.options import Faults
 
 SERVERS = {
+    "pmabench_drivers.labjack:LabJack": "pmabench_drivers.labjack.emulated",
     "pmabench_drivers.modbus:ModbusDevice": "pmabench_drivers.emulator.modbus_server",
     "pmabench_drivers.serial_ascii:SerialIndicator": "pmabench_drivers.emulator.indicator",
 }

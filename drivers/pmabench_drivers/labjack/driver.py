@@ -1,0 +1,291 @@
+"""The device interface in front of a LabJack T7.
+
+Commands are those of the Modbus driver with the T7's own registers; the stream, the digital lines and the watchdog are
+its own. While a stream runs the T7 answers to no reading of its analogue inputs, and all samples come from the stream.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic
+from typing import Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench_drivers.labjack import registers as r
+from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
+from pmabench_drivers.labjack.options import read_options
+from pmabench_drivers.labjack.stream import Plan, StreamLink
+from pmabench_drivers.labjack.watchdog import Watchdog
+from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.modbus.driver import CALL, OPEN
+from pmabench_drivers.options import Place, Reader
+
+LATENCY = 0.01
+"""Time that a packet of the stream covers [s]."""
+BLOCK = 13
+"""Constants that are read from the flash at once."""
+TIMEOUT = 0.15
+"""Longest wait for an answer [s]."""
+
+
+class LabJack(ModbusDevice):
+    """A T7 on Ethernet. Raw values are volts at the terminals; `DAC0` and `DAC1` take volts."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._t7 = read_options(device, reader)
+        reader.refuse(device.name)
+        super().__init__(_as_modbus(device, self._t7.host, self._t7.port), clock)
+        self._names = [channel.name for channel in device.channels]
+        self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
+        self._own_watchdog = Watchdog(device, self)
+        self._tables: dict[int, array[float]] = {}
+        self._stream: StreamLink | None = None
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
+        from pmabench_drivers.modbus.adapter import Unanswered
+
+        super().open()
+        deadline = monotonic() + OPEN
+        try:
+            try:
+                return self._identify_t7(deadline)
+            except Unanswered:
+                return self._identify_t7(deadline)  # asking twice moves nothing
+        except DeviceError:
+            self.close()
+            raise
+
+    def _identify_t7(self, deadline: float) -> Identity:
+        self._prove_words(deadline)
+        [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
+        if product != r.T7:
+            message = f"is a LabJack with the product number {product:g}, and this driver is for a T7 (7)"
+            raise DeviceError(self._device.name, message)
+        [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
+        [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
+        known = self._read_gains(deadline)
+        self._tables = {gain: known[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
+        model = "T7" if serial else f"{EMULATED}T7"
+        return Identity("LabJack", model, str(serial), f"{firmware:.4f}", simulated=not serial)
+
+    def close(self) -> None:
+        """End stream and stepping and let go of the connections."""
+        self._end_stream()
+        super().close()
+
+    def _prove_words(self, deadline: float) -> None:
+        """A constant register must read as it was written down."""
+        words = self.get(r.TEST, 2, deadline, "test register")
+        if r.from_u32(words) != [r.TEST_VALUE]:
+            message = f"its test register gives {words[0]:04x} {words[1]:04x} instead of 0011 2233: no LabJack, or "
+            raise DeviceError(self._device.name, message + "something between that changes the order of words")
+
+    def _read_gains(self, deadline: float) -> tuple[Gain, ...]:
+        constants: list[float] = []
+        for first in range(0, COUNT, BLOCK):
+            count = min(BLOCK, COUNT - first)
+            self.put(r.FLASH_POINTER, r.u32(FLASH + 4 * first), deadline, "calibration")
+            constants += r.from_f32(self.get(r.FLASH_READ, 2 * count, deadline, "calibration"))
+        try:
+            return gains(constants)
+        except ValueError as error:
+            raise DeviceError(self._device.name, f"holds {error}: its flash is damaged") from None
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Stream all channels together at `rate` [Hz]; returns the rate that the device itself says."""
+        name, inputs = self._device.name, list(self._t7.inputs.values())
+        if not 0 < rate < math.inf or not inputs:
+            raise DeviceError(name, f"cannot sample {len(inputs)} channels at {rate} Hz")
+        if rate * len(inputs) > r.FASTEST:
+            message = f"cannot take {rate * len(inputs):g} samples a second: a T7 takes at most {r.FASTEST:g}"
+            raise DeviceError(name, f"{message}, over all channels")
+        self._end_stream()
+        deadline = monotonic() + CALL
+        if r.from_u32(self.get(r.STREAM_ENABLE, 2, deadline, "stream")) != [0]:
+            self.put(r.STREAM_ENABLE, r.u32(0), deadline, "stream")  # one that is left over
+        for item in inputs:
+            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
+            self.put(r.AIN_NEGATIVE + item.number, [item.negative], deadline, f"AIN{item.number}")
+        scans = max(1, min(r.MOST_SAMPLES // len(inputs), round(rate * LATENCY)))
+        link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
+        try:
+            used = self._configure(rate, scans, deadline)
+            link.begin(Plan(used, scans, [self._tables[item.gain] for item in inputs]))
+            self.put(r.STREAM_ENABLE, r.u32(1), deadline, "stream")
+        except DeviceError:
+            link.close()
+            raise
+        self._stream = link
+        return used
+
+    def _configure(self, rate: float, scans: int, deadline: float) -> float:
+        """Write scan list and settings, read them back; the rate that the device will use [Hz]."""
+        options, inputs = self._t7, list(self._t7.inputs.values())
+        sizes = r.u32(len(inputs), len(inputs) * scans)
+        rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution, r.STREAM_BUFFER, 0)]
+        addresses = r.u32(*(2 * item.number for item in inputs))
+        self.put(r.STREAM_SCANRATE, [*r.f32(rate), *sizes, *rest], deadline, "stream")
+        self.put(r.STREAM_AUTO_TARGET, r.u32(r.TO_ETHERNET, 0, 0), deadline, "stream")
+        self.put(r.STREAM_SCANLIST, addresses, deadline, "stream")
+        held = self.get(r.STREAM_SCANRATE, 2 * len(r.STREAM_CONFIGURATION), deadline, "stream")
+        [used] = r.from_f32(held[:2])
+        wrong = [
+            what
+            for index, what in enumerate(r.STREAM_CONFIGURATION)
+            if what in {"addresses", "samples a packet", "resolution", "buffer", "clock"}
+            and held[2 * index : 2 * index + 2] != [*r.f32(rate), *sizes, *rest][2 * index : 2 * index + 2]
+        ]
+        if self.get(r.STREAM_SCANLIST, len(addresses), deadline, "stream") != addresses:
+            wrong.append("scan list")
+        if wrong or not math.isfinite(used) or not abs(used / rate - 1) < 0.1:
+            message = f"does not hold what was written for its stream: {', '.join(wrong) or f'a rate of {used:g} Hz'}"
+            raise DeviceError(self._device.name, message)
+        return used
+
+    def collect(self) -> Block:
+        """Every scan that came since the last call; an error once the stream, or stepping, has failed."""
+        super().collect()
+        if self._stream is None:
+            return Block([], {name: [] for name in self._names})
+        return self._stream.collect()
+
+    def stop(self) -> None:
+        """End the stream; a ramp under way goes on."""
+        self._end_stream()
+        super().stop()
+
+    def _end_stream(self) -> None:
+        """Tell the device and let go; a device that does not hear it is told at the next start."""
+        link, self._stream = self._stream, None
+        if link is None:
+            return
+        link.close()
+        with suppress(DeviceError):
+            self.put(r.STREAM_ENABLE, r.u32(0), monotonic() + CALL / 2, "stream")
+
+    @property
+    def lost(self) -> int:
+        """Scans of this stream that never came; each is a gap in the samples."""
+        return 0 if self._stream is None else self._stream.lost
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that waited in the device when it sent its last packet, of 32768."""
+        return 0 if self._stream is None else self._stream.backlog
+
+    # -- digital lines --------------------------------------------------------------------------------------------
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Set a line high or low once, which makes it an output; the terminal tells whether it was done."""
+        from pmabench_drivers.modbus.adapter import Unanswered
+
+        line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
+        try:
+            self._put(self._switched(output), float(on), deadline)
+        except Unanswered as error:
+            lost = f"did not answer to the command {int(on)}"
+            try:
+                stands = self._stands(line, deadline, output)
+            except DeviceError as second:
+                message = f"{error.reason}; whether it took {int(on)} is not known ({second})"
+                raise Unanswered(self._device.name, message, output) from None
+        else:
+            stands = self._stands(line, deadline, output)
+        if stands != on:
+            message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if stands else 'low'}"
+            raise DeviceError(self._device.name, message, output)
+
+    def is_on(self, output: str) -> bool:
+        """Whether the line is an output and its terminal is high."""
+        return self._stands(self._line_of(output), monotonic() + CALL, output)
+
+    def _line_of(self, output: str) -> int:
+        line = self._lines.get(output)
+        if line is None:
+            raise DeviceError(self._device.name, f'no valve output "{output}"{did_you_mean(output, self._lines)}')
+        return line
+
+    def _stands(self, line: int, deadline: float, what: str) -> bool:
+        """Whether a line drives its terminal high; reading the line's own register would make it an input."""
+        [state] = r.from_u32(self.get(r.DIO_STATE, 2, deadline, what))
+        [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, deadline, what))
+        return bool(state >> line & direction >> line & 1)
+
+    # -- the device's watchdog ------------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it to whole seconds and to safe values of DACs and valves, and start it; returns what it holds [s]."""
+        return self._own_watchdog.arm(seconds)
+
+    def feed_watchdog(self) -> None:
+        """Write its key."""
+        self._own_watchdog.feed()
+
+    def disarm_watchdog(self) -> None:
+        """Stop it."""
+        self._own_watchdog.disarm()
+
+    # -- registers ------------------------------------------------------------------------------------------------
+
+    def get(self, address: int, count: int, deadline: float, what: str) -> list[int]:
+        """Registers from an address on; LabJack's own reason where it refuses."""
+        try:
+            return self._opened().read("holding", address, count, deadline, what)
+        except DeviceError as error:
+            raise self._explained(error, deadline, what) from None
+
+    def put(self, address: int, words: Sequence[int], deadline: float, what: str) -> None:
+        """Write registers once; LabJack's own reason where it refuses."""
+        try:
+            self._opened().write(16, address, words, deadline, what)
+        except DeviceError as error:
+            raise self._explained(error, deadline, what) from None
+
+    def _explained(self, error: DeviceError, deadline: float, what: str) -> DeviceError:
+        """The error with the code that the device keeps for the last one, where it refused."""
+        if not error.message.startswith("answers with exception"):
+            return error
+        try:
+            [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
+        except DeviceError:
+            return error
+        reason = r.ERRORS.get(code)
+        told = f"its error {code}: {reason}" if reason else f"its error {code}"
+        return DeviceError(self._device.name, f"{error.message}; {told}", what)
+
+
+def _as_modbus(device: DeviceRecord, host: str, port: int) -> DeviceRecord:
+    """The outputs and lines of a T7 as the Modbus driver knows them; channels and watchdog are not its affair."""
+    outputs: dict[str, Any] = {
+        name: {"address": r.DAC + 2 * index, "type": "float32"} for index, name in enumerate(r.DACS)
+    }
+    for valve in device.valves:
+        outputs[valve.output] = {"address": r.DIO + (r.line_of(valve.output) or 0), "read_back": False}
+    inputs = {lock.input: {"address": r.DIO + (r.line_of(lock.input) or 0)} for lock in device.interlocks}
+    map_ = {
+        "functions": [3, 16],
+        "timeout": f"{TIMEOUT} s",
+        "identity": {"maker": "LabJack"},
+        "inputs": inputs,
+        "outputs": outputs,
+    }
+    return replace(device, address=f"{host}:{port}", options={"map": map_}, channels=(), watchdog=0.0)

@@ -1,0 +1,145 @@
+"""The stream of an emulated T7: scans at absolute times, a buffer of limited size, packets on a connection of its own.
+
+Written from the packet's description and apart from the driver's reading of it, so that each is a check of the other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable
+from time import monotonic, sleep
+
+SHORTEST, LONGEST = 0.001, 0.01
+"""Sleep between two looks at what is due [s]."""
+FAULTS = {
+    "lose": "stream: the next `value` packets are lost on the way",
+    "skip": "stream: the device leaves out `value` scans, as with a full buffer",
+    "status": "stream: the next packet has the status `value`",
+    "silent": "stream: nothing is sent for `value` seconds, and the buffer fills",
+    "babble": "stream: `value` bytes without meaning are sent",
+}
+
+Sample = Callable[[int], list[int]]
+"""The raw counts of scan `number` (from 1), for each channel of the scan list."""
+
+
+class Streamer:
+    """Listens for one client at a time; `begin` and `end` are what writing STREAM_ENABLE does."""
+
+    def __init__(self, port: int) -> None:
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self.port = int(self._listener.getsockname()[1])
+        self._client: socket.socket | None = None
+        self._running = threading.Event()
+        self._ended = False
+        self._faults: deque[tuple[str, float]] = deque()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Take connections."""
+        threading.Thread(target=self._accept, name="emulated T7 stream", daemon=True).start()
+
+    def close(self) -> None:
+        """End."""
+        self._ended = True
+        self.end()
+        for end in (self._listener, self._client):
+            if end is not None:
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
+                end.close()
+
+    @property
+    def running(self) -> bool:
+        """Whether a stream runs."""
+        return self._running.is_set()
+
+    def fault(self, kind: str, value: float) -> None:
+        """Let one of `FAULTS` happen."""
+        self._faults.append((kind, value))
+
+    def begin(self, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample) -> None:
+        """Scan from now on: `rate` [Hz], samples in a packet, samples in the buffer."""
+        self.end()
+        self._running = threading.Event()
+        self._running.set()
+        arguments = (self._running, rate, channels, per_packet, capacity, sample)
+        self._thread = threading.Thread(target=self._scan, args=arguments, name="emulated T7 scans", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Scan no more."""
+        self._running.clear()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(1.0)
+
+    def _accept(self) -> None:
+        while not self._ended:
+            try:
+                client, _peer = self._listener.accept()
+            except OSError:
+                return
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            before, self._client = self._client, client
+            if before is not None:
+                before.close()
+
+    def _scan(
+        self, running: threading.Event, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample
+    ) -> None:
+        start, number, transaction, leave_out, silent_until = monotonic(), 0, 0, 0, 0.0
+        buffer: deque[tuple[int, list[int]]] = deque()  # each scan with what was left out before it, -1 for none
+        recovering = skipped = lose = status_next = 0
+        scans, outgoing = per_packet // channels, b""
+        while running.is_set():
+            now = monotonic()
+            while self._faults:
+                kind, value = self._faults.popleft()
+                lose += int(value) if kind == "lose" else 0
+                leave_out += int(value) if kind == "skip" else 0
+                status_next = int(value) if kind == "status" else status_next
+                silent_until = now + value if kind == "silent" else silent_until
+                outgoing += b"\xa5" * int(value) if kind == "babble" else b""
+            while number < int((now - start) * rate):
+                number += 1
+                if recovering or leave_out or (len(buffer) + 1) * channels > capacity:
+                    leave_out = max(0, leave_out - 1)
+                    recovering, skipped = 1, skipped + 1
+                    if leave_out == 0 and len(buffer) < scans:
+                        buffer.append((skipped, [0xFFFF] * channels))
+                        recovering = skipped = 0
+                else:
+                    buffer.append((-1, sample(number)))
+            client = self._client
+            while len(buffer) >= scans and len(outgoing) < 4096 and now >= silent_until:
+                taken = [buffer.popleft() for _ in range(scans)]
+                left_out = max(count for count, _ in taken)
+                status = 2940 if recovering else 0
+                if left_out >= 0:
+                    status = 2941 if left_out < 65536 else 2943
+                if status_next:
+                    status, status_next = status_next, 0
+                data = struct.pack(f">{per_packet}H", *(raw for _, scan in taken for raw in scan))
+                backlog = min(2 * channels * len(buffer), 65535)
+                head = struct.pack(
+                    ">HHHBBBBHHH",
+                    transaction, 0, 10 + len(data), 1, 76, 16, 0, backlog, status, max(left_out, 0) & 0xFFFF,
+                )  # fmt: skip
+                transaction = (transaction + 1) & 0xFFFF
+                if lose:
+                    lose -= 1
+                else:
+                    outgoing += head + data
+            if client is not None and outgoing:
+                with contextlib.suppress(OSError, ValueError):
+                    if select.select([], [client], [], 0)[1]:
+                        client.setblocking(False)
+                        outgoing = outgoing[client.send(outgoing) :]
+            due = start + (number + 1) / rate
+            sleep(min(max(due - monotonic(), SHORTEST), LONGEST))

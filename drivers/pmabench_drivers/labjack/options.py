@@ -1,0 +1,155 @@
+"""What the driver `labjack` is told about a T7, read strictly; knows no connection. Standard library only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from ipaddress import ip_address
+from typing import Any
+
+from pmabench.base.errors import did_you_mean
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.labjack.registers import (
+    AINS,
+    DAC_FULL,
+    DAC_STEP,
+    DACS,
+    LINES,
+    RANGES,
+    SINGLE_ENDED,
+    STREAM_PORT,
+    line_of,
+)
+from pmabench_drivers.options import Reader
+
+HERE = ("options",)
+
+
+@dataclass(frozen=True)
+class Input:
+    """One channel of the scan list: analogue input, the one that is taken off it, and its range."""
+
+    number: int
+    negative: int = SINGLE_ENDED
+    gain: int = 0
+    span: float = 10.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything about one device."""
+
+    host: str = ""
+    port: int = 502
+    stream_port: int = STREAM_PORT
+    inputs: Mapping[str, Input] = field(default_factory=dict)
+    """Channel of the bench -> what is sampled for it, in the order of the scan list."""
+    settling: float = 0.0
+    """Time between two channels [s]; 0: the device's own choice."""
+    resolution: int = 0
+    """Resolution index of the stream."""
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    known = ("stream_port", "ranges", "differential", "settling", "resolution_index")
+    given = reader.keys(device.options, HERE, known)
+    host, port = _address(device.address, reader)
+    ranges = _ranges(given, reader)
+    differential = reader.texts(given, "differential", HERE)
+    inputs: dict[str, Input] = {}
+    for channel in device.channels:
+        number = AINS.get(channel.input)
+        if number is None:
+            hint = did_you_mean(channel.input, AINS)
+            reader.fault(("channels", channel.name, "input"), f'no input "{channel.input}"{hint}; known: AIN0 to AIN13')
+            continue
+        if channel.raw_type == "int32":
+            reader.fault(("channels", channel.name, "input"), "gives volts, not counts: calibrate it in V")
+        gain, span = RANGES[ranges.get(channel.input, "10 V")]
+        negative = number + 1 if channel.input in differential else SINGLE_ENDED
+        inputs[channel.name] = Input(number, negative, gain, span)
+    _used_inputs(device, reader, ranges, differential)
+    _outputs(device, reader)
+    if device.watchdog and device.watchdog < 1.0:
+        reader.fault(("watchdog",), "the watchdog of a T7 counts whole seconds: 1 s or more, and 2 s leave room")
+    return Options(
+        host,
+        port,
+        reader.whole(given, "stream_port", HERE, 1, 65535, STREAM_PORT),
+        inputs,
+        reader.quantity(given, "settling", HERE, "time", 0.0, 1e-6, 4e-3),
+        reader.whole(given, "resolution_index", HERE, 0, 8, 0),
+    )
+
+
+def _address(address: str, reader: Reader) -> tuple[str, int]:
+    """Host and port of `IP` or `IP:PORT`."""
+    host, colon, port = address.partition(":")
+    try:
+        ip_address(host if host != "localhost" else "127.0.0.1")
+        if colon and not (port.isdecimal() and int(port) <= 65535):
+            raise ValueError
+    except ValueError:
+        reader.fault(("address",), f'an IP address is expected, for instance "192.168.0.20", not "{address}"')
+        return "", 0
+    return host, int(port or 502)
+
+
+def _ranges(given: Mapping[str, Any], reader: Reader) -> dict[str, str]:
+    place = (*HERE, "ranges")
+    items = reader.named(given.get("ranges", {}), place)
+    return {name: reader.choice(items, name, place, RANGES, "10 V") for name in items}
+
+
+def _used_inputs(
+    device: DeviceRecord, reader: Reader, ranges: Mapping[str, str], differential: tuple[str, ...]
+) -> None:
+    """Every input once, and options only for inputs that are used."""
+    used = [channel.input for channel in device.channels]
+    for channel in device.channels:
+        if used.count(channel.input) > 1:
+            reader.fault(("channels", channel.name, "input"), f"{channel.input} is the input of two channels")
+    for name in ranges:
+        if name not in used:
+            reader.fault((*HERE, "ranges", name), f'no channel uses "{name}"{did_you_mean(name, used)}')
+    for name in differential:
+        number = AINS.get(name)
+        if name not in used:
+            reader.fault((*HERE, "differential"), f'no channel uses "{name}"{did_you_mean(name, used)}')
+        elif number is not None and (number % 2 or f"AIN{number + 1}" in used):
+            message = f"{name} is measured against AIN{number + 1}: an even input is needed, with the next one free"
+            reader.fault((*HERE, "differential"), message)
+
+
+def _outputs(device: DeviceRecord, reader: Reader) -> None:
+    for output in device.outputs:
+        if output.output not in DACS:
+            hint = did_you_mean(output.output, DACS)
+            message = f'no analogue output "{output.output}"{hint}; known: DAC0, DAC1'
+            reader.fault(("outputs", output.name, "output"), message)
+        volts = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
+        if not all(-1e-9 <= value <= DAC_FULL for value in volts):
+            message = (
+                f"would need {min(volts):g} V to {max(volts):g} V, and the DACs of a T7 give 0 V to {DAC_FULL:g} V"
+            )
+            reader.fault(("outputs", output.name, "scale"), message)
+        if output.resolution < 0.99 * DAC_STEP:
+            message = (
+                f'is at least the step of 12 bits: "{1e3 * DAC_STEP:.2f} mV", or the same in the unit of the scale'
+            )
+            reader.fault(("outputs", output.name, "resolution"), message)
+    places = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
+    places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
+    seen: dict[int, str] = {}
+    for place, name in places:
+        line = line_of(name)
+        if line is None:
+            hint = did_you_mean(name, LINES)
+            reader.fault(
+                place, f'no digital line "{name}"{hint}; known: FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2'
+            )
+        elif line in seen:
+            reader.fault(place, f"{name} is in use by {seen[line]}")
+        else:
+            seen[line] = str(place[1])

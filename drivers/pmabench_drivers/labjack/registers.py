@@ -1,0 +1,122 @@
+"""Registers of the LabJack T7, and the way between numbers and their words; knows no connection. Standard library only.
+
+Addresses and types: the maker's public register table (LabJack/ljm_constants, version 2025.12.18). 32-bit values take
+two registers, the high word first.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Sequence
+
+T7 = 7.0
+"""What `PRODUCT_ID` of a T7 holds."""
+
+TEST, TEST_VALUE = 55100, 0x00112233
+PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
+LAST_ERR_DETAIL = 55000
+
+DAC = 1000
+"""DAC0 [V]; DAC1 two registers on."""
+DACS = ("DAC0", "DAC1")
+DAC_FULL, DAC_STEP = 5.0, 5.0 / 4096
+"""Highest voltage, and the smallest step of 12 bits [V]."""
+
+DIO = 2000
+"""FIO0, one register a line: writing makes it an output, reading an input."""
+DIO_STATE, DIO_DIRECTION = 2800, 2850
+"""All lines as bits, as they stand; reading changes nothing."""
+LINES = {
+    **{f"FIO{i}": i for i in range(8)},
+    **{f"EIO{i}": 8 + i for i in range(8)},
+    **{f"CIO{i}": 16 + i for i in range(4)},
+    **{f"MIO{i}": 20 + i for i in range(3)},
+}
+"""Name of a digital line -> its number."""
+ALL_LINES = (1 << 23) - 1
+
+AINS = {f"AIN{i}": i for i in range(14)}
+AIN_RANGE, AIN_NEGATIVE = 40000, 41000
+SINGLE_ENDED = 199
+RANGES = {"10 V": (0, 10.0), "1 V": (1, 1.0), "0.1 V": (2, 0.1), "0.01 V": (3, 0.01)}
+"""Range as it is written -> index of its gain, and the range [V]."""
+
+STREAM_SCANRATE = 4002
+STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")
+"""What stands from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
+STREAM_AUTO_TARGET, TO_ETHERNET = 4016, 1
+"""Then the data type, which must be 0, and the number of scans (0: no end)."""
+STREAM_SCANLIST = 4100
+STREAM_ENABLE = 4990
+STREAM_PORT = 702
+STREAM_BUFFER = 32768
+"""Bytes, the most that a T7 has: two for each sample."""
+MOST_SAMPLES = 512
+"""Samples in a packet."""
+FASTEST = 100_000.0
+"""Samples a second, over all channels, at resolution index 0 or 1 and the range of 10 V."""
+
+WATCHDOG_ENABLE, WATCHDOG_ADVANCED, WATCHDOG_TIMEOUT, WATCHDOG_STARTUP = 61600, 61602, 61604, 61606
+WATCHDOG_STRICT, WATCHDOG_KEY, WATCHDOG_CLEAR = 61610, 61612, 61614
+WATCHDOG_RESET = 61620
+WATCHDOG_DIO_ENABLE, WATCHDOG_DIO_STATE, WATCHDOG_DIO_DIRECTION, WATCHDOG_DIO_INHIBIT = 61630, 61632, 61634, 61636
+WATCHDOG_DAC_ENABLE, WATCHDOG_DAC = (61640, 61650), (61642, 61652)
+
+FLASH_POINTER, FLASH_READ = 61810, 61812
+
+ERRORS = {
+    2313: "a wrong number of registers",
+    2315: "an even number of registers is needed",
+    2370: "this range of an analogue input does not exist",
+    2373: "this negative channel does not exist",
+    2375: "this resolution index does not exist",
+    2600: "a stream needs a channel",
+    2603: "the stream sends by itself and is not asked",
+    2605: "not while a stream runs",
+    2606: "the stream is not configured as a whole",
+    2607: "the list of channels is wrong",
+    2608: "the scan rate is out of range",
+    2611: "the data type is wrong",
+    2612: "the stream has no target",
+    2615: "the buffer size is wrong",
+    2618: "the number of samples a packet is wrong",
+    2620: "no stream runs",
+    2621: "the settling time is wrong",
+    2625: "a channel cannot be streamed",
+    2670: "the watchdog's time is too short",
+    2671: "the watchdog is on; it must be off while it is set",
+    2672: "the watchdog's digital lines are set wrong",
+    2673: "the watchdog's DAC0 is set wrong",
+    2674: "the watchdog's DAC1 is set wrong",
+}
+"""LabJack's own error code -> what it means."""
+
+
+def u32(*values: int) -> list[int]:
+    """The words of whole numbers."""
+    return [word for value in values for word in (value >> 16 & 0xFFFF, value & 0xFFFF)]
+
+
+def f32(*values: float) -> list[int]:
+    """The words of numbers in single precision."""
+    data = struct.pack(f">{len(values)}f", *values)
+    return list(struct.unpack(f">{2 * len(values)}H", data))
+
+
+def from_u32(words: Sequence[int]) -> list[int]:
+    """The whole numbers in pairs of words."""
+    return [words[i] << 16 | words[i + 1] for i in range(0, len(words) - 1, 2)]
+
+
+def from_f32(words: Iterable[int]) -> list[float]:
+    """The numbers in pairs of words."""
+    data = b"".join(word.to_bytes(2, "big") for word in words)
+    return list(struct.unpack(f">{len(data) // 4}f", data))
+
+
+def line_of(name: str) -> int | None:
+    """The number of a digital line by its name (`FIO0`, `EIO3`, `CIO1`, `MIO2`, or `DIO11`), or None."""
+    if match := re.fullmatch(r"DIO(\d{1,2})", name):
+        return int(match[1]) if int(match[1]) < len(LINES) else None
+    return LINES.get(name)
