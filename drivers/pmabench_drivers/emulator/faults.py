@@ -21,8 +21,11 @@ KINDS = {
     "garbage": "bytes of no meaning stand before each answer",
     "unit": "serial text: the line is in another unit (N as kg, mm as in)",
     "noise": "serial text: the number is off by up to `value`, another way in each line",
-    "over": "serial text: the line says that the range is exceeded",
+    "over": "serial text, Alicat: the range is said to be exceeded",
     "double": "serial text: each line comes twice",
+    "held": "Alicat: the status says that the valves are held",
+    "sensor": "Alicat: the status says that the pressure sensor has failed",
+    "limit": "Alicat: the status says that it is over its pressure limit",
 }
 
 

@@ -1,0 +1,336 @@
+"""An Alicat controller over its ASCII protocol: one question, one answer, and no late answer taken for a new one.
+
+Answers carry no number. After one that did not come in time the next line may be that one, late: nothing is believed
+until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
+questions, so what follows that one is new. Set-points do not wait for this; what the device holds is asked afterwards.
+Hold-closed (HC) is never sent: it traps the pressure.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, Identity
+from pmabench_drivers.alicat.layout import Layout, read_layout
+from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
+from pmabench_drivers.alicat.reading import HELD, Reading
+from pmabench_drivers.serial_ascii.lines import Splitter, Unreadable, Wrong
+from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, readable
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+PIECE = 0.005
+"""Longest single wait for bytes [s]."""
+QUIET = 0.15
+"""A list of lines is at its end when nothing comes for so long [s]."""
+FIRST = 0.4
+"""How long the first question may take [s]; a device that sleeps or is not there."""
+LARGEST = 1e6
+MOST_LINES = 100
+FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
+_ABOUT = re.compile(r"\S\s+M(?P<number>\d\d) (?P<text>.*)")
+_LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
+
+
+class Unanswered(DeviceError):
+    """The question was sent and no answer to it came."""
+
+
+class AsciiLink:
+    """The line to one controller, used by any thread."""
+
+    exhausting = False
+    """Exhaust is no documented ASCII command: it vents by its set-point."""
+
+    def __init__(self, device: str, address: str, options: Options, clock: Clock) -> None:
+        self._device, self._address, self._options, self._clock = device, address, options, clock
+        self._lock = threading.Lock()
+        self._port: Serial | None = None
+        self._layout: Layout | None = None
+        self._splitter = Splitter(b"\r", whole=True)
+        self._lines: list[bytes] = []
+        self._clean = True
+        """Whether no older answer can still come."""
+        self._late_until = 0.0
+        """Till then the answer to what clears the line may come late [s, monotonic]."""
+        self._asked_since = False
+        """Whether anything was asked since."""
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self, deadline: float) -> Identity:
+        """Open the port, learn who answers and how its line is made, and compare unit and set-point source."""
+        self._open_port()
+        with self._turn(deadline):
+            about = self._about(deadline)
+            try:
+                self._layout = read_layout(self._listed("??D*", deadline), self._options.letter)
+            except (Wrong, Unreadable) as error:
+                raise DeviceError(self._device, str(error)) from None
+            self._refuse_other_unit(self._layout)
+            self._refuse_other_source(deadline)
+            self._reading("", deadline)
+        model = about.get(4, "")
+        simulated = model.startswith(EMULATED)
+        return Identity("Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated)
+
+    def close(self) -> None:
+        """Let go of the port; harmless when repeated."""
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    @property
+    def fastest(self) -> float:
+        """Polls a second that the line can carry [Hz]."""
+        layout = self._layout
+        return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else LONGEST_LINE))
+
+    # -- what a controller does -----------------------------------------------------------------------------------
+
+    def poll(self, deadline: float) -> Reading | None:
+        """One reading; None where the line had to be cleared of older answers first."""
+        with self._turn(deadline):
+            if not self._clean:
+                self._clear(deadline)
+                return None
+            return self._reading("", deadline)
+
+    def command(
+        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
+    ) -> Reading | None:
+        """Send a set-point once; what the device then holds decides. Nothing is sent if `still()` is false."""
+        text = self._written(value)
+        with self._turn(deadline):
+            if not still():
+                return None
+            why = "is its set-point source the serial line?"
+            try:
+                reading = self._reading(text, deadline)
+            except Unanswered as lost:
+                reading, why = self._found(lost, value, deadline), lost.message
+        if not abs(reading.set_point - value) <= tolerance + self._step:
+            message = f"was commanded {value:g} and holds {reading.set_point:g}: {why}"
+            raise DeviceError(self._device, message, OUTPUT)
+        return reading
+
+    def vent(
+        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
+    ) -> Reading | None:
+        """The set-point that vents, and no hold of the valves; both are sent, whatever the first one's answer."""
+        text, lost = self._written(value), None
+        with self._turn(deadline):
+            if not still():
+                return None
+            reading: Reading | None = None
+            for command in (text, "C"):
+                try:
+                    reading = self._reading(command, deadline)
+                except DeviceError as error:
+                    reading, lost = None, error
+            if reading is None and lost is not None:
+                reading = self._found(lost, value, deadline)
+        if reading is None or not abs(reading.set_point - value) <= tolerance + self._step:
+            held = "nothing" if reading is None else f"{reading.set_point:g}"
+            raise DeviceError(self._device, f"was commanded {value:g} to vent and holds {held}", OUTPUT)
+        if HELD in reading.status:
+            raise DeviceError(self._device, "its valves stay held (HLD): it does not vent", OUTPUT)
+        return reading
+
+    def held(self, deadline: float) -> float:
+        """The set-point that the device holds."""
+        with self._turn(deadline):
+            if not self._clean:
+                self._clear(deadline)
+            return self._reading("", deadline).set_point
+
+    def _found(self, lost: DeviceError, value: float, deadline: float) -> Reading:
+        """What the device holds after a command whose answer is lost or uncertain."""
+        try:
+            if not self._clean:
+                self._clear(deadline)
+            return self._reading("", deadline)
+        except DeviceError as error:
+            message = f"{lost.message}; whether it took {value:g} is not known ({error.message})"
+            raise Unanswered(self._device, message, OUTPUT) from None
+
+    @property
+    def _step(self) -> float:
+        """The device shows a set-point to this."""
+        return 10.0**-self._shape.decimals
+
+    def _written(self, value: float) -> str:
+        if not abs(value) < LARGEST:
+            raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
+        return f"S{value:.{self._shape.decimals}f}"
+
+    # -- opening --------------------------------------------------------------------------------------------------
+
+    def _open_port(self) -> None:
+        import serial
+
+        try:
+            self._port = serial.Serial(
+                self._address, baudrate=self._options.baud, timeout=PIECE, write_timeout=0.1, exclusive=True
+            )
+        except (OSError, ValueError) as error:
+            busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
+            why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
+            raise DeviceError(self._device, f"cannot open {self._address}: {why}") from None
+        self._splitter, self._lines = Splitter(b"\r", whole=True), []
+        self._clean, self._late_until = True, 0.0
+
+    def _about(self, deadline: float) -> dict[int, str]:
+        """Its answers to who it is, by their numbers."""
+        lines = self._listed("??M*", deadline, last=b" M09 ")
+        if not lines:
+            message = (
+                f"nobody answers at {self._address}: is it switched on, at {self._options.baud} baud, with the unit ID "
+                f"{self._options.letter}, and set to ASCII?"
+            )
+            raise DeviceError(self._device, message)
+        found = {}
+        for line in lines:
+            row = _ABOUT.fullmatch(line.decode("ascii", "replace").replace("\b", "").strip())
+            if row is not None:
+                number = int(row["number"])
+                found[number] = row["text"].strip().removeprefix(_LABELS.get(number, "")).strip()
+        if not found and lines[0].strip()[:1].upper() not in {b"?", self._options.letter.encode()}:
+            raise DeviceError(self._device, f'sends "{readable(lines[0])}": another unit ID, or it sends by itself')
+        return found
+
+    def _refuse_other_unit(self, layout: Layout) -> None:
+        for column in (layout.columns[layout.pressure], layout.columns[layout.set_point]):
+            code, _pascal = UNITS[self._options.unit]
+            same = {known for known, size in UNITS.values() if size == UNITS[self._options.unit][1]}
+            if column.unit_code not in same:
+                given = f'gives "{column.name}" in {column.unit or "no unit"} (unit {column.unit_code})'
+                wanted = f"the bench expects {self._options.unit} (unit {code}): set the device or the bench file"
+                message = f"{given} and {wanted}"
+                raise DeviceError(self._device, message)
+
+    def _refuse_other_source(self, deadline: float) -> None:
+        """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
+        words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
+        if len(words) == 2 and words[1] in {"A", "U"}:
+            source = {"A": "its analogue input", "U": "its front panel"}[words[1]]
+            message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
+            raise DeviceError(self._device, message, OUTPUT)
+
+    # -- one question ---------------------------------------------------------------------------------------------
+
+    @property
+    def _shape(self) -> Layout:
+        if self._layout is None:
+            raise DeviceError(self._device, "is not open")
+        return self._layout
+
+    @contextmanager
+    def _turn(self, deadline: float) -> Iterator[None]:
+        """The line for oneself; its failures become sentences."""
+        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
+            raise DeviceError(self._device, "the line was busy with another call until the deadline")
+        try:
+            yield
+        except (OSError, TypeError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise DeviceError(self._device, f"lost {self._address}: {why}") from None
+        finally:
+            self._lock.release()
+
+    def _reading(self, command: str, deadline: float) -> Reading:
+        """Ask what is answered by a data line."""
+        asked = self._clock.now()
+        line = self._ask(command, deadline)
+        try:
+            pressure, set_point, status = self._shape.read(line)
+        except Wrong as error:
+            raise DeviceError(self._device, str(error)) from None
+        except Unreadable as error:
+            raise Unanswered(self._device, f"answers {error}, which is not its data line") from None
+        return Reading(pressure, set_point, status, asked, self._clock.now())
+
+    def _ask(self, command: str, deadline: float) -> bytes:
+        """Send one question and return the one line that answers it; `Unanswered` where that is not certain."""
+        certain, limit = self._clean and not self._drain(), min(deadline, monotonic() + self._options.timeout)
+        if limit <= monotonic():
+            raise DeviceError(self._device, "no time was left to ask")
+        self._clean, self._asked_since = False, True
+        self._send(command)
+        while not self._lines and monotonic() < limit:
+            self._receive()
+        lines, self._lines = self._lines, []
+        if not lines:
+            raise Unanswered(self._device, f"no answer from {self._address} within {self._options.timeout:g} s")
+        if not certain or len(lines) > 1:
+            raise Unanswered(self._device, f'more than one answer at a time, from "{readable(lines[0])}" on')
+        self._clean = True
+        return lines[0]
+
+    def _clear(self, deadline: float) -> None:
+        """Ask for the firmware and drop all that comes before its answer."""
+        now = monotonic()
+        limit, pending = min(deadline, now + self._options.timeout), now < self._late_until
+        if limit <= now or (pending and self._asked_since):
+            message = "is not asked again yet, so that a late answer is not taken for a new one"
+            raise Unanswered(self._device, message)
+        if not pending:
+            self._drain()
+            self._splitter = Splitter(b"\r", whole=True)
+            self._late_until, self._asked_since = now + self._options.slowest, False
+            self._send("VE")
+        while monotonic() < limit:
+            self._receive()
+            lines, self._lines = self._lines, []
+            if any(FIRMWARE.fullmatch(line.strip()) for line in lines):
+                self._clean, self._late_until = True, 0.0
+                return
+        raise Unanswered(self._device, f"no answer from {self._address} within {self._options.timeout:g} s")
+
+    def _listed(self, command: str, deadline: float, last: bytes = b"") -> list[bytes]:
+        """All lines that answer one question: up to the `last`, or to a silence."""
+        self._drain()
+        self._send(command)
+        found: list[bytes] = []
+        heard = monotonic() + FIRST - QUIET
+        while monotonic() < min(deadline, heard + QUIET) and len(found) < MOST_LINES:
+            if self._receive():
+                heard = monotonic()
+            found, self._lines = [*found, *(line for line in self._lines if line.strip())], []
+            if last and found and last in found[-1]:
+                break
+        return found
+
+    def _send(self, command: str) -> None:
+        self._opened().write(f"{self._options.letter}{command}\r".encode("ascii"))
+
+    def _receive(self) -> bool:
+        """Take what comes within a short time; whether anything came."""
+        port = self._opened()
+        data = port.read(1)
+        data += port.read(port.in_waiting)
+        self._lines += self._splitter.feed(data.replace(b"\n", b""))
+        return bool(data)
+
+    def _drain(self) -> bool:
+        """Drop what came unasked or late; whether there was any line."""
+        port = self._opened()
+        waiting = port.in_waiting
+        if waiting:
+            self._lines += self._splitter.feed(port.read(waiting).replace(b"\n", b""))
+        lines, self._lines = self._lines, []
+        return bool(lines)
+
+    def _opened(self) -> Any:
+        port = self._port
+        if port is None:
+            raise DeviceError(self._device, "is not open")
+        return port

@@ -1,0 +1,223 @@
+"""An Alicat controller over Modbus RTU: set-point, status and pressure as registers, exhaust as a special command.
+
+Registers of the manual of 02/2023; there they count from 1, here as on the wire, from 0. Every write is function 16,
+numbers are 32-bit floats with the high word first. Late answers are kept apart by `modbus.adapter.Line`. The valve
+settings "hold closed" and "hold current" are never sent: they trap the pressure.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import TYPE_CHECKING
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, Identity
+from pmabench_drivers.alicat.options import OUTPUT, Options
+from pmabench_drivers.alicat.reading import Reading, from_bits
+from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
+
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line
+
+WRITE = 16
+COMMAND = Register("command", "holding", 999)
+"""Command and its argument; read again: the last command and its result."""
+SET_POINT = Register(OUTPUT, "holding", 1009, "float32")
+STATUS = Register("status", "holding", 1200, "uint32")
+PRESSURE = Register("pressure", "holding", 1202, "float32")
+EMULATOR = Register("emulator", "input", 0xFE00, "text", length=16)
+"""Only the emulator has this: a controller refuses the address."""
+VALVES = 6
+CANCEL, EXHAUST = 0, 3
+RESULTS = {
+    32769: "it does not know the command",
+    32770: "it does not know the setting",
+    32771: "it has no such feature",
+}
+LARGEST = 1e6
+FLOAT32 = 1e-6
+"""Relative step of the numbers on the line."""
+
+
+class ModbusLink:
+    """The line to one controller, used by any thread."""
+
+    def __init__(self, device: str, address: str, options: Options, clock: Clock) -> None:
+        self._device, self._address, self._options, self._clock = device, address, options, clock
+        self._lock = threading.Lock()
+        self._line: Line | None = None
+        self._regulating = False
+        """Whether no valve setting stands in the way of the set-point, as far as is known."""
+        self.exhausting = False
+        self._table = "holding"
+        """Which function reads: the device knows no difference between holding and input registers."""
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self, deadline: float) -> Identity:
+        """Open the port and read what is read later; who it is cannot be asked over Modbus."""
+        from pmabench_drivers.modbus.adapter import Line, Serial, Unanswered
+
+        options = self._options
+        self._line = Line(
+            self._device,
+            self._address,
+            unit_id=options.number,
+            timeout=options.timeout,
+            slowest=options.slowest,
+            serial=Serial(options.baud, "N", 1),
+        )
+        self._regulating = self.exhausting = False
+        with self._turn(deadline):
+            self._get(SET_POINT, deadline)
+            self._read(deadline)
+            try:
+                words = self._opened().read(EMULATOR.table, EMULATOR.address, EMULATOR.count, deadline, "identity")
+                model = decode_text(words)
+            except Unanswered:
+                raise
+            except DeviceError:
+                model = ""
+        if model and not model.startswith(EMULATED):
+            model = ""
+        return Identity("Alicat", model or "controller on Modbus", "", "", simulated=bool(model))
+
+    def close(self) -> None:
+        """Let go of the port; harmless when repeated."""
+        line, self._line = self._line, None
+        if line is not None:
+            line.close()
+
+    @property
+    def fastest(self) -> float:
+        """Polls a second that the line can carry [Hz]: two questions, 46 characters and the pauses between frames."""
+        return 0.8 * self._options.baud / 10 / (46 + 4 * 3.5)
+
+    # -- what a controller does -----------------------------------------------------------------------------------
+
+    def poll(self, deadline: float) -> Reading:
+        """One reading."""
+        with self._turn(deadline):
+            return self._read(deadline)
+
+    def command(
+        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Send a set-point once and read it back; before it, the exhaust is closed. Nothing if `still()` is false."""
+        words = self._words(value)
+        with self._turn(deadline):
+            if not still():
+                return
+            if not self._regulating:
+                self._set_valves(CANCEL, deadline)
+                self._refuse_other_result(CANCEL, deadline)
+                self._regulating, self.exhausting = True, False
+            lost = self._put(SET_POINT, words, deadline)
+            self._refuse_other_set_point(value, deadline, tolerance, lost)
+
+    def vent(self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True) -> None:
+        """The set-point that vents, then exhaust (one valve: no hold); both are sent, whatever comes of the first."""
+        words, setting = self._words(value), EXHAUST if self._options.valves > 1 else CANCEL
+        with self._turn(deadline):
+            if not still():
+                return
+            self._regulating, self.exhausting = False, setting == EXHAUST
+            lost = self._put(SET_POINT, words, deadline)
+            self._set_valves(setting, deadline)
+            self._refuse_other_set_point(value, deadline, tolerance, lost)
+            self._refuse_other_result(setting, deadline)
+            self._regulating = setting == CANCEL
+
+    def held(self, deadline: float) -> float:
+        """The set-point that the device holds."""
+        with self._turn(deadline):
+            return self._get(SET_POINT, deadline)
+
+    # -- registers ------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _turn(self, deadline: float) -> Iterator[None]:
+        """The line for oneself, from the first to the last question of one action."""
+        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
+            raise DeviceError(self._device, "the line was busy with another call until the deadline")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def _read(self, deadline: float) -> Reading:
+        asked = self._clock.now()
+        words = self._words_at(STATUS, deadline, STATUS.count + PRESSURE.count)
+        answered = self._clock.now()
+        set_point = self._get(SET_POINT, deadline)
+        pressure = self._finite(decode(PRESSURE, words[STATUS.count :]), PRESSURE)
+        return Reading(pressure, set_point, from_bits(int(decode(STATUS, words[: STATUS.count]))), asked, answered)
+
+    def _get(self, register: Register, deadline: float) -> float:
+        return self._finite(decode(register, self._words_at(register, deadline)), register)
+
+    def _words_at(self, register: Register, deadline: float, count: int = 0) -> list[int]:
+        """Read registers; after a lost answer by the other of functions 3 and 4, which it can be told from."""
+        try:
+            return self._opened().read(self._table, register.address, count or register.count, deadline, register.name)
+        except DeviceError:
+            self._table = "input" if self._table == "holding" else "holding"
+            raise
+
+    def _finite(self, value: float, register: Register) -> float:
+        if not math.isfinite(value):
+            raise DeviceError(self._device, f"gives {value} in register {register.address}", register.name)
+        return value
+
+    def _words(self, value: float) -> list[int]:
+        if not abs(value) < LARGEST:
+            raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
+        return encode(SET_POINT, value)
+
+    def _put(self, register: Register, words: list[int], deadline: float) -> DeviceError | None:
+        """Write once; a lost or refused answer is returned, and what the device holds decides."""
+        try:
+            self._opened().write(WRITE, register.address, words, deadline, register.name)
+        except DeviceError as error:
+            return error
+        return None
+
+    def _set_valves(self, setting: int, deadline: float) -> None:
+        """Write the valve setting once; its result is read afterwards."""
+        self._put(COMMAND, [VALVES, setting], deadline)
+
+    def _refuse_other_set_point(
+        self, value: float, deadline: float, tolerance: float, lost: DeviceError | None
+    ) -> None:
+        try:
+            held = self._get(SET_POINT, deadline)
+        except DeviceError as error:
+            first = f"{lost.message}; " if lost else ""
+            message = f"{first}whether it took {value:g} is not known ({error.message})"
+            raise DeviceError(self._device, message, OUTPUT) from None
+        if not abs(held - value) <= tolerance + FLOAT32 * abs(value):
+            source = f" ({lost.message})" if lost else ": is its set-point source the serial line?"
+            raise DeviceError(self._device, f"was commanded {value:g} and holds {held:g}{source}", OUTPUT)
+
+    def _refuse_other_result(self, setting: int, deadline: float) -> None:
+        """Read what came of the last command; by function 4, so that no other answer looks like this one."""
+        command, result = self._opened().read("input", COMMAND.address, 2, deadline, COMMAND.name)
+        what = {EXHAUST: "exhaust", CANCEL: "cancel"}[setting]
+        if command != VALVES:
+            message = f"did not take the valve setting {what}: its last command is {command}"
+            raise DeviceError(self._device, message, COMMAND.name)
+        if result != 0:
+            why = RESULTS.get(result, f"result {result}")
+            hint = '; has it one valve only? then "valves: 1"' if setting == EXHAUST and result != 32769 else ""
+            raise DeviceError(self._device, f"refuses the valve setting {what}: {why}{hint}", COMMAND.name)
+
+    def _opened(self) -> Line:
+        line = self._line
+        if line is None:
+            raise DeviceError(self._device, "is not open")
+        return line
