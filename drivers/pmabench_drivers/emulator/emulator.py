@@ -20,6 +20,7 @@ SERVERS = {
     "pmabench_drivers.labjack:LabJack": "pmabench_drivers.labjack.emulated",
     "pmabench_drivers.modbus:ModbusDevice": "pmabench_drivers.emulator.modbus_server",
     "pmabench_drivers.serial_ascii:SerialIndicator": "pmabench_drivers.emulator.indicator",
+    "pmabench_drivers.serial_line_daq:SerialLineDaq": "pmabench_drivers.serial_line_daq.emulator",
 }
 """Driver -> the module whose `serve(device, plant, log)` makes the device that it talks to."""
 

@@ -1,0 +1,368 @@
+"""The device interface in front of a board: sampling by its clock, commands that are read back, its watchdog."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.serial_line_daq.link import Link, Unanswered
+from pmabench_drivers.serial_line_daq.options import read_options
+from pmabench_drivers.serial_line_daq.samples import Timeline
+from pmabench_drivers.serial_line_daq.wire import (
+    ARMED,
+    LEVELS,
+    NAMES,
+    PROTOCOL,
+    VENTED,
+    VERSION,
+    index_of,
+    read_sample,
+)
+
+CALL = 0.17
+"""Longest time that a call takes [s]."""
+ANSWER = 0.08
+"""How long an answer is waited for before what the board holds is asked for [s]."""
+OPEN = 1.9
+ASK = 0.2
+"""While it is opened a board is asked so often who it is: an Arduino restarts when its port is opened [s]."""
+PATIENCE = 0.25
+"""So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
+MISFITS = 3
+"""So many samples in a row whose number and clock do not fit are an error."""
+STEPS = 100.0
+"""Ramps and sines are stepped so often [Hz]."""
+
+
+class SerialLineDaq:
+    """A board with the program of `sketch`, or another that speaks its protocol; the option `baud` is all it is told.
+
+    Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
+    Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
+    """
+
+    verified = "emulator, and the sketch's protocol code compiled for a computer; no board"
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._baud = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock = device, clock
+        self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._outputs = {output.output: output for output in device.outputs}
+        self._cycle = Cycle(f"line-daq {device.name}", self._step, clock)
+        self._following: dict[str, Segment] = {}
+        self._link: Link | None = None
+        self._has = dict.fromkeys(NAMES, 0)
+        self._full_scale, self._shortest = 0, 1
+        self._timeline: Timeline | None = None
+        self._before: Timeline | None = None
+        self._period = self._armed = 0.0
+        self._heard = 0.0
+        self._told_vented = False
+        self._failure: DeviceError | None = None
+        self._step_failing: tuple[float, DeviceError] | None = None
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
+        self.close()
+        link = self._link = Link(self._device.name, self._device.address, self._baud, self._take)
+        try:
+            identity = self._identify(link, monotonic() + OPEN)
+            link.ask(monotonic() + CALL, "G", 0)
+        except DeviceError:
+            self.close()
+            raise
+        return identity
+
+    def close(self) -> None:
+        """End stepping and let go of the port; the board goes on sampling, and its watchdog stays as it is."""
+        self._following.clear()
+        self._cycle.stop(JOIN)
+        self._timeline, self._armed, self._failure, self._step_failing = None, 0.0, None, None
+        self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _identify(self, link: Link, deadline: float) -> Identity:
+        while True:
+            try:
+                answer = link.ask(min(deadline, monotonic() + ASK), "I")
+                break
+            except Unanswered:
+                if link.gone or monotonic() >= deadline:
+                    heard = f"; the last thing heard was {link.last}" if link.last else ""
+                    raise DeviceError(
+                        self._device.name, f"did not say who it is within {OPEN:g} s at {self._baud} baud{heard}"
+                    ) from None
+        if answer[:2] != [PROTOCOL, VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
+            raise DeviceError(self._device.name, f'is no "{PROTOCOL}" of version {VERSION}: "{",".join(answer)[:60]}"')
+        _protocol, version, model, serial, *numbers = answer
+        *counts, self._full_scale, self._shortest = map(int, numbers)
+        self._has = dict(zip(NAMES, counts, strict=True))
+        record = self._device
+        wanted = [("a", channel.input) for channel in record.channels]
+        wanted += [("d", lock.input) for lock in record.interlocks] + [("v", valve.output) for valve in record.valves]
+        for letter, name in [*wanted, *(("o", output.output) for output in record.outputs)]:
+            self._index(name, letter)
+        if not 0 < self._shortest <= 10_000_000:
+            raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
+        return Identity("", model, serial, f"{PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Let the board sample at `rate` [Hz], in whole microseconds, or as fast as it can if that is less."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        period = min(max(round(1e6 / rate), self._shortest), 10_000_000)
+        self.stop()
+        self._samples.take()
+        self._failure = None
+        told = self._ask("G", period)
+        if told != period:
+            raise DeviceError(self._device.name, f"samples each {told} us where {period} us were asked for")
+        self._period, self._heard = period * 1e-6, monotonic()
+        self._before = self._timeline = Timeline(period, self._before)
+        return 1e6 / period
+
+    def collect(self) -> Block:
+        """What came since the last call; an error for silence, and once for what else went wrong."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        if self._cycle.broken is not None:
+            raise DeviceError(self._device.name, f"stepping broke off: {self._cycle.broken}")
+        failing = self._step_failing
+        if failing is not None and monotonic() - failing[0] > PATIENCE:
+            self._step_failing = None
+            raise failing[1]
+        block = self._samples.take()
+        if len(block.time):
+            return block
+        link = self._link
+        if link is None or link.gone:
+            raise DeviceError(self._device.name, f"lost {self._device.address}: {link.gone}" if link else "is not open")
+        if self._timeline is not None and monotonic() - self._heard > max(PATIENCE, 3 * self._period):
+            last = f"; the last thing heard was {link.last}" if link.last else ""
+            raise DeviceError(self._device.name, f"no sample for {PATIENCE:g} s{last}")
+        return block
+
+    def stop(self) -> None:
+        """End sampling; a ramp under way goes on."""
+        if self._timeline is not None and self._link is not None:
+            self._timeline = None
+            self._ask("G", 0)
+
+    @property
+    def missed(self) -> int:
+        """Samples that the board counted and that never came."""
+        return self._timeline.lost if self._timeline is not None else 0
+
+    def _take(self, fields: list[str]) -> None:
+        """One `S` line, in the reading thread."""
+        timeline, now = self._timeline, self._clock.now()
+        sample = read_sample(fields, self._has["a"])
+        if timeline is None:
+            return  # sampling has not begun here: another program left it on
+        micros = timeline.place(sample, now)
+        if micros is None:
+            if timeline.misfits == MISFITS:
+                message = (
+                    "the number of its samples and its clock do not fit: it has started again, or is no such board"
+                )
+                self._failure = DeviceError(self._device.name, message)
+            return
+        self._heard = monotonic()
+        self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
+        if sample.state & VENTED and self._armed and not self._told_vented:
+            self._told_vented = True
+            message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
+            self._failure = DeviceError(self._device.name, message)
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Command a whole number of counts once; where no answer comes, what the board holds decides."""
+        self._output(output)
+        self._following.pop(output, None)
+        self._put("W", self._index(output, "o"), self._whole(output, value))
+
+    def read_back(self, output: str) -> float:
+        """The counts that the board holds."""
+        self._output(output)
+        return float(self._ask("W", self._index(output, "o")))
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Switch a valve's output."""
+        self._put("V", self._index(output, "v"), int(on))
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve's output is on."""
+        return self._ask("V", self._index(output, "v")) != 0
+
+    def level(self, name: str) -> bool:
+        """Whether a digital input is high."""
+        index = self._index(name, "d")
+        return bool(self._ask("D") >> LEVELS + index & 1)
+
+    def rescue(self, output: str, value: float) -> None:
+        """Send on the same wire without waiting for a turn; the answer is known by its number."""
+        self._following.pop(output, None)
+        if output in self._outputs:
+            self._put("W", self._index(output, "o"), self._whole(output, value), aside=True)
+        else:
+            self._put("V", self._index(output, "v"), int(value != 0), aside=True)
+
+    # -- ramps and sines ------------------------------------------------------------------------------------------
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
+        self._output(output)
+        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
+        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
+            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
+        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        reach = (
+            (segment.origin, segment.target)
+            if segment.kind == "ramp"
+            else (
+                segment.origin - abs(segment.amplitude),
+                segment.origin + abs(segment.amplitude),
+            )
+        )
+        for value in reach:
+            self._whole(output, value)
+        self._opened()
+        self._step_failing = None
+        self._following[output] = segment
+        if not self._cycle.running:
+            self._cycle.start(STEPS)
+
+    def _step(self) -> None:
+        """Send the value of this moment of every segment; the last one ends it."""
+        for output, segment in list(self._following.items()):
+            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            if value is None:
+                continue
+
+            def still(output: str = output, segment: Segment = segment) -> bool:
+                return self._following.get(output) is segment
+
+            try:
+                self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
+            except DeviceError as error:
+                since = self._step_failing[0] if self._step_failing else monotonic()
+                self._step_failing = (since, error) if still() else None
+                continue
+            self._step_failing = None
+            if over and still():
+                self._following.pop(output, None)
+
+    # -- the board's watchdog -------------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it, start it, and read back the time that the board holds [s]."""
+        if not 0 < seconds < math.inf:
+            raise DeviceError(self._device.name, f"a watchdog of {seconds} s cannot be set", "watchdog")
+        until = monotonic() + CALL
+        self._ask("T", math.floor(seconds * 1e3 + 1e-6), until=until)
+        held = self._ask("T", until=until)
+        if held <= 0:
+            raise DeviceError(self._device.name, "holds a watchdog time of 0, which is none", "watchdog")
+        self._armed, self._told_vented = held * 1e-3, False
+        return self._armed
+
+    def feed_watchdog(self) -> None:
+        """A sign of life; an error where the board is not armed any more."""
+        if not self._ask("F") & ARMED:
+            raise DeviceError(self._device.name, "took a sign of life and is not armed", "watchdog")
+
+    def disarm_watchdog(self) -> None:
+        """Stop it. The board vents: nothing stays on that nobody watches."""
+        self._armed = 0.0
+        self._ask("T", 0)
+
+    # -- questions ------------------------------------------------------------------------------------------------
+
+    def _opened(self) -> Link:
+        link = self._link
+        if link is None:
+            raise DeviceError(self._device.name, "is not open")
+        return link
+
+    def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
+        """The number that the board answers."""
+        return self._number(self._opened().ask(until or monotonic() + CALL, letter, *values))
+
+    def _number(self, answer: list[str]) -> int:
+        if len(answer) != 1 or not answer[0].isdecimal():
+            raise DeviceError(self._device.name, f'answers "{",".join(answer)[:40]}" where a number is expected')
+        return int(answer[0])
+
+    def _put(
+        self,
+        letter: str,
+        index: int,
+        value: int,
+        *,
+        still: Callable[[], bool] = lambda: True,
+        aside: bool = False,
+    ) -> None:
+        """Send once; the answer says what the board holds. Where it is lost the board is asked, never told again."""
+        link, until = self._opened(), monotonic() + CALL
+        lost = ""
+        try:
+            answer = link.ask(until - CALL + ANSWER, letter, index, value, still=still, aside=aside)
+            if not answer:
+                return  # overtaken by a newer command
+        except Unanswered:
+            lost = "did not answer to the command"
+            try:
+                answer = link.ask(until, letter, index, aside=aside)
+            except Unanswered:
+                message = f"did not answer; whether it took {value} is not known"
+                raise Unanswered(self._device.name, message, f"{'o' if letter == 'W' else 'v'}{index}") from None
+        held = self._number(answer)
+        if held != value:
+            name = f"{'o' if letter == 'W' else 'v'}{index}"
+            raise DeviceError(self._device.name, f"{lost or 'was commanded'} {value} and holds {held}", name)
+
+    def _output(self, output: str) -> OutputRecord:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        return record
+
+    def _index(self, name: str, letter: str) -> int:
+        index, count = index_of(name, letter), self._has[letter]
+        if index is None or (self._link is not None and index >= count):
+            raise DeviceError(
+                self._device.name, f'the board has {count} {NAMES[letter]}(s), and "{name}" is none', name
+            )
+        return index
+
+    def _whole(self, output: str, value: float) -> int:
+        """Whole counts that the board can take."""
+        if not math.isfinite(value) or not -0.5 <= value < self._full_scale + 0.5:
+            raise DeviceError(self._device.name, f"cannot be set to {value:g}; 0 to {self._full_scale} counts", output)
+        return round(value)
