@@ -44,12 +44,6 @@ EXCEPTIONS = {
 }
 """Exception code -> what the device says with it."""
 
-NO_ANSWER = (
-    *(ModbusException, OSError, StopIteration),
-    *(TypeError, ValueError, IndexError, AttributeError, struct.error),
-)
-"""What the library raises where no answer came, or one that makes no sense: also one to a question never asked."""
-
 LAST_READ = 4
 """Function codes up to this one read."""
 
@@ -240,7 +234,7 @@ class Line:
             self._client.comm_params.timeout_connect = max(limit - monotonic(), 0.001)
             try:
                 answer = next(answer for answer in self._answers(send) if self._belongs(answer, wanted))
-            except NO_ANSWER as error:
+            except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error, StopIteration) as error:
                 self._lost(wanted)
                 raise Unanswered(self._device, self._why(error, limit), what) from None
             if answer.isError():
