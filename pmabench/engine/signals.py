@@ -52,7 +52,7 @@ class Signals:
     def check(self) -> None:
         """Raise what has been noted and not been heeded."""
         if len(self.pending) > self._heeded and not self._shut:
-            number = self.pending[-1]
+            number = self.pending[self._heeded]  # the first is the cause
             raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
 
     def news(self) -> bool:

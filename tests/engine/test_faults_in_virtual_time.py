@@ -1,6 +1,8 @@
 """Faults of plant and sensors on the mock bench: which limit trips, what is recorded, how soon it vents (S2)."""
 
 import math
+import os
+import signal
 from dataclasses import replace
 
 import pytest
@@ -232,6 +234,28 @@ def test_the_key_v_vents_now_and_says_who(monkeypatch):
     outcome = run_plan(one_trial(*HOLD), stoppable(), operator, out=None)
     assert (outcome.status, outcome.exit_code) == ("aborted", 130)
     assert "the operator (key v)" in outcome.why
+    assert not [kind for kind, _, _ in outcome.events if kind == "controlled-stop"]
+
+
+def test_the_first_of_several_signals_is_the_cause(monkeypatch):
+    class Three(ConfirmedBeforehand):
+        def poll(self, measured):
+            return ()
+
+    operator, sent = Three(), []
+
+    class Clock(run_module.VirtualClock):
+        def wait_until(self, deadline):
+            if deadline > 5.0 and not sent:
+                sent.extend((signal.SIGTERM, signal.SIGINT, signal.SIGHUP))
+                for number in sent:
+                    os.kill(os.getpid(), number)
+            super().wait_until(deadline)
+
+    monkeypatch.setattr(run_module, "VirtualClock", Clock)
+    outcome = run_plan(one_trial(*HOLD), stoppable(), operator, out=None)
+    assert (outcome.status, outcome.exit_code) == ("aborted", 143)
+    assert "SIGTERM" in outcome.why
     assert not [kind for kind, _, _ in outcome.events if kind == "controlled-stop"]
 
 

@@ -28,10 +28,11 @@ FAULTS = {
 
 def test_a_fault_is_vented_within_two_blocks(tmp_path, record_property):
     times, count = defaultdict(list), cases(1)
-    record_property("cases", count * len(FAULTS))
+    faults = dict(list(FAULTS.items())[: None if VARIABLE in os.environ else 3])
+    record_property("cases", count * len(faults))
     with Forks() as forks, served(tmp_path) as (bench, plant):
         for number in range(count):
-            for name, (act, waits, names) in FAULTS.items():
+            for name, (act, waits, names) in faults.items():
                 run = Run(forks, bench, plant, tmp_path / f"{number}-{name}", "hold")
                 try:
                     run.in_step()

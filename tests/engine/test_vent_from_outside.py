@@ -128,7 +128,7 @@ def test_nobody_at_the_bench(lab, tmp_path, forks):
 
 def test_two_starts_at_once_have_one_owner(forks, lab, tmp_path, record_property):
     bench, plant = lab
-    count = cases(5)
+    count = cases(3)
     record_property("cases", count)
     for number in range(count):
         folder = tmp_path / str(number)
