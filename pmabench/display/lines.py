@@ -63,8 +63,11 @@ def _row(line: TrialLine, names: Sequence[str]) -> Text:
     return text
 
 
-def trial_table(lines: Sequence[TrialLine], width: int, room: int) -> list[Text]:
-    """A heading and the last trials, newest at the end, at most `room` lines in all; empty where there is no room."""
+def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 0) -> list[Text]:
+    """A heading and the last trials, newest at the end, at most `room` lines in all; empty where there is no room.
+
+    With `spare` lines beyond, what percent and star mean is told below where it does not fit beside the heading.
+    """
     if not lines or room < 2:
         return []
     names = point_columns(lines)
@@ -87,7 +90,7 @@ def trial_table(lines: Sequence[TrialLine], width: int, room: int) -> list[Text]
     below = []
     if told.cell_len + legend.cell_len <= width:
         told.append_text(legend)
-    elif legend and used < room and legend.cell_len <= width:
+    elif legend and spare and legend.cell_len <= width:
         below = [legend]
     return [told, *(row for part in reversed(parts) for row in part), *below]
 

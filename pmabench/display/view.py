@@ -110,6 +110,8 @@ def _head(state: RunState, width: int) -> list[Text]:
     if trial is not None:
         where = Text().append(f"trial {trial.index + 1} of {state.trials}", STRONG)
         where.append(f"  {point_text(trial.point)}" + (f", repeat {trial.repeat + 1}" if trial.repeat else ""))
+    elif not state.trials and status == "running":
+        where = Text("what is to be done by hand is asked here", STRONG)
     else:
         where = Text().append(_done(state), STRONG)
         where.append("  not in a trial: nothing is recorded" if status == "running" else "")
@@ -248,7 +250,10 @@ def _lower(state: RunState, width: int, room: int, *, curves: bool) -> list[Text
     if drawn and high >= 3:
         lines += _curves(state, width, high)
     if trials:
-        lines += trial_table(state.lines, width, room - notices - gap - len(lines))
+        most = room - notices - gap - len(lines)
+        table = trial_table(state.lines, width, most)
+        spare = room - len(lines) - len(table) - gap - 2 * len(state.notices)
+        lines += trial_table(state.lines, width, most, spare) if spare > 0 else table
     if notices:
         most = room - len(lines) - gap
         last = [part for n in list(state.notices)[-most:] for part in _notice(n.t, n.text, n.level, width)]
@@ -332,4 +337,4 @@ def _footer(extra: Extra) -> Text | None:
 
 def closing(state: RunState, width: int, most: int = 12) -> list[Text]:
     """What is worth keeping on the terminal when the picture goes: the last trials."""
-    return _fill(table := trial_table(state.lines, width, most), width, len(table))
+    return _fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from math import ceil, isfinite, log10
+from typing import Any
 
 from rich.cells import cell_len
 
-from pmabench.base.quantities import QUANTITIES, Quantity
+from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, Quantity, in_words
 from pmabench.store.records import Event
 
 LONGEST = 400
@@ -104,6 +106,8 @@ def event_text(event: Event) -> tuple[str, str] | None:
         force, mass = data.get("force"), data.get("mass")
         told = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
         return told + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
+    if kind in _OF_SESSIONS:
+        return _OF_SESSIONS[kind](data)
     if kind == "proof-test":
         asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
         told = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, empty {vented:.2g} s after venting"
@@ -117,6 +121,55 @@ def event_text(event: Event) -> tuple[str, str] | None:
     level = "doubt" if data.get("ok") is False or "warn" in kind or "lost" in kind else "info"
     told = data.get("text") or data.get("reason") or ", ".join(f"{key} {_short(value)}" for key, value in data.items())
     return clean(f"{kind}: {told}" if told else kind), level
+
+
+def _session(data: Mapping[str, Any]) -> tuple[str, str]:
+    less = [f"{what} skipped because {why}" for what, why in (data.get("skipped") or {}).items()]
+    less += data.get("shortened") or []
+    return clean(f"session{': ' if less else ''}{'; '.join(map(str, less))}"), "doubt" if less else "info"
+
+
+def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
+    """How many of the checks came out how; what failed in full."""
+    checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
+    counts = Counter(str(check.get("verdict")) for check in checks)
+    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    wrong = [check for check in checks if check.get("verdict") not in ("ok", "not measured")]
+    told += "".join(f"; {check.get('name')}: {check.get('value')}, {check.get('hint')}" for check in wrong)
+    return clean(f"self-test: {told}"), "fault" if wrong else "info"
+
+
+def _zeros(data: Mapping[str, Any]) -> tuple[str, str]:
+    return clean(f"zeros taken: {_by_channel(data, 'value')}"), "info"
+
+
+def _zero_check(data: Mapping[str, Any]) -> tuple[str, str]:
+    wrong = any(zero.get("ok") is False for zero in (data.get("channels") or {}).values())
+    return clean(f"zeros have drifted by {_by_channel(data, 'drift')}"), "doubt" if wrong else "info"
+
+
+def _by_channel(data: Mapping[str, Any], entry: str) -> str:
+    """One number of each channel."""
+    told = []
+    for name, zero in (data.get("channels") or {}).items():
+        if isinstance(zero.get(entry), int | float):
+            q = quantity(CHANNEL_QUANTITY.get(str(name), ""))
+            told.append(f"{name} {q.show(float(zero[entry]), 3)}")
+    return ", ".join(told) or "nothing that was measured"
+
+
+def _warm_up(data: Mapping[str, Any]) -> tuple[str, str]:
+    pressure = quantity("pressure").show(float(data.get("pressure") or 0.0), 4)
+    return f"warm-up: cycles to {pressure} for {in_words(float(data.get('duration') or 0.0))}", "info"
+
+
+_OF_SESSIONS: dict[str, Callable[[Mapping[str, Any]], tuple[str, str]]] = {
+    "session": _session,
+    "self-test": _self_test,
+    "zeros": _zeros,
+    "zero-check": _zero_check,
+    "warm-up": _warm_up,
+}
 
 
 def _short(value: object) -> str:
