@@ -144,6 +144,10 @@ def test_every_way_out_vents_and_is_recorded(cause, kind, forks, lab, folder):
             plant.clear(name)
         eventually(lambda: plant.state()["pressure"] < 5e3)  # what a burst hid comes back and has to leave
     told = run.lines()
+    if code < 0:  # the last of several signals came when the run was over, vented and closed
+        assert "others" in cause or "again" in cause, told
+        assert open_run(run.said("folder")).status == status
+        return
     assert (run.said("status"), code) == (status, code), told
     assert code in codes, told
     assert why in run.said("why"), told
