@@ -141,6 +141,12 @@ def test_the_line_of_the_valve_stays_an_output_however_it_is_looked_at(bench):
     assert [entry["on"] for entry in sent(emulator, "switch")] == [True, False]
 
 
+def test_a_line_that_is_only_pulled_up_is_not_on(bench):
+    _emulator, served, device = bench
+    served.t7._terminal = lambda _line: True
+    assert device.is_on("FIO0") is False  # an input: nothing drives it
+
+
 def test_a_line_that_is_held_down_outside_is_found_out(bench):
     _emulator, served, device = bench
     served.t7._terminal = lambda _line: False
