@@ -67,8 +67,9 @@ def test_the_bench_is_vented_and_latched(way, forks, lab, tmp_path, record_prope
                 os.kill(run.pid, signal.SIGCONT)
             code = run.end()
             if way == "engine stopped":
-                assert code == 4, run.lines()
-                assert "silent" in run.said("why"), run.said("why")
+                # What it finds first when it wakes: the guard has taken over, or no sample came for too long.
+                assert code in {4, 5}, run.lines()
+                assert any(text in run.said("why") for text in ("silent", "no sample", "not asked")), run.lines()
             elif way == "guard killed":
                 assert code in {4, 5}, run.said("why")
                 assert "guard" in run.said("why")
