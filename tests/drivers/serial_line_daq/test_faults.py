@@ -10,7 +10,7 @@ from pmabench_drivers.serial_line_daq.wire import encode
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from tests.drivers.serial_line_daq.rigs import IDENTITY, LATE, Hand, board, emulated, gather, opened, timed
+from tests.drivers.serial_line_daq.rigs import IDENTITY, LATE, Hand, board, collected, emulated, gather, opened, timed
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
@@ -52,7 +52,7 @@ def test_lost_samples_are_counted_and_their_gap_stands_at_its_place():
         for number in range(200):
             if number not in {50, 51, 120}:
                 hand.send(sample(number, number * 10000))
-        times, _ = gather(driver, 0.1)
+        times, _ = collected(driver, 197)
         steps = [later - earlier for earlier, later in pairwise(times)]
         assert {i: step for i, step in enumerate(steps) if step != 10_000_000} == {49: 30_000_000, 117: 20_000_000}
         assert driver.missed == 3
@@ -71,7 +71,7 @@ def test_noise_between_and_in_lines_costs_only_the_lines_that_it_hits():
             if number % 40 == 0:
                 hand.send(chance.randbytes(30) + b"\n")
                 time.sleep(0.01)
-        times, columns = gather(driver, 0.1)
+        times, columns = collected(driver, 340)
         kept = [number for number in range(400) if number not in hit]
         assert [time // 10_000_000 for time in times] == kept
         assert columns["pressure"] == kept
@@ -86,7 +86,7 @@ def test_a_line_without_an_end_is_bounded():
             hand.send(b"S,1,2" * 40)
             time.sleep(0.0005)
         hand.send(b"\n" + sample(7, 7))
-        assert len(gather(driver, 0.1)[0]) == 1
+        assert len(collected(driver, 1)[0]) == 1
 
 
 def test_a_board_that_starts_again_while_it_samples_is_an_error(rig):
@@ -106,7 +106,7 @@ def test_samples_that_begin_at_zero_again_are_not_believed():
         streaming(hand, driver)
         for number in range(100, 110):
             hand.send(sample(number, number * 10000))
-        assert len(gather(driver, 0.1)[0]) == 10
+        assert len(collected(driver, 10)[0]) == 10
         for number in range(5):
             hand.send(sample(number, number * 10000))
         assert "do not fit" in failure(driver)
@@ -120,13 +120,15 @@ def test_a_board_that_says_nothing_readable_is_soon_an_error_and_then_comes_back
     gather(device, 0.1)
     served.faults.set(kind, value)
     assert "no sample for 0.25 s" in failure(device)
+    served.faults.set("clear")
+    assert collected(device, 3)
+    device.arm_watchdog(1.0)
+    served.faults.set(kind, value)
     took, error = timed(device.write, "o0", 5.0)
     assert took < LATE
     assert "whether it took 5 is not known" in str(error)
     served.faults.set("clear")
-    time.sleep(0.05)
-    device.collect()
-    assert gather(device, 0.2)[0]
+    assert collected(device, 3)
     assert device.read_back("o0") == (0.0 if kind == "deaf" else 5.0)
 
 
@@ -135,8 +137,7 @@ def test_what_stands_between_lines_and_lines_that_come_twice_do_no_harm(rig, kin
     served, device = rig
     device.start(100.0)
     served.faults.set(kind)
-    times, _ = gather(device, 0.5)
-    assert len(times) > 30
+    times, _ = collected(device, 30)
     assert len(set(times)) == len(times)
     for value in (1.0, 2.0, 3.0):
         device.write("o0", value)
@@ -271,9 +272,8 @@ def test_a_board_that_samples_already_is_taken_over(tmp_path):
             first.start(500.0)
         with opened(board(served.address)) as second:
             second.start(50.0)
-            times, _ = gather(second, 0.4)
-            assert 10 <= len(times) <= 22
-            assert second.missed <= 3
+            times, _ = collected(second, 10)
+            assert sum(later - earlier for earlier, later in pairwise(times)) > 0.15e9
 
 
 def test_a_ramp_that_is_refused_is_an_error_once_and_samples_go_on(rig):
