@@ -1,0 +1,205 @@
+"""The device interface in front of an ILD1420: settings when it is opened, then distances by the sensor's own clock."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterable
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
+from pmabench_drivers.ild1420.options import read_options
+from pmabench_drivers.ild1420.wire import Decoder, distance, misset
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.pace import Pace
+from pmabench_drivers.polling import Samples
+from pmabench_drivers.serial_port import SerialPort
+
+PROMPT = b"->"
+"""Ends each answer; inside a stream of values the two bytes cannot follow each other."""
+ANSWER = 0.15
+"""Longest wait for an answer [s]."""
+PATIENCE = 0.5
+"""So long nothing usable may come before `collect` says so [s]."""
+LONGEST = 10.0
+"""A jump of the counter over more than this is no loss [s]."""
+SLIP = 0.3
+"""More than this the measurements of a whole second may not be later than they were: the rate is another [s]."""
+_ERROR = re.compile(rb"E\d{2,3}[^\r\n]*")
+_FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?$", re.MULTILINE)
+
+
+class Ild1420:
+    """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._options = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock = device, clock
+        self._port: SerialPort | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._samples = Samples([channel.name for channel in self._device.channels])
+        self._decoder = Decoder()
+        self._numbering = Numbering(int(LONGEST * self._options.rate))
+        self._pace = Pace(SLIP)
+        self._origin: float | None = None
+        self._newest = 0.0
+        self._heard = monotonic()
+        self._problem, self._failure = "", ""
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    def open(self) -> Identity:
+        """Quiet the sensor, see that it is the right one, and set what a true record needs; nothing is saved in it."""
+        self.close()
+        self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
+        try:
+            self._quiet()
+            told = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
+            identity = self._identity(dict(_FIELD.findall(told)))
+            self._ask(f"MEASRATE {self._options.rate / 1000:g}")
+            for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
+                self._ask(setting)
+        except DeviceError:
+            self.close()
+            raise
+        return identity
+
+    def close(self) -> None:
+        """Quiet the sensor and let go of the port."""
+        port = self._port
+        if port is not None:
+            self.stop()
+            self._port = None
+            port.close()
+
+    def start(self, rate: float) -> float:
+        """Begin to measure, at the sensor's own rate whatever is asked for [Hz]."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        port = self._opened()
+        self.stop()
+        self._begin()
+        answer = self._ask("OUTPUT RS422", rest=True)
+        self._heard = monotonic()
+        if answer:
+            self._take(answer, self._clock.now())
+        port.listen(self._take)
+        return self._options.rate
+
+    def collect(self) -> Block:
+        """What came since the last call; an error where the sensor is silent, set wrong, or not at its rate."""
+        port = self._opened()
+        why = port.gone or self._failure
+        if not why and port.listening and monotonic() - self._heard > PATIENCE:
+            why = self._problem or "sends no measurement that can be read"
+            why = f"{why} for {PATIENCE:g} s"
+        if why:
+            raise DeviceError(self._device.name, why)
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """End the stream; harmless when repeated."""
+        port = self._port
+        if port is not None and port.listening:
+            port.hush()
+            with contextlib.suppress(DeviceError):  # a port that is lost sends nothing either
+                self._ask("OUTPUT NONE")
+
+    @property
+    def lost(self) -> int:
+        """Measurements that never came, by the counter; each stands as a gap in the times."""
+        return self._numbering.lost
+
+    # -- the stream -------------------------------------------------------------------------------------------------
+
+    def _take(self, data: bytes, now: float) -> None:
+        """Bytes that came at `now` [s, bench time]."""
+        if self._failure:
+            return
+        for code, counter in self._decoder.feed(data):
+            try:
+                number = self._numbering.place(counter)
+            except CounterBroken:
+                self._failure = "its counter went on from elsewhere: it has been restarted or reset"
+                return
+            if number is not None:
+                self._keep(number, code, now)
+        behind = self._pace.behind(self._newest, now) if self._origin is not None else 0.0
+        if behind:
+            rate = self._options.rate
+            self._failure = f"measures {'slower' if behind > 0 else 'faster'} than the {rate:g} Hz that it was set to"
+
+    def _keep(self, number: int, code: int, now: float) -> None:
+        rate = self._options.rate
+        if self._origin is None:
+            self._origin = now - number / rate
+        taken = self._origin + number / rate
+        self._problem = misset(code)
+        if not self._problem:
+            self._heard = monotonic()
+        self._newest = taken
+        values = [distance(code, self._options.span)] * len(self._device.channels)
+        self._samples.append(round(taken * 1e9), values, round(now * 1e9))
+
+    # -- questions --------------------------------------------------------------------------------------------------
+
+    def _quiet(self) -> None:
+        """End a stream that somebody left behind; its bytes may drown one answer."""
+        for last in (False, False, True):
+            try:
+                self._ask("OUTPUT NONE")
+                break
+            except DeviceError:
+                if last:
+                    raise
+
+    def _ask(self, command: str, *, rest: bool = False) -> bytes:
+        """The answer to a command, or what follows its prompt; an error is the sensor's own."""
+        port = self._opened()
+        port.drain()
+        port.send(command.encode("ascii") + b"\n")
+        data = port.receive(lambda got: PROMPT in got, ANSWER)
+        answer, prompt, behind = data.partition(PROMPT)
+        if not prompt:
+            heard = f"{len(data)} bytes without the end of an answer" if data else "nothing"
+            raise DeviceError(self._device.name, f'sent {heard} when it was asked "{command}"')
+        refused = _ERROR.search(answer) if command != "OUTPUT NONE" else None
+        if refused:
+            text = refused[0].decode("ascii", "replace").strip()
+            raise DeviceError(self._device.name, f'refuses "{command}": {text}')
+        return behind if rest else answer
+
+    def _identity(self, told: dict[str, str]) -> Identity:
+        name, expected = told.get("Name", ""), self._options.span
+        if not name.removeprefix(EMULATED).startswith("ILD1420"):
+            raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
+        span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", told.get("Measuring range", ""))
+        if span is None or float(span[1]) != expected:
+            has = told.get("Measuring range", "")[:20] or "of no range that it tells"
+            raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
+        model = name[:60]
+        return Identity(
+            "Micro-Epsilon",
+            model,
+            told.get("Serial", "")[:40],
+            told.get("Version", "")[:40],
+            simulated=model.startswith(EMULATED),
+        )
+
+    def _opened(self) -> SerialPort:
+        if self._port is None:
+            raise DeviceError(self._device.name, "is not open")
+        return self._port

@@ -1,0 +1,116 @@
+"""A serial port that sends bytes by itself: questions while it is quiet, a reading thread while it streams.
+
+Knows no protocol. pyserial is loaded when a port is opened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from time import monotonic
+from typing import Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+
+PIECE = 0.02
+"""Longest single wait for bytes [s]."""
+PUSH = 0.1
+"""Longest time to hand bytes to the port [s]."""
+JOIN = 0.15
+"""How long the reading thread is given to end [s]."""
+MOST = 20_000
+"""More than this is never kept while an answer is waited for [bytes]."""
+
+
+class SerialPort:
+    """An open port of one program alone; every call is bounded. Raises DeviceError."""
+
+    def __init__(self, device: str, address: str, baud: int, clock: Clock) -> None:
+        import serial
+
+        self._device, self._address, self._clock = device, address, clock
+        try:
+            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, write_timeout=PUSH, exclusive=True)
+        except (OSError, ValueError) as error:
+            busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
+            why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
+            raise DeviceError(device, f"cannot open {address}: {why}") from None
+        self._halt = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.gone = ""
+        """Why the port was lost while it was listened to."""
+
+    def send(self, data: bytes) -> None:
+        """Hand bytes to the port, once."""
+        try:
+            self._port.write(data)
+        except (OSError, TypeError) as error:
+            raise DeviceError(self._device, f"cannot send to {self._address}: {_strerror(error)}") from None
+
+    def receive(self, whole: Callable[[bytes], bool], seconds: float) -> bytes:
+        """What comes until it is whole, `seconds` have passed, or nothing more is kept."""
+        deadline, data = monotonic() + seconds, b""
+        try:
+            while not whole(data) and len(data) < MOST and monotonic() < deadline:
+                data += self._port.read(1)
+                data += self._port.read(min(self._port.in_waiting, MOST))
+        except (OSError, TypeError) as error:
+            raise DeviceError(self._device, f"lost {self._address}: {_strerror(error)}") from None
+        return data
+
+    def drain(self) -> None:
+        """Forget what waits."""
+        try:
+            self._port.read(min(self._port.in_waiting, MOST))
+        except (OSError, TypeError) as error:
+            raise DeviceError(self._device, f"lost {self._address}: {_strerror(error)}") from None
+
+    def listen(self, take: Callable[[bytes, float], None]) -> None:
+        """From now on a thread hands each piece to `take`, with the time it came [s, bench time]."""
+        self.hush()
+        self.gone, self._halt = "", threading.Event()
+        self._thread = threading.Thread(
+            target=self._read, args=(take, self._halt), name=f"serial {self._device}", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def listening(self) -> bool:
+        """Whether somebody listens."""
+        return self._thread is not None
+
+    def hush(self) -> None:
+        """Listen no more; harmless when repeated."""
+        self._halt.set()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(JOIN)
+
+    def close(self) -> None:
+        """Let go of the port; harmless when repeated."""
+        self.hush()
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+    def _read(self, take: Callable[[bytes, float], None], halt: threading.Event) -> None:
+        while not halt.is_set():
+            try:
+                data = self._port.read(1)
+                data += self._port.read(self._port.in_waiting)
+            except (OSError, TypeError) as error:
+                if not halt.is_set():
+                    self.gone = f"lost {self._address}: {_strerror(error)}"
+                return
+            if not data or halt.is_set():
+                continue
+            try:
+                take(data, self._clock.now())
+            except Exception as error:  # the owner learns it at the next collect
+                self.gone = f"reading {self._address} broke off: {error}"
+                return
+
+
+def _strerror(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)

@@ -1,0 +1,33 @@
+"""A DATAQ device as a record, and with its emulator."""
+
+import contextlib
+
+from pmabench_drivers.dataq import Dataq
+from pmabench_drivers.emulator import Emulator
+
+from pmabench.base.clock import RealClock
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, Scale
+
+DRIVER = "pmabench_drivers.dataq:Dataq"
+
+
+def daq(address, inputs=("a0", "a3"), unit="V", **options):
+    """A DI-2108 with pressure (1 V = 100 kPa) and force (1 V = 200 N) on two inputs."""
+    channels = (
+        ChannelRecord("pressure", "pressure", "daq", inputs[0], "float64", unit, Scale(1e5), -50e3, 1e6),
+        ChannelRecord("force", "force", "daq", inputs[1], "float64", "V", Scale(200.0), -50.0, 1950.0),
+    )
+    return DeviceRecord("daq", DRIVER, str(address), {"model": "DI-2108", **options}, channels)
+
+
+@contextlib.contextmanager
+def rig(record, preset="ideal"):
+    """The emulator of a device and its open driver."""
+    emulator = Emulator([record], preset=preset)
+    driver = Dataq(record, RealClock())
+    try:
+        driver.open()
+        yield emulator, driver
+    finally:
+        driver.close()
+        emulator.close()
