@@ -221,7 +221,7 @@ class AsciiLink:
         """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
         words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
         if len(words) == 2 and words[1] in {"A", "U"}:
-            source = {"A": "its analogue input", "U": "its front panel"}[words[1]]
+            source = {"A": "its analogue input", "U": "its knob"}[words[1]]
             message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
             raise DeviceError(self._device, message, OUTPUT)
 
@@ -240,7 +240,7 @@ class AsciiLink:
             raise DeviceError(self._device, "the line was busy with another call until the deadline")
         try:
             yield
-        except (OSError, TypeError) as error:
+        except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or str(error)
             raise DeviceError(self._device, f"lost {self._address}: {why}") from None
         finally:
@@ -260,7 +260,8 @@ class AsciiLink:
 
     def _ask(self, command: str, deadline: float) -> bytes:
         """Send one question and return the one line that answers it; `Unanswered` where that is not certain."""
-        certain, limit = self._clean and not self._drain(), min(deadline, monotonic() + self._options.timeout)
+        stray, limit = self._drain(), min(deadline, monotonic() + self._options.timeout)
+        certain = self._clean and not stray
         if limit <= monotonic():
             raise DeviceError(self._device, "no time was left to ask")
         self._clean, self._asked_since = False, True

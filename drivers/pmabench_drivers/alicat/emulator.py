@@ -39,8 +39,9 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevic
     controller = Controller(device, options, plant, log)
     if options.protocol == ASCII:
         return AsciiDevice(controller, options.letter, device.address)
-    served = RtuDevice(ModbusCells(controller), options.number, log, device.address)
-    controller.faults = served.faults
+    cells = ModbusCells(controller)
+    served = RtuDevice(cells, options.number, log, device.address)
+    cells.faults = served.faults
     return served
 
 
@@ -49,7 +50,6 @@ class Controller:
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self.device, self.options, self._plant, self._log = device, options, plant, log
-        self.faults = Faults()
         self.set_point = 0.0
         self.source = "S"
         self.valves = ""
@@ -57,14 +57,13 @@ class Controller:
         self._lock = threading.Lock()
         self._pascal = UNITS[options.unit][1]
 
-    def measured(self) -> tuple[float, frozenset[str]]:
-        """Pressure and status."""
+    def measured(self, fault: str) -> tuple[float, frozenset[str]]:
+        """Pressure and status, with the fault of the moment."""
         pressure = self._plant.quantities()["pressure"]
         status = {self.valves} if self.valves else set()
-        fault = self.faults.next()
-        if fault.kind in STATUS_FAULTS:
-            status.add(STATUS_FAULTS[fault.kind])
-        if fault.kind == "over" or not abs(pressure) <= FULL_SCALE:
+        if fault in STATUS_FAULTS:
+            status.add(STATUS_FAULTS[fault])
+        if fault == "over" or not abs(pressure) <= FULL_SCALE:
             pressure = FULL_SCALE
             status.add("POV")
         return pressure / self._pascal, frozenset(status)
@@ -138,9 +137,7 @@ class AsciiDevice:
             return False
         if fault.kind == "deaf":
             return True
-        if fault.kind in {*STATUS_FAULTS, "over"}:
-            self.controller.faults.set(fault.kind, count=1)
-        lines = self._lines(question[1:], ignore=fault.kind == "ignore")
+        lines = self._lines(question[1:], fault.kind)
         if fault.kind == "slow":
             time.sleep(fault.value)
         if fault.kind == "mute":
@@ -153,7 +150,7 @@ class AsciiDevice:
         )
         return True
 
-    def _lines(self, command: str, *, ignore: bool) -> list[str]:
+    def _lines(self, command: str, fault: str) -> list[str]:
         head = self._letter
         simple = {"HC": "closed", "HP": "HLD", "C": ""}
         if command == "VE":
@@ -171,14 +168,14 @@ class AsciiDevice:
                 value = float(command[1:])
             except ValueError:
                 return ["?"]
-            if not ignore:
+            if fault != "ignore":
                 self.controller.command(value)
         elif command:
             return ["?"]
-        return [self._frame()]
+        return [self._frame(fault)]
 
-    def _frame(self) -> str:
-        pressure, status = self.controller.measured()
+    def _frame(self, fault: str) -> str:
+        pressure, status = self.controller.measured(fault)
         decimals = DECIMALS[self.controller.options.unit]
         numbers = (f"{value:+0{WIDTH}.{decimals}f}" for value in (pressure, self.controller.set_point))
         return " ".join([self._letter, *numbers, *sorted(status)])
@@ -221,7 +218,7 @@ class ModbusCells:
     """The controller's registers, as on the wire; only function 16 writes, and 3 and 4 read the same."""
 
     def __init__(self, controller: Controller) -> None:
-        self.device, self._controller = controller.device, controller
+        self.device, self.controller, self.faults = controller.device, controller, Faults()
         self._command = (0, 0)
 
     def look_at_watchdog(self) -> None:
@@ -243,12 +240,12 @@ class ModbusCells:
         return [cells[address] for address in wanted]
 
     def _cells(self) -> Mapping[int, int]:
-        pressure, status = self._controller.measured()
+        pressure, status = self.controller.measured(self.faults.peek().kind)
         flags = sum(1 << BITS[code] for code in status)
         text = f"{EMULATED}{self.device.name}".encode("ascii", "replace")[:32].ljust(32, b"\0")
         blocks = {
             999: struct.pack(">HH", *self._command),
-            1009: struct.pack(">f", self._controller.set_point),
+            1009: struct.pack(">f", self.controller.set_point),
             1200: struct.pack(">If", flags, pressure),
             0xFE00: text,
         }
@@ -264,7 +261,7 @@ class ModbusCells:
             if not abs(value) < 1e9:
                 raise Refused(VALUE)
             if not ignore:
-                self._controller.command(value)
+                self.controller.command(value)
         elif request.address == 999 and request.count == 2:
             if not ignore:
                 self._special(*request.values)
@@ -277,8 +274,8 @@ class ModbusCells:
             self._command = (command, 32769)
         elif argument not in settings:
             self._command = (command, 32770)
-        elif argument == 3 and self._controller.options.valves == 1:
+        elif argument == 3 and self.controller.options.valves == 1:
             self._command = (command, 32771)
         else:
-            self._controller.set_valves(settings[argument])
+            self.controller.set_valves(settings[argument])
             self._command = (command, 0)

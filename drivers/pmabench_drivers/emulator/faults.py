@@ -52,6 +52,11 @@ class Faults:
         with self._lock:
             self._fault = Fault() if kind == "clear" else Fault(kind, value, count)
 
+    def peek(self) -> Fault:
+        """The fault of the moment, which is not counted."""
+        with self._lock:
+            return self._fault
+
     def next(self) -> Fault:
         """The fault that this request meets."""
         with self._lock:

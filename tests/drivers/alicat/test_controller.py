@@ -68,7 +68,7 @@ def until(condition, within=3.0):
 def behind(emulator):
     """The controller behind the wire."""
     served = emulator.devices["controller"]
-    return served.controller if hasattr(served, "controller") else served.registers._controller
+    return served.controller if hasattr(served, "controller") else served.registers.controller
 
 
 # -- what it does -----------------------------------------------------------------------------------------------------
@@ -191,6 +191,19 @@ def test_a_set_point_ends_a_ramp(rig):
     assert behind(emulator).set_point == 0.0
 
 
+def test_a_step_that_waits_for_the_line_is_not_sent_after_the_ramp_was_ended(rig):
+    emulator, _, device = rig
+    device.write("pressure", 100.0)
+    device.follow("pressure", Segment("ramp", device._clock.now(), 100.0, 400.0, 100.0))
+    time.sleep(0.1)
+    with device._link._lock:
+        time.sleep(0.03)
+        sent = len(emulator.log.of("set"))
+        device._following = None
+    time.sleep(0.1)
+    assert len(emulator.log.of("set")) == sent
+
+
 # -- what goes wrong --------------------------------------------------------------------------------------------------
 
 
@@ -205,7 +218,7 @@ def test_silence_changes_nothing_so_that_a_computer_that_dies_leaves_the_pressur
 
 def test_another_set_point_source_is_refused_when_opened(tmp_path):
     with emulated(controller(tmp_path / "c")) as (emulator, [record]):
-        for source, said in (("A", "analogue input"), ("U", "front panel")):
+        for source, said in (("A", "analogue input"), ("U", "its knob")):
             behind(emulator).source = source
             with pytest.raises(DeviceError, match=said), opened(record):
                 pass
@@ -246,9 +259,7 @@ def test_a_bad_status_is_an_error_and_its_numbers_are_no_samples(rig, kind, said
     emulator, _, device = rig
     device.start(50.0)
     fault(emulator, kind)
-    behind(emulator).faults.set(kind)
     assert said in failure(device)
-    behind(emulator).faults.set("clear")
     fault(emulator, "clear")
     device.start(50.0)
     time.sleep(0.6)
@@ -259,7 +270,6 @@ def test_over_range_is_no_number(rig):
     emulator, _, device = rig
     device.start(50.0)
     fault(emulator, "over")
-    behind(emulator).faults.set("over")
     time.sleep(0.4)
     assert all(math.isnan(value) for value in list(device.collect().columns["pressure"])[-3:])
 
@@ -393,6 +403,44 @@ def test_the_ascii_commands_are_those_of_the_manual(tmp_path):
         device.write("pressure", 0.0)
         device.close()
         assert peer.questions[begun:] == ["AS123.46", "A", "AS0.00", "AC"]
+
+
+def test_a_late_answer_does_not_prove_a_vent(tmp_path):
+    """An old line that shows set-point 0 comes where the answers to a lost vent should; the device holds 300."""
+    held, script = [0.0], {}
+    old = by_the_book("A", held)
+
+    def reply(question):
+        if question not in script:
+            return by_the_book(question, held)
+        if question == "AS300.00":
+            held[0] = 300.0
+        return script[question]
+
+    with HandPeer(tmp_path / "c", reply), opened(controller(tmp_path / "c", timeout="20 ms")) as device:
+        script |= {"A": b"", "AS300.00": b"", "AVE": b"", "AS0.00": old, "AC": old}
+        for call in (
+            (device.read_back, "pressure"),
+            (device.write, "pressure", 300.0),
+            (device.write, "pressure", 0.0),
+        ):
+            assert isinstance(timed(*call)[1], DeviceError)
+        assert held == [300.0]
+
+
+def test_only_the_firmware_clears_the_line_of_late_answers(tmp_path):
+    held, script = [0.0], {}
+    old = by_the_book("A", held)
+    peer = HandPeer(tmp_path / "c", lambda question: script.get(question, by_the_book(question, held)))
+    with peer, opened(controller(tmp_path / "c", timeout="20 ms", slowest="100 ms")) as device:
+        script["A"] = b""
+        assert isinstance(timed(device.read_back, "pressure")[1], DeviceError)
+        held[0] = 100.0
+        script |= {"AVE": old, "A": old}
+        assert isinstance(timed(device.read_back, "pressure")[1], DeviceError)
+        script.clear()
+        time.sleep(0.15)
+        assert device.read_back("pressure") == 100.0
 
 
 def test_hostile_answers_never_make_a_number_or_a_hang(tmp_path):
