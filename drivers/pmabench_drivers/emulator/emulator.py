@@ -17,6 +17,7 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.mock.options import Faults
 
 SERVERS = {
+    "pmabench_drivers.festo_cpx_e:FestoCpxE": "pmabench_drivers.festo_cpx_e.emulated",
     "pmabench_drivers.alicat:AlicatController": "pmabench_drivers.alicat.emulator",
     "pmabench_drivers.dataq:Dataq": "pmabench_drivers.dataq.emulator",
     "pmabench_drivers.ild1420:Ild1420": "pmabench_drivers.ild1420.emulator",

@@ -1,0 +1,250 @@
+"""An emulated CPX-E: process data in front of the plant, data system table, time-out, names, faults on demand.
+
+Stricter than a terminal may be: it reads only what is documented to be read and takes process data with function 16,
+the time-out with function 6. When its time-out ends it puts out 0 everywhere and ends every connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+from time import monotonic
+
+from pmabench.base.errors import UsageError
+from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench_drivers.emulator import frames
+from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.modbus_server import WATCH, TcpDevice
+from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.festo_cpx_e.terminal import (
+    CONTROL,
+    DATA_FORMAT,
+    DONE,
+    FAULTS,
+    FIRST_INPUT,
+    FIRST_OUTPUT,
+    PRESENT,
+    READY,
+    STATUS,
+    TIMEOUT,
+    VALUE_IN,
+    VALUE_OUT,
+    WRITE,
+    Terminal,
+    read_options,
+)
+from pmabench_drivers.options import Reader
+
+CYCLE = 0.003
+"""What is written shows in the modules' inputs and in the data system table so much later [s]."""
+FACTORY = 100
+"""Time-out from the factory on [ms]."""
+NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", f"{EMULATED}CPX-E", "")
+"""Objects 0 to 5 of the device identification."""
+
+
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
+    """The terminal that a device of the driver `festo-cpx-e` talks to, on this machine."""
+    reader = Reader()
+    options = read_options(device, reader)
+    reader.refuse(device.name)
+    host, _, port = device.address.rpartition(":")
+    if host not in {"127.0.0.1", "localhost"}:
+        raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
+    try:
+        return CpxDevice(EmulatedTerminal(device, options.terminal, plant, log), log, int(port))
+    except OSError as error:
+        raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
+
+
+class EmulatedTerminal:
+    """The registers of one terminal."""
+
+    def __init__(self, device: DeviceRecord, terminal: Terminal, plant: RealPlant, log: CommandLog) -> None:
+        self.device, self._terminal, self._plant, self._log = device, terminal, plant, log
+        self._lock = threading.Lock()
+        self._outputs = {output.output: output for output in device.outputs}
+        self._valves = {valve.output: valve for valve in device.valves}
+        self._locks = {lock.input: lock for lock in device.interlocks}
+        self._channels = {channel.input: channel for channel in device.channels}
+        self._inputs, self._written = terminal.inputs(), terminal.outputs()
+        self.statuses: dict[int, int] = {}
+        """Address of a module's status -> what it says; 0 where nothing is given."""
+        self.faults = self.status = 0
+        """Bits of modules with faults, and the status of the terminal."""
+        self.parameters: dict[int, int] = {}
+        """Function number -> value."""
+        for name, code in terminal.ranges.items():
+            number, shift = terminal.module_of(name).range_of(int(name.partition(".")[2]))
+            self.parameters[number] = self.parameters.get(number, 0) | code << shift
+        for module in terminal.modules:
+            if module.kind.ranges:
+                self.parameters[module.parameter(DATA_FORMAT)] = 0x20
+        self._words = {CONTROL: 0, VALUE_IN: 0}
+        self._words.update({register.address: 0 for register in self._written.values()})
+        self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
+        self._read = 0
+        self.timeout = FACTORY
+        """Without communication for so long the outputs are taken away [ms]; 0: never."""
+        self._heard = monotonic()
+        self._bitten = False
+
+    # -- requests -------------------------------------------------------------------------------------------------
+
+    def hear(self) -> None:
+        """Any communication."""
+        with self._lock:
+            self._heard, self._bitten = monotonic(), False
+
+    def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
+        """What is read, or nothing; `Refused` where the terminal says no."""
+        self.hear()
+        if request.table != "holding":
+            raise frames.Refused(frames.FUNCTION)
+        with self._lock:
+            if request.values:
+                self._write(request, connection, ignore=ignore)
+                return []
+            cells = self._cells()
+            wanted = [request.address + offset for offset in range(request.count)]
+            if any(address not in cells for address in wanted):
+                raise frames.Refused(frames.ADDRESS)
+            return [cells[address] & 0xFFFF for address in wanted]
+
+    def _cells(self) -> dict[int, int]:
+        """Everything that can be read now."""
+        present = (1 << len(self._terminal.modules) + 1) - 1
+        cells = {FIRST_INPUT + offset: 0 for offset in range(self._terminal.width)}
+        for first, bits in ((PRESENT, present), (FAULTS, self.faults)):
+            cells.update({first + i: bits >> 16 * i & 0xFFFF for i in range(3)})
+        ready = self._show(CONTROL) & DONE
+        cells.update({STATUS: self.status, READY: ready, VALUE_OUT: self._read, TIMEOUT.address: self.timeout})
+        quantities = self._plant.quantities()
+        for name, register in self._inputs.items():
+            output = self._written.get(name)
+            if output is not None:
+                word = self._show(output.address)
+                cells[register.address] = word & 0xFF if register.bit >= 0 else word
+            elif register.bit >= 0:
+                cells[register.address] |= int(self._level(name)) << register.bit
+            elif name in self._channels:
+                channel = self._channels[name]
+                raw = round(float(channel.scale.to_raw(quantities.get(channel.name, 0.0))))
+                cells[register.address] = min(max(raw, -32768), 32767)
+        cells.update(self.statuses)
+        return cells
+
+    def _write(self, request: frames.Request, connection: int, *, ignore: bool) -> None:
+        if request.function != (6 if request.address == TIMEOUT.address else 16):
+            raise frames.Refused(frames.VALUE)
+        addresses = [request.address + offset for offset in range(request.count)]
+        if not {*addresses} <= {*self._words, TIMEOUT.address}:
+            raise frames.Refused(frames.ADDRESS)
+        if ignore:
+            return
+        for address, word in zip(addresses, request.values, strict=True):
+            if address == TIMEOUT.address:
+                if 0 < word < FACTORY:
+                    raise frames.Refused(frames.VALUE)
+                self.timeout = word
+                self._log.note("watchdog-register", self.device.name, raw=word, connection=connection)
+                continue
+            self._put(address, word)
+            if address == CONTROL and word & DONE:
+                self._table(word & 0x1FFF, write=bool(word & WRITE))
+            elif address >= FIRST_OUTPUT:
+                self._put_out(address, connection)
+
+    def _table(self, number: int, *, write: bool) -> None:
+        if write:
+            self.parameters[number] = self._words[VALUE_IN] & 0xFF
+        else:
+            self._read = self.parameters.get(number, 0)
+
+    def _put(self, address: int, word: int) -> None:
+        self._shown[address] = (self._show(address), word, monotonic() + CYCLE)
+        self._words[address] = word
+
+    def _show(self, address: int) -> int:
+        """What was written, a cycle later."""
+        before, after, at = self._shown[address]
+        return after if monotonic() >= at else before
+
+    def _level(self, name: str) -> bool:
+        lock = self._locks.get(name)
+        if lock is None:
+            return False
+        high = self._plant.e_stop_high() if "stop" in lock.name else True
+        return high == (lock.safe == "high")
+
+    def _put_out(self, address: int, connection: int) -> None:
+        """What a written register does to the plant."""
+        word = self._words[address]
+        for name, register in self._written.items():
+            if register.address != address:
+                continue
+            if name in self._outputs:
+                output, raw = self._outputs[name], word - (word >> 15 << 16)
+                si = float(output.scale.to_si(raw))
+                self._log.note("set", self.device.name, output=output.name, raw=raw, si=si, connection=connection)
+                self._plant.command(si)
+            elif name in self._valves:
+                valve, on = self._valves[name], bool(word >> register.bit & 1)
+                self._log.note("switch", self.device.name, valve=valve.name, on=on, connection=connection)
+                self._plant.switch(on=on == (valve.energised == "closed"))
+
+    # -- the time-out ---------------------------------------------------------------------------------------------
+
+    def look_at_watchdog(self) -> None:
+        """Nothing: `bite` is asked by the connection, which ends with it."""
+
+    def bite(self) -> bool:
+        """Whether the time-out ends now; then every output is 0."""
+        with self._lock:
+            silent = monotonic() - self._heard
+            if not self.timeout or self._bitten or silent <= self.timeout / 1e3:
+                return False
+            self._bitten = True
+            on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
+            if on:
+                self._log.note("watchdog", self.device.name, silent=silent)
+            for address in on:
+                self._put(address, 0)
+                self._put_out(address, 0)
+            return True
+
+
+class CpxDevice(TcpDevice):
+    """A terminal at its address; also tells its names, and hangs up when its time-out ends."""
+
+    def __init__(self, terminal: EmulatedTerminal, log: CommandLog, port: int) -> None:
+        super().__init__(terminal, 1, log, port)
+        self.terminal = terminal
+
+    def answer(self, pdu: bytes, connection: int, send: Callable[[bytes, str], None]) -> None:
+        """Also function 43/14, which is met by the faults of the link that are about connections."""
+        if pdu[:2] != b"\x2b\x0e":
+            super().answer(pdu, connection, send)
+            return
+        self.terminal.hear()
+        fault = self.faults.next()
+        if fault.kind in {"drop", "reset"}:
+            raise ConnectionAbortedError(fault.kind)
+        if fault.kind in {"deaf", "mute"}:
+            return
+        if len(pdu) != 4 or pdu[2] not in {1, 2}:
+            send(frames.refusal(0x2B, frames.VALUE), fault.kind)
+            return
+        objects = NAMES[:3] if pdu[2] == 1 else NAMES
+        body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
+        head = bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)])
+        send(head + body, fault.kind if fault.kind != "cut" else f"cut {int(fault.value)}")
+
+    def _watch(self) -> None:
+        while not self._ended.wait(WATCH):
+            if self.terminal.bite():
+                for connection in list(self._open):
+                    with contextlib.suppress(OSError):
+                        connection.shutdown(socket.SHUT_RDWR)

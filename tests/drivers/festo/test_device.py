@@ -1,0 +1,365 @@
+"""The driver in front of the emulated terminal: samples, commands, lost answers, neighbours, watchdog, rescue."""
+
+import contextlib
+import socket
+import threading
+import time
+from itertools import pairwise
+
+import pytest
+
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import (
+    Device,
+    Follower,
+    Inputs,
+    Rescue,
+    Segment,
+    SetPoint,
+    Stream,
+    Switch,
+    Watchdog,
+)
+from tests.drivers.festo.rigs import served
+from tests.drivers.wires.rigs import timed
+
+pytestmark = pytest.mark.realtime
+
+BOUND = 0.3
+"""The contract is 0.2 s; the rest is for a busy machine."""
+WRITES, READS = (6, 16), (3,)
+
+
+@pytest.fixture
+def rig():
+    """Without a time-out of the terminal's own: from the factory on it is 100 ms, and a lost answer takes longer."""
+    with served() as rig:
+        rig.inside.timeout = 0
+        rig.device.open()
+        yield rig
+
+
+def test_it_has_its_capabilities(rig):
+    for capability in (Device, Stream, SetPoint, Follower, Switch, Inputs, Watchdog, Rescue):
+        assert isinstance(rig.device, capability)
+
+
+def test_it_measures_what_it_commands(rig):
+    device = rig.device
+    assert device.start(50.0) == 50.0
+    device.switch("do2.0", on=True)
+    assert device.is_on("do2.0")
+    device.write("ao4.0", 9600.0)
+    assert device.read_back("ao4.0") == 9600.0
+    time.sleep(0.6)
+    block = device.collect()
+    assert len(block.time) > 10
+    assert all(later > earlier for earlier, later in pairwise(block.time))
+    assert block.columns["pressure"][-1] == pytest.approx(9600, abs=1)  # 300 kPa of 1000 kPa at 32000 counts
+    assert block.columns["displacement"][-1] > 1000
+    assert [entry["si"] for entry in rig.log("set")] == [pytest.approx(300e3)]
+    assert rig.emulator.plant.quantities()["pressure"] == pytest.approx(300e3)
+
+
+def test_negative_counts_have_their_sign(rig):
+    rig.inside.statuses = {45399: 0xFFFF, 45400: 0x8000}  # the first two channels of the 4AI-UI
+    rig.device.start(100.0)
+    time.sleep(0.2)
+    block = rig.device.collect()
+    assert block.columns["pressure"][-1] == -1
+    assert block.columns["displacement"][-1] == -32768
+
+
+def test_the_emergency_stop_is_seen(rig):
+    assert rig.device.level("di1.0") is True
+    assert rig.device.level("di1.1") is False
+    rig.emulator.plant.fail("e_stop_at")
+    assert rig.device.level("di1.0") is False
+
+
+def test_a_module_with_a_fault_gives_no_samples_and_is_named(rig):
+    rig.device.start(100.0)
+    time.sleep(0.1)
+    rig.inside.statuses = {45403: 0x0010}  # the status behind the four channels of the 4AI-UI
+    time.sleep(0.1)
+    rig.device._samples.take()
+    deadline, outcome = time.monotonic() + 3, None
+    while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
+        _took, outcome = timed(rig.device.collect)
+        assert isinstance(outcome, DeviceError) or not len(outcome.time)
+        time.sleep(0.02)
+    assert "module 3 (4ai-ui): reports a fault (status 0x0010)" in str(outcome)
+    rig.inside.statuses = {}
+    time.sleep(0.3)
+    assert len(rig.device.collect().time) > 5
+
+
+# -- lost answers ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["mute", "drop"])
+def test_a_lost_answer_is_settled_by_what_the_module_says(rig, kind):
+    for number in range(5):
+        rig.at_requests(WRITES, kind)
+        took, outcome = timed(rig.device.write, "ao4.0", 1000.0 + number)
+        rig.well()
+        assert took < BOUND
+        if kind == "mute":
+            assert outcome is None, outcome
+        else:
+            assert "did not answer to the command" in str(outcome)
+    expected = [1000.0 + number for number in range(5)] if kind == "mute" else []
+    assert [entry["raw"] for entry in rig.log("set")] == expected  # never more than once
+
+
+def test_a_write_that_was_not_executed_says_so_and_is_not_sent_again(rig):
+    for output, value in (("ao4.0", 8000.0), ("do2.0", 1.0)):
+        rig.at_requests(WRITES, "deaf")
+        call = rig.device.write if output == "ao4.0" else lambda name, on: rig.device.switch(name, on=bool(on))
+        with pytest.raises(
+            DeviceError, match=rf"terminal.{output}: did not answer to the command {value:g} and holds 0$"
+        ):
+            call(output, value)
+        rig.well()
+    assert rig.log("set") == rig.log("switch") == []
+
+
+def test_a_terminal_that_answers_and_does_nothing_is_found_out(rig):
+    rig.server.faults.set("ignore")
+    with pytest.raises(DeviceError, match="ao4.0: was commanded 8000 and holds 0"):
+        rig.device.write("ao4.0", 8000.0)
+    with pytest.raises(DeviceError, match="do2.0: was commanded 1 and holds 0"):
+        rig.device.switch("do2.0", on=True)
+    rig.inside.timeout = 2000
+    assert rig.device.arm_watchdog(0.5) == 2.0  # what it holds, not what was asked for: the guard refuses that
+
+
+def test_an_unknown_outcome_is_called_unknown(rig):
+    rig.server.faults.set("mute")
+    took, outcome = timed(rig.device.write, "ao4.0", 8000.0)
+    assert "whether it took 8000 is not known" in str(outcome)
+    assert took < BOUND
+    assert len(rig.log("set")) == 1
+
+
+def test_after_the_terminal_has_hung_up_the_next_call_is_done_once(rig):
+    device = rig.device
+
+    def hang_up():
+        for connection in list(rig.server._open):
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    for number in range(5):
+        hang_up()
+        device.write("ao4.0", 500.0 + number)
+        hang_up()
+        assert device.read_back("ao4.0") == 500.0 + number
+        hang_up()
+        assert device.arm_watchdog(0.5) == 0.5
+        device.disarm_watchdog()
+    assert [entry["raw"] for entry in rig.log("set")] == [500.0 + number for number in range(5)]
+
+
+LATE = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("deaf", "slow", "cut", "garbage", "reset")]
+
+
+@pytest.mark.parametrize("kind", ["mute", "drop", "mixed", "exception", *LATE])
+def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
+    device = rig.device
+    device.write("ao4.0", 10.0)
+    calls = [
+        lambda: device.write("ao4.0", 20.0),
+        lambda: device.read_back("ao4.0"),
+        lambda: device.switch("do2.0", on=True),
+        lambda: device.switch("do2.0", on=False),
+        lambda: device.is_on("do2.0"),
+        lambda: device.level("di1.0"),
+        lambda: device.arm_watchdog(0.5),
+        device.feed_watchdog,
+        device.disarm_watchdog,
+        lambda: device.rescue("ao4.0", 10.0),
+        lambda: device.rescue("do2.0", 0.0),
+    ]
+    for call in calls:
+        rig.server.faults.set(kind, 3.0 if kind in {"cut", "exception"} else 0.5)
+        took, outcome = timed(call)
+        rig.well()
+        assert took < BOUND
+        assert outcome is None or isinstance(outcome, DeviceError | bool | float)
+        assert device.read_back("ao4.0") in {10.0, 20.0}
+
+
+# -- eight outputs in one register ----------------------------------------------------------------------------------
+
+
+def test_a_valve_leaves_its_neighbours_alone(rig):
+    rig.inside._put(40003, 0b10101000)
+    time.sleep(0.01)
+    rig.device.switch("do2.0", on=True)
+    assert rig.inside._words[40003] == 0b10101001
+    rig.device.switch("do2.3", on=False)
+    assert rig.inside._words[40003] == 0b10100001
+    rig.device.rescue("do2.0", 0.0)
+    assert rig.inside._words[40003] == 0b10100000
+
+
+def test_what_the_terminal_took_away_is_not_put_back_beside_another_valve(rig):
+    rig.device.switch("do2.0", on=True)
+    rig.inside._put(40003, 0)  # as its time-out does
+    time.sleep(0.01)
+    rig.device.switch("do2.1", on=True)
+    assert rig.inside._words[40003] == 0b10
+
+
+def test_where_the_neighbours_cannot_be_read_all_goes_off_and_nothing_on(rig):
+    rig.inside._put(40003, 0b101)
+    time.sleep(0.01)
+    rig.at_requests(READS, "mute")
+    took, outcome = timed(rig.device.switch, "do2.1", on=True)
+    assert isinstance(outcome, DeviceError)
+    assert took < BOUND
+    assert rig.inside._words[40003] == 0b101
+    took, outcome = timed(rig.device.switch, "do2.0", on=False)
+    assert "whether it took 0 is not known" in str(outcome) or "no answer" in str(outcome)
+    assert took < BOUND
+    assert rig.inside._words[40003] == 0
+    rig.well()
+    rig.inside._put(40003, 0b101)
+    time.sleep(0.01)
+    rig.at_requests(READS, "mute")
+    took, outcome = timed(rig.device.rescue, "do2.0", 0.0)
+    assert outcome is None
+    assert took < BOUND
+    assert rig.inside._words[40003] == 0
+
+
+# -- ramps ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_ramp_is_stepped_in_whole_counts_and_ends_on_its_target(rig):
+    device = rig.device
+    device.write("ao4.0", 1000.0)
+    device.follow("ao4.0", Segment("ramp", 0.0, 1000.0, 2000.0, rate=4000.0))
+    time.sleep(0.6)
+    values = [entry["raw"] for entry in rig.log("set")][1:]
+    assert len(values) > 10
+    assert values == sorted(values)
+    assert values[-1] == 2000
+    device.follow("ao4.0", Segment("ramp", 0.0, 2000.0, 30000.0, rate=1000.0))
+    time.sleep(0.1)
+    device.write("ao4.0", 0.0)
+    number = len(rig.log("set"))
+    time.sleep(0.2)
+    assert len(rig.log("set")) == number
+    assert rig.log("set")[-1]["raw"] == 0
+
+
+# -- the time-out ---------------------------------------------------------------------------------------------------
+
+
+def test_it_is_kept_in_talk_until_a_watchdog_is_armed(rig):
+    """The terminal hangs up after its time-out; opened and left alone the connection stays."""
+    rig.inside.timeout = 600
+    rig.inside._put(40004, 1)
+    time.sleep(1.5)
+    assert rig.log("watchdog") == []
+    assert len(rig.log("connect")) == 1
+
+
+def test_the_watchdog_is_set_in_milliseconds_and_given_back():
+    with served() as rig:
+        rig.device.open()
+        assert rig.device.arm_watchdog(0.5) == 0.5
+        assert rig.inside.timeout == 500
+        rig.device.disarm_watchdog()
+        assert rig.inside.timeout == 100
+        with pytest.raises(DeviceError, match=r"waits 0.1 s at least, not 0.05 s"):
+            rig.device.arm_watchdog(0.05)
+
+
+def test_without_a_sign_of_life_the_outputs_go(rig):
+    device = rig.device
+    device.switch("do2.0", on=True)
+    device.write("ao4.0", 6400.0)
+    device.arm_watchdog(0.2)
+    for _ in range(6):
+        time.sleep(0.04)
+        device.feed_watchdog()
+    fed = time.monotonic()
+    assert rig.log("watchdog") == []
+    time.sleep(0.45)
+    [bite] = rig.log("watchdog")
+    assert 0.19 < bite["t"] - fed < 0.4
+    assert not device.is_on("do2.0")
+    assert device.read_back("ao4.0") == 0.0
+
+
+def test_polling_alone_does_not_keep_the_watchdog_quiet(rig):
+    rig.device.start(200.0)
+    rig.device.write("ao4.0", 6400.0)
+    rig.device.arm_watchdog(0.2)
+    armed = time.monotonic()
+    time.sleep(0.7)
+    [bite] = rig.log("watchdog")
+    assert bite["t"] - armed < 0.5
+
+
+# -- rescue and silence ---------------------------------------------------------------------------------------------
+
+
+def test_rescue_goes_round_a_call_that_hangs(rig):
+    device = rig.device
+    device.write("ao4.0", 6400.0)
+    device.switch("do2.0", on=True)
+    rig.server.faults.set("slow", 0.5, count=1)
+    hanging = threading.Thread(target=timed, args=(device.read_back, "ao4.0"))
+    hanging.start()
+    time.sleep(0.02)
+    for output in ("ao4.0", "do2.0"):
+        took, outcome = timed(device.rescue, output, 0.0)
+        assert outcome is None
+        assert took < BOUND
+    hanging.join(1.0)
+    assert rig.log("set")[-1]["raw"] == 0
+    assert rig.log("switch")[-1]["on"] is False
+    assert rig.log("set")[-1]["connection"] != rig.log("set")[0]["connection"]
+
+
+def test_rescue_ends_a_ramp(rig):
+    rig.device.follow("ao4.0", Segment("ramp", 0.0, 0.0, 30000.0, rate=5000.0))
+    time.sleep(0.1)
+    rig.device.rescue("ao4.0", 0.0)
+    time.sleep(0.25)
+    raws = [entry["raw"] for entry in rig.log("set")]
+    assert raws[-1] == 0
+
+
+def test_polling_tells_of_a_silent_terminal_and_goes_on_when_it_is_back(rig):
+    device = rig.device
+    device.start(100.0)
+    time.sleep(0.1)
+    rig.server.faults.set("deaf")
+    deadline, outcome = time.monotonic() + 3, None
+    while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
+        took, outcome = timed(device.collect)
+        assert took < 0.1  # it never waits for the device
+        time.sleep(0.02)
+    assert "no answer from" in str(outcome)
+    rig.well()
+    time.sleep(0.5)
+    assert len(device.collect().time) > 5
+
+
+def test_names_that_the_terminal_does_not_have(rig):
+    device = rig.device
+    with pytest.raises(DeviceError, match='no output "ao4.9"; did you mean "ao4.0"'):
+        device.write("ao4.9", 1.0)
+    with pytest.raises(DeviceError, match='no input "di1.16"'):
+        device.level("di1.16")
+    with pytest.raises(DeviceError, match="40000 does not fit int16"):
+        device.write("ao4.0", 40000.0)
+    device.close()
+    device.close()
+    with pytest.raises(DeviceError, match="is not open"):
+        device.read_back("ao4.0")

@@ -1,0 +1,134 @@
+"""What is compared when a terminal is opened, and what is refused with a sentence."""
+
+import pytest
+from pymodbus.client import ModbusTcpClient
+
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED
+from tests.drivers.festo.rigs import served, terminal
+from tests.drivers.wires.rigs import timed
+
+pytestmark = pytest.mark.realtime
+
+FORMAT_AI, RANGE_AI, RANGE_AO = 5026, 5033, 5095
+"""Function numbers of the module at place 3 and 4: 4828 + 64 * place + 6, 13 and 11."""
+
+
+def test_it_tells_who_answers_and_that_it_is_emulated():
+    with served() as rig:
+        who = rig.device.open()
+    assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{EMULATED}CPX-E", "1")
+    assert who.simulated
+
+
+def test_another_stack_reads_the_same():
+    """pymodbus by itself in front of our frames, with the maker's addresses written out."""
+    with served() as rig:
+        host, port = rig.record.address.split(":")
+        client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
+        try:
+            names = client.read_device_information(read_code=2, object_id=0).information
+            assert names[4] == b"emulated CPX-E"
+            words = client.read_holding_registers(45367, count=3).registers
+            assert sum(word.bit_count() for word in words) == 5
+            assert client.read_holding_registers(46100, count=1).registers == [100]
+            assert client.write_register(46100, 500).isError() is False
+            assert client.read_holding_registers(46100, count=1).registers == [500]
+            assert client.write_registers(46100, [300]).isError()
+            assert client.read_holding_registers(45409, count=1).exception_code == 2
+            client.write_registers(40002, [0x21])
+            client.write_registers(40001, [0])
+            client.write_registers(40001, [0x8000 | 0x2000 | RANGE_AO])
+            for _ in range(100):
+                if client.read_holding_registers(45392, count=1).registers[0] & 0x8000:
+                    break
+            client.write_registers(40001, [0])
+            client.write_registers(40001, [0x8000 | RANGE_AO])
+            assert client.read_holding_registers(45393, count=1).registers == [0x21]
+        finally:
+            client.close()
+
+
+def refused(rig, message):
+    took, outcome = timed(rig.device.open)
+    assert isinstance(outcome, DeviceError), outcome
+    assert message in str(outcome)
+    assert took < 2.3
+    with pytest.raises(DeviceError, match="is not open"):
+        rig.device.read_back("ao4.0")
+    assert rig.log("set") == rig.log("switch") == []
+
+
+def test_another_number_of_modules():
+    with served() as rig:
+        rig.device._terminal = type(rig.device._terminal)(rig.device._terminal.modules[:3])
+        refused(rig, "has 5 modules with the bus module, and the bench file names 4")
+
+
+def test_a_terminal_with_a_fault():
+    with served() as rig:
+        rig.inside.faults = 1 << 3 | 1 << 17
+        refused(rig, "reports faults (bits 3, 17)")
+
+
+def test_a_terminal_with_forced_outputs():
+    with served() as rig:
+        rig.inside.status = 1 << 15
+        refused(rig, "has forced inputs or outputs")
+
+
+def test_values_in_another_format():
+    with served() as rig:
+        rig.inside.parameters[FORMAT_AI] |= 1
+        refused(rig, "module 3 (4ai-ui): gives linear scaled values")
+
+
+def test_another_range():
+    with served() as rig:
+        rig.inside.parameters[RANGE_AI] = 0x26  # channel 0: 4..20 mA, channel 1: -10..10 V
+        refused(rig, "terminal.ai3.0: is set to 4..20 mA and the bench file says 0..10 V")
+        assert rig.inside.parameters[RANGE_AI] == 0x26
+
+
+def test_a_data_system_table_that_does_not_answer():
+    with served() as rig:
+        rig.inside._table = lambda number, *, write: None
+        rig.inside._show = lambda address: 0
+        refused(rig, "its data system table gave no answer within 0.5 s")
+
+
+def test_ranges_are_set_where_that_is_asked_for():
+    with served(terminal(set_ranges=True)) as rig:
+        rig.inside.parameters[RANGE_AI] = 0x36
+        rig.inside.parameters[RANGE_AO] = 0x72
+        rig.device.open()
+        assert rig.inside.parameters[RANGE_AI] == 0x21
+        assert rig.inside.parameters[RANGE_AO] == 0x71  # its neighbour is left alone
+        assert rig.log("set") == []
+
+
+def test_a_range_is_not_changed_under_an_output_or_under_protection():
+    with served(terminal(set_ranges=True)) as rig:
+        rig.inside.parameters[RANGE_AO] = 0x02
+        rig.inside.status = 1 << 11
+        refused(rig, "is set to -10..10 V and the bench file says 0..10 V, and the terminal is write-protected")
+        rig.inside.status = 0
+        rig.inside._put(40004, 100)
+        _took, outcome = timed(rig.device.open)
+        assert "it puts out something: bring it to 0 first" in str(outcome)
+        assert rig.inside.parameters[RANGE_AO] == 0x02
+
+
+def test_a_range_that_is_not_taken():
+    with served(terminal(set_ranges=True)) as rig:
+        rig.inside.parameters[RANGE_AI] = 0x22
+        read = rig.inside._table
+        rig.inside._table = lambda number, *, write: None if write else read(number, write=False)
+        refused(rig, "did not take the range 0..10 V")
+
+
+@pytest.mark.parametrize("kind", ["deaf", "mute", "drop", "reset", "mixed", "cut", "garbage", "exception"])
+def test_a_terminal_that_does_not_answer_properly(kind):
+    with served() as rig:
+        rig.server.faults.set(kind, 3.0)
+        refused(rig, "terminal")
