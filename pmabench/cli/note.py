@@ -13,7 +13,12 @@ from pmabench.cli.common import Ui, common
 @click.argument("run", type=click.Path(path_type=Path))
 @click.argument("text", default="")
 @click.option("--attach", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="A copy is kept.")
-@click.option("--exclude", type=click.IntRange(min=0), metavar="TRIAL", help="Leave a trial out of fits.")
+@click.option(
+    "--exclude",
+    type=click.IntRange(min=0),
+    metavar="TRIAL",
+    help="Leave a trial out of fits: its number in `runs show`, from 0; the display counts from 1.",
+)
 @click.option("--because", default="", metavar="TEXT", help="Why it is left out.")
 @click.option("--operator", default="", help="Who says so; the login name if not given.")
 @common
@@ -25,8 +30,24 @@ def command(
 
     note = add_note(run, text, attach=attach, exclude=exclude, because=because, operator=operator or _user())
     data = {"schema": "pmabench.note-added/1", "run": str(run), "note": vars(note)}
-    ui.result(data, lambda: click.echo(f"note {note.number} of {run}"))
+
+    def human() -> None:
+        click.echo(f"note {note.number} of {run}")
+        if note.exclude is not None:
+            click.echo(f"left out: {_trial(run, note.exclude)}")
+
+    ui.result(data, human)
     return None
+
+
+def _trial(run: Path, index: int) -> str:
+    """A trial in words, so that a wrong number is seen."""
+    from pmabench.display.wording import point_text
+    from pmabench.store.journal import decode
+
+    lines = decode((run / "events.jsonl").read_bytes()).lines
+    data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)
+    return f"trial {index} ({point_text(data.get('point') or {})}), which the display calls trial {index + 1}"
 
 
 def _user() -> str:

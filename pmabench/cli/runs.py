@@ -52,6 +52,7 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
+    from pmabench.display.wording import point_text
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
 
@@ -92,6 +93,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
         others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
         click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
+        for t in data.trials:
+            click.echo(f"  trial {t.index:<6} {t.status:12} {point_text(t.point)}")
         for channel in data.channels.values():
             click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
         vents = [event for event in data.events if event.kind == "vent"]
