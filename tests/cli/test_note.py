@@ -11,10 +11,14 @@ def test_a_note_is_taken_shown_and_verified(tmp_path):
     picture = tmp_path / "rig.jpg"
     picture.write_bytes(b"\xff\xd8 not a picture, but bytes")
     assert call("note", folder, "hose replaced", "--operator", "A. Meyer").stdout == f"note 1 of {folder}\n"
-    call("note", folder, "--attach", picture, "--exclude", 0, "--because", "the table was hit", "--operator", "B. Ito")
+    excluding = ["--exclude", 0, "--because", "the table was hit", "--operator", "B. Ito"]
+    said = call("note", folder, "--attach", picture, *excluding).stdout
+    assert "left out: trial 0 (" in said
+    assert "which the display calls trial 1" in said
     text = call("runs", "show", folder).stdout
     assert "A. Meyer: hose replaced" in text
     assert "B. Ito: trial 0 is left out: the table was hit; [notes/0002/rig.jpg]" in text
+    assert "trial 0      excluded" in text
     shown = json.loads(call("runs", "show", folder, "--json").stdout)
     assert [note["number"] for note in shown["notes"]] == [1, 2]
     assert [trial["status"] for trial in shown["trials"]] == ["excluded", "failed"]
