@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -160,7 +161,9 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
             {"begun": display.start},
         )
     finally:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is vented and recorded: one more changes nothing
         display.close()
+        signal.signal(signal.SIGINT, before)
 
 
 def _somebody(mounted: Mounted) -> bool:
