@@ -112,40 +112,53 @@ class Executor:
         """All steps in order; raises whatever ends the run before its time."""
         steps = self.plan.steps if self.steps is None else self.steps
         left = sum(step.longest() for step in steps)
-        number = begun = 0
-        while number < len(steps):
+        number = 0
+        after: int | None = None
+        """What stands right behind the trial before; hands and preconditioning are not repeated."""
+        again: int | None = None
+        """Where the last trial is begun again."""
+        while True:
+            self.acquisition.check()
+            if self._trial is None and self._pause:
+                self._stay_at_low_pressure()
+            if self._repeat and self._trial is None and again is not None:
+                self._repeat = False
+                left += sum(repeated.longest() for repeated in steps[again:number])
+                number = again
+            if number == len(steps):
+                return
             step = steps[number]
             self.progress(
                 Progress(number, len(steps), self._trial, len(self.plan.trials), self.clock.now(), left, step.phase)
             )
-            if self._trial is None and self._pause:
-                self._stay_at_low_pressure()
+            if isinstance(step, Ask) or step.phase == "precondition":
+                after = None
             if isinstance(step, Record) and step.on and step.trial is not None:
-                begun = number
-            self.acquisition.check()
+                again = number if after is None else after
             self.do(step)
             left -= step.longest()
             number += 1
-            if self._repeat and isinstance(step, Record) and not step.on:
-                self._repeat = False
-                left += sum(again.longest() for again in steps[begun:number])
-                number = begun
+            if isinstance(step, Record) and not step.on:
+                after = number
 
     def do(self, step: Step) -> None:
         """One step, now."""
         self._act[type(step)](step)
 
     def heed(self) -> None:
-        """Take what the operator has typed: notes at once, pause and repeat at the end of the trial, vent now."""
+        """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.
+
+        A repeat means the trial under way, or between trials the one before.
+        """
         for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
                 self._event("note", text=text, trial=self._trial)
             elif text == "p":
                 self._pause = not self._pause
                 self._event("key", key="pause", on=self._pause)
-            elif text == "r" and (self._trial is not None or self.attempts):
-                self._repeat = self._trial is not None
-                self._event("key", key="repeat", on=self._repeat)
+            elif text == "r":
+                self._repeat = not self._repeat and bool(self.attempts)
+                self._event("key", key="repeat", on=self._repeat, trial=self._trial)
             elif text == "v":
                 raise Interrupted("the operator (key v)", 130)
 

@@ -14,7 +14,7 @@ from pmabench.engine.acquire import Acquisition, NoRecord
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.guard.guard import Guard
-from pmabench.protocol.plan import Hold, Ramp, Set, WaitUntil
+from pmabench.protocol.plan import Hold, Ramp, Record, Set, WaitUntil
 from tests.engine.benches import STEPS, mounted, one_trial, plan
 
 SAMPLE = 1 / 500.0
@@ -260,8 +260,6 @@ def test_the_first_of_several_signals_is_the_cause(monkeypatch):
 
 
 def test_notes_and_pauses_are_recorded_where_they_are_typed(monkeypatch):
-    from pmabench.protocol.plan import Record
-
     steps = [
         step
         for n in (0, 1)
@@ -297,6 +295,29 @@ def test_a_trial_is_repeated_where_it_was_asked_for(monkeypatch):
     outcome = run_plan(one_trial(*HOLD), mounted(), operator, out=None)
     assert [data["attempt"] for kind, _, data in outcome.events if kind == "trial-begin"] == [1, 2]
     assert outcome.status == "finished"
+
+
+@pytest.mark.parametrize(
+    ("asked", "order"),
+    [
+        ((0.5,), [0, 0, 1]),  # in the first trial
+        ((1.8,), [0, 0, 1]),  # behind it, when its line is read
+        ((2.8,), [0, 1, 1]),
+        ((3.9,), [0, 1, 1]),  # behind the last one
+        ((0.5, 0.6), [0, 1]),  # taken back
+    ],
+)
+def test_a_repeat_means_the_trial_under_way_or_the_one_before(monkeypatch, asked, order):
+    steps = [
+        step
+        for n in (0, 1)
+        for step in (Record("t", True, n), Set("t", "pressure", 2e5), Hold("t", 1.3), Record("t", False, n),
+                     Set("v", "pressure", 0.0), Hold("v", 0.7))
+    ]  # fmt: skip
+    operator = typed(monkeypatch, *((t, ("key", "r")) for t in asked))
+    outcome = run_plan(plan(*steps, trials=2), mounted(), operator, out=None)
+    begun = [data["trial"] for kind, _, data in outcome.events if kind == "trial-begin"]
+    assert (outcome.status, begun) == ("finished", order)
 
 
 # -- the end: sampling and status ------------------------------------------------------------------------------------
