@@ -32,7 +32,7 @@ PIECE = 0.005
 QUIET = 0.15
 """A list of lines is at its end when nothing comes for so long [s]."""
 FIRST = 0.4
-"""How long the first question may take [s]; a device that sleeps or is not there."""
+"""How long an answer may take while the port is opened [s]."""
 LARGEST = 1e6
 MOST_LINES = 100
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
@@ -77,7 +77,7 @@ class AsciiLink:
                 raise DeviceError(self._device, str(error)) from None
             self._refuse_other_unit(self._layout)
             self._refuse_other_source(deadline)
-            self._reading("", deadline)
+            self._reading("", deadline, FIRST)
         model = about.get(4, "")
         simulated = model.startswith(EMULATED)
         return Identity("Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated)
@@ -219,7 +219,7 @@ class AsciiLink:
 
     def _refuse_other_source(self, deadline: float) -> None:
         """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
-        words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
+        words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
         if len(words) == 2 and words[1] in {"A", "U"}:
             source = {"A": "its analogue input", "U": "its knob"}[words[1]]
             message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
@@ -246,10 +246,10 @@ class AsciiLink:
         finally:
             self._lock.release()
 
-    def _reading(self, command: str, deadline: float) -> Reading:
+    def _reading(self, command: str, deadline: float, patience: float = 0.0) -> Reading:
         """Ask what is answered by a data line."""
         asked = self._clock.now()
-        line = self._ask(command, deadline)
+        line = self._ask(command, deadline, patience)
         try:
             pressure, set_point, status = self._shape.read(line)
         except Wrong as error:
@@ -258,9 +258,10 @@ class AsciiLink:
             raise Unanswered(self._device, f"answers {error}, which is not its data line") from None
         return Reading(pressure, set_point, status, asked, self._clock.now())
 
-    def _ask(self, command: str, deadline: float) -> bytes:
+    def _ask(self, command: str, deadline: float, patience: float = 0.0) -> bytes:
         """Send one question and return the one line that answers it; `Unanswered` where that is not certain."""
-        stray, limit = self._drain(), min(deadline, monotonic() + self._options.timeout)
+        patience = patience or self._options.timeout
+        stray, limit = self._drain(), min(deadline, monotonic() + patience)
         certain = self._clean and not stray
         if limit <= monotonic():
             raise DeviceError(self._device, "no time was left to ask")
@@ -270,7 +271,7 @@ class AsciiLink:
             self._receive()
         lines, self._lines = self._lines, []
         if not lines:
-            raise Unanswered(self._device, f"no answer from {self._address} within {self._options.timeout:g} s")
+            raise Unanswered(self._device, f"no answer from {self._address} within {patience:g} s")
         if not certain or len(lines) > 1:
             raise Unanswered(self._device, f'more than one answer at a time, from "{readable(lines[0])}" on')
         self._clean = True
