@@ -38,8 +38,6 @@ class Timeline:
         else:
             ahead, passed = (sample.number - last.number) % WRAP, (sample.micros - last.micros) % WRAP
             expected = ahead * self._period
-            if ahead == 0 and passed == 0:
-                return None  # the same line twice
             if not 0 < expected <= LONGEST or abs(passed - expected) >= self._period + DRIFT * expected:
                 self.misfits += 1
                 return None

@@ -71,11 +71,13 @@ def compiled(folder):
 
 
 @contextlib.contextmanager
-def sketch(program, boot_micros=0):
+def sketch(program, boot_micros=0, stall=0):
     """The compiled sketch under way, and the address of its port."""
     near, far = os.openpty()
     tty.setraw(far)
-    process = subprocess.Popen([program, str(near), str(boot_micros)], pass_fds=[near], stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [program, str(near), str(boot_micros), str(stall)], pass_fds=[near], stderr=subprocess.PIPE
+    )
     os.close(near)
     try:
         yield os.ttyname(far)

@@ -82,6 +82,11 @@ def test_samples_have_the_boards_clock_also_where_it_wraps(device):
 
 def test_it_is_no_faster_than_the_board_and_never_another_rate_than_it_says(device):
     assert device.start(100_000.0) == 500.0
+    block = device.collect()
+    while not len(block.time):
+        block = device.collect()
+    assert 0 < block.host <= device._clock.now() * 1e9  # when the newest came, in bench time
+    assert block.host > (device._clock.now() - LATE) * 1e9
     assert device.start(3.0) == pytest.approx(3.0, abs=1e-5)
     for rate in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(DeviceError):
@@ -230,6 +235,30 @@ def test_counts_of_32_bits_arrive_whole(program):
             float(n)
             for n in range(int(columns["displacement"][0]), len(columns["force"]) + int(columns["displacement"][0]))
         ]
+
+
+def test_a_board_that_is_late_leaves_periods_out_and_says_so(program):
+    """Every 50th reading takes 23 ms, at 200 Hz: at least 3 numbers are missing there, and the times agree."""
+    with sketch(program, stall=23_000) as port, opened(board(port)) as driver:
+        driver.start(200.0)
+        times, columns = collected(driver, 201)
+        steps = [b - a for a, b in itertools.pairwise(times)]
+        late = [i for i, reading in enumerate(columns["displacement"][:-1]) if reading % 50 == 49]
+        assert len(late) == 4
+        assert min(steps[i] for i in late) > 20e6
+        assert driver.missed >= 12
+        assert sum(steps) == pytest.approx((len(steps) + driver.missed) * 5e6, abs=5.1e6)
+
+
+def test_levels_are_read_one_by_one(program):
+    """Level 1 of the compiled sketch shows valve 0."""
+    with sketch(program) as port, opened(board(port)) as driver:
+        driver.arm_watchdog(1.0)
+        assert (driver.level("d0"), driver.level("d1")) == (True, False)
+        driver.switch("v0", on=True)
+        assert (driver.level("d0"), driver.level("d1")) == (True, True)
+        with pytest.raises(DeviceError, match='"d2" is none'):
+            driver.level("d2")
 
 
 def test_a_board_that_dies_is_an_error_and_after_it_is_back_it_opens_again(program):
