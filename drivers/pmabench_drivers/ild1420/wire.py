@@ -32,12 +32,16 @@ SETTING = {
 
 
 class Decoder:
-    """Cuts a stream of bytes into measurements; behind a broken one it begins again after the next counter's end."""
+    """Cuts a stream of bytes into measurements.
+
+    Behind a byte out of place everything is left out up to the end of the second counter: what stands up to the first
+    one may be put together from old bytes and disturbed ones.
+    """
 
     def __init__(self) -> None:
         self._value: list[int] = []
         self._code = -1
-        self._whole = True
+        self._skip = 0
         self.spoilt = 0
         """Places where a byte did not stand where it belongs."""
 
@@ -46,17 +50,17 @@ class Decoder:
         found = []
         for byte in data:
             mark = byte >> 6
-            if not self._whole:
-                self._whole = mark == 3
+            if self._skip:
+                self._skip -= mark == 3
                 continue
             if len(self._value) < 2:
                 if mark != len(self._value):
-                    self._spoil(mark)
+                    self._spoil()
                     continue
                 self._value.append(byte & 0x3F)
                 continue
             if mark != (2 if self._code < 0 else 3):
-                self._spoil(mark)
+                self._spoil()
                 continue
             value = (byte & 0x3F) << 12 | self._value[1] << 6 | self._value[0]
             self._value = []
@@ -67,10 +71,10 @@ class Decoder:
                 self._code = -1
         return found
 
-    def _spoil(self, mark: int) -> None:
+    def _spoil(self) -> None:
         self.spoilt += 1
         self._value, self._code = [], -1
-        self._whole = mark == 3
+        self._skip = 2
 
 
 def encode(code: int, counter: int) -> bytes:

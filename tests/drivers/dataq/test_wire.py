@@ -106,6 +106,11 @@ def test_lost_or_added_bytes_are_noticed_in_the_scan_where_they_are(case):
 
 
 def test_the_word_of_an_overrun_is_a_loss_and_no_scan():
+    scans = Scans(7)  # of 16 bytes: the word alone fills none
+    row = struct.pack("<7hH", *range(7), HIGH)
+    assert scans.feed(row * 3) == [tuple(range(7))] * 3
+    with pytest.raises(Lost):
+        scans.feed(b"stop 01")
     for part in range(6):
         values = [(100, 200)] * 10
         found, lost = read(stream(values)[: 60 - part] + b"stop 01")

@@ -115,13 +115,14 @@ def test_lost_bytes_never_make_a_false_distance(case):
 
 
 @pytest.mark.parametrize("case", range(cases(300)))
-def test_a_byte_too_much_never_makes_a_false_distance(case):
-    """One byte of any value is put in anywhere, some measurements apart from the next one."""
+def test_bytes_too_many_never_make_a_false_distance(case):
+    """One to three bytes of any value are put in anywhere, some measurements apart from the next ones."""
     chance = random.Random(1000 + case)
     codes = [chance.randint(0, 65520) for _ in range(300)]
     stream = [byte for i, code in enumerate(codes) for byte in encode(code, i)]
     for block in range(280, 10, -chance.randint(6, 40)):
-        stream.insert(6 * block + chance.randrange(6), chance.randrange(256))
+        at = 6 * block + chance.randrange(6)
+        stream[at:at] = chance.randbytes(chance.randint(1, 3))
     found, _decoder, numbering = numbered(bytes(stream), chance)
     assert all(codes[number + 1] == code for number, code in found)
     assert found[-1][0] == 298
