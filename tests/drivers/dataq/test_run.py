@@ -49,7 +49,7 @@ def test_the_shipped_bench_compiles():
 
 
 def streams(folder):
-    return {name: pd.read_parquet(folder / "streams" / f"{name}.parquet") for name in ("daq", "laser")}
+    return {name: pd.read_parquet(folder / "streams" / f"{name}.parquet") for name in ("daq", "laser", "regulator")}
 
 
 @pytest.mark.slow
@@ -76,9 +76,9 @@ def test_a_protocol_runs_and_a_loss_on_the_way_is_a_gap_in_the_record(tmp_path):
     assert "SIMULATED" in folder.name
     found = streams(folder)
     assert found["laser"]["displacement"].max() == pytest.approx(5.0 + 31.91, abs=0.2)  # the plant's own example
-    assert found["daq"]["pressure"].max() == pytest.approx(3.0, abs=0.01)  # V, as the device gives it
-    held = found["daq"]["force"][found["daq"]["pressure"] > 2.99]
-    assert held.median() == pytest.approx(58.86 / 200, abs=0.005)
+    held = found["regulator"]["time_ns"][found["regulator"]["pressure"] > 299.0]
+    at = found["daq"]["time_ns"].between(held.min() + 1e9, held.max())
+    assert found["daq"]["force"][at].median() == pytest.approx(58.86 / 200, abs=0.005)  # V, as the device gives it
     for name, missing in (("laser", 21), ("daq", None)):
         steps = [later - earlier for earlier, later in pairwise(found[name]["time_ns"])]
         gaps = [step for step in steps if step > 3_000_000]
