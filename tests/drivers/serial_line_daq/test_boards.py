@@ -137,8 +137,10 @@ def test_the_board_vents_after_silence_whatever_else_is_said_and_stays_so_until_
         time.sleep(0.005)
     assert 0.78 < time.monotonic() - silent
     assert not device.is_on("v0")
-    with pytest.raises(DeviceError, match="has vented by itself"):
-        gather(device, 1.0)
+    told = ""
+    while "has vented by itself" not in told:
+        told = str(timed(device.collect)[1])
+        assert time.monotonic() - silent < 5.0
     assert collected(device, 5)  # told once: what comes after shows whether it is empty
     for call in (device.feed_watchdog, lambda: device.write("o0", 5.0), lambda: device.switch("v0", on=True)):
         with pytest.raises(DeviceError, match="has vented by itself"):
@@ -269,6 +271,7 @@ def test_a_board_that_dies_is_an_error_and_after_it_is_back_it_opens_again(progr
         gather(driver, 0.1)
     try:
         time.sleep(0.1)
+        timed(driver.collect)  # what came before it died
         for call in (driver.collect, lambda: driver.write("o0", 0.0), lambda: driver.rescue("v0", 0.0)):
             took, error = timed(call)
             assert isinstance(error, DeviceError)
