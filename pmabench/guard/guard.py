@@ -83,7 +83,8 @@ class Guard:
     """Commands the outputs of one compiled bench.
 
     `threads`: each device is called from a thread of its own, and those that only measure are left to the engine.
-    `forgiving`: devices that cannot be opened are left out, and each is vented as soon as it is open.
+    `forgiving`: devices that cannot be opened are left out, each is vented as soon as it is open, and those that
+    confirm the vent are opened even where they only measure.
     """
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool = False, forgiving: bool = False) -> None:
@@ -113,7 +114,9 @@ class Guard:
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
         opening: dict[str, Call] = {}
-        records = [record for record in self.bench.devices if record.guarded or not self._threads]
+        records = [
+            record for record in self.bench.devices if record.guarded or not self._threads or self._tells(record)
+        ]
         try:
             for record in records:
                 owner = self._owners[record.name] = (Owner if self._threads else Direct)(record.name)
@@ -128,6 +131,11 @@ class Guard:
         except BaseException:
             self.close()
             raise
+
+    def _tells(self, record: DeviceRecord) -> bool:
+        """Whether a device that only measures is opened too: a forgiving guard has nobody else to confirm a vent by."""
+        wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
+        return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
     def _open(self, name: str, device: Device) -> None:
         """Open a device, in its thread; a forgiving guard sends at once what the safe state begins with."""

@@ -6,6 +6,7 @@ import pytest
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import DeviceRecord
 from pmabench.guard import remote
 from pmabench.guard.direct import vent_directly
 from pmabench.guard.remote import RemoteGuard
@@ -52,6 +53,15 @@ def test_a_vent_that_is_not_confirmed_latches():
     assert vent.result == "failed"
     assert "set pressure: failed (dac: is not open)" in vent.actions
     assert "safe state failed" in where.latched()
+
+
+def test_a_vent_is_confirmed_by_a_gauge_on_a_link_that_only_measures():
+    gauge = DeviceRecord("gauge", DEVICE.driver, channels=DEVICE.channels)
+    split = replace(BENCH, devices=(replace(DEVICE, channels=()), gauge))
+    where = station(what="tripped", why="burst")
+    assert vent_directly(split, where, "test").confirmed
+    assert ("open",) in Rig.made["gauge"].told
+    assert not [told for told in Rig.made["gauge"].told if told[0] in {"halt", "write", "switch"}]
 
 
 def test_a_folder_that_cannot_be_written_hinders_no_vent():
