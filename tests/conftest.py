@@ -1,7 +1,9 @@
 """Generated cases are the same at every run; what outlives a process lies in a folder of the test, not the user's."""
 
 import os
+import subprocess
 import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -18,3 +20,30 @@ os.environ["PMABENCH_STATE"] = tempfile.mkdtemp(prefix="pmabench-state-")
 def _own_state(tmp_path, monkeypatch):
     """Locks and latches of one test are not those of another."""
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
+
+
+RIGS = ("alicat", "dataq", "festo", "ild1420", "labjack", "serial_line_daq", "wires")
+"""Drivers whose tests over a wire wait in real time."""
+
+
+def _rig_of_this_commit():
+    """One of the rigs, by the hash of the commit: each gets its turn, and all of them with `make reliability`."""
+    asked = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
+    return RIGS[int(asked.stdout.strip() or "0", 16) % len(RIGS)]
+
+
+def pytest_collection_modifyitems(config, items):
+    """The whole suite takes one rig over its wire, and leaves out studies; whoever names a file gets all of it."""
+    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return
+    chosen = _rig_of_this_commit()
+    left_out = []
+    for item in items:
+        rig = next((rig for rig in RIGS if f"tests/drivers/{rig}/" in item.nodeid), None)
+        waits = item.get_closest_marker("realtime") is not None and rig is not None
+        if (waits and (rig != chosen or item.get_closest_marker("slow"))) or "test_coverage.py" in item.nodeid:
+            left_out.append(item)
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in set(left_out)]

@@ -81,9 +81,8 @@ class Commands(click.Group):
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="pmabench")
 def main() -> None:
-    r"""Test benches for pneumatic muscle actuators: run protocols, reprocess old runs, write reports.
+    """Test benches for pneumatic muscle actuators: run protocols, reprocess old runs, write reports.
 
-    \b
     Exit codes: 0 done and accepted, 1 error in the program, 2 wrong usage, 3 a file is invalid, 4 device or
     communication, 5 limit tripped or vent not confirmed, 6 done but a verdict failed, 7 record not written,
     130 interrupted by the operator, 143 by SIGTERM.

@@ -48,7 +48,7 @@ class SerialLineDaq:
     Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
     """
 
-    verified = "emulator, and the sketch's protocol code compiled for a computer; no board"
+    verified = "emulator and compiled sketch, no board"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
