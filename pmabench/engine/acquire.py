@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, inf
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
+from pmabench.engine.recorder import Forgiving, Recorder
 from pmabench.engine.watch import ENDS, Trip, Watch
 from pmabench.store.records import Flag
 
@@ -30,65 +31,6 @@ SILENCE = 1.0
 """A stream that gives nothing for so long [s] has failed."""
 HUNG = 2.0
 """An executor that asks for no sample for so long [s] has failed; real time only."""
-
-
-class Recorder(Protocol):
-    """Where samples and events go: a run folder, or nowhere when a plan is only tried."""
-
-    def append(
-        self,
-        stream: str,
-        time_ns: NDArray[np.int64],
-        columns: Mapping[str, Any],
-        flags: NDArray[np.uint16],
-        host_ns: int | None = None,
-    ) -> None:
-        """Samples as the device gave them; `host_ns` is when the newest was here [ns, bench time]."""
-        ...
-
-    def event(self, kind: str, t: float, **data: Any) -> None:
-        """Something that happened at bench time `t` [s]."""
-        ...
-
-
-class NoRecord:
-    """A recorder that keeps nothing but the events."""
-
-    def __init__(self) -> None:
-        self.events: list[tuple[str, float, dict[str, Any]]] = []
-
-    def append(
-        self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
-    ) -> None:
-        """Nothing is kept."""
-
-    def event(self, kind: str, t: float, **data: Any) -> None:
-        """Kept in memory."""
-        self.events.append((kind, t, data))
-
-
-class Forgiving:
-    """A recorder in front of another one, whose failure is noted once and stops nothing."""
-
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-        self.lost: RecordError | None = None
-
-    def append(
-        self, stream: str, time_ns: Any, columns: Mapping[str, Any], flags: Any, host_ns: int | None = None
-    ) -> None:
-        """As the other one, while it can."""
-        self._attempt(lambda: self._recorder.append(stream, time_ns, columns, flags, host_ns))
-
-    def event(self, kind: str, t: float, **data: Any) -> None:
-        """As the other one, while it can."""
-        self._attempt(lambda: self._recorder.event(kind, t, **data))
-
-    def _attempt(self, write: Callable[[], None]) -> None:
-        try:
-            write()
-        except RecordError as error:
-            self.lost = self.lost or error
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench, Load
-from pmabench.engine.acquire import Acquisition, Recorder, Samples
+from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.engine.commanded import Commander, Commands
 from pmabench.engine.load_check import LoadCheck, LoadImplausible
 from pmabench.engine.operator import Operator
+from pmabench.engine.recorder import Recorder
 from pmabench.engine.seek import run_seek
 from pmabench.protocol.plan import (
     HANDS_OUT,

@@ -7,7 +7,8 @@ from typing import Protocol
 from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench
-from pmabench.engine.acquire import Acquisition, Recorder, Samples, Stop
+from pmabench.engine.acquire import Acquisition, Samples, Stop
+from pmabench.engine.recorder import Recorder
 
 FILLED = 0.8
 """Of the asked pressure, from where on the bench counts as filled."""

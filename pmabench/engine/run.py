@@ -15,13 +15,14 @@ from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench
-from pmabench.engine.acquire import Acquisition, Forgiving, NoRecord, Recorder, Tripped
+from pmabench.engine.acquire import Acquisition, Tripped
 from pmabench.engine.ending import exit_code, sentence, status_of
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.load_check import LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.own import OwnDevices
 from pmabench.engine.proof import prove
+from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
 from pmabench.engine.signals import Signals
 from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.bench.interface import CompiledBench, Identity
-from pmabench.engine.acquire import Acquisition, NoRecord
+from pmabench.engine.acquire import Acquisition
 from pmabench.engine.own import OwnDevices
+from pmabench.engine.recorder import NoRecord
 from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard
 

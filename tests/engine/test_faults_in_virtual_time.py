@@ -10,8 +10,9 @@ import pytest
 from pmabench.base.clock import VirtualClock
 from pmabench.bench.interface import TripRecord
 from pmabench.engine import run as run_module
-from pmabench.engine.acquire import Acquisition, NoRecord
+from pmabench.engine.acquire import Acquisition
 from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.recorder import NoRecord
 from pmabench.engine.run import run_plan
 from pmabench.guard.guard import Guard
 from pmabench.protocol.plan import Hold, Ramp, Record, Set, WaitUntil

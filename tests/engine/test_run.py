@@ -10,8 +10,8 @@ import pytest
 
 from pmabench.base.errors import RecordError
 from pmabench.engine import run as run_module
-from pmabench.engine.acquire import NoRecord
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
+from pmabench.engine.recorder import NoRecord
 from pmabench.engine.run import run_plan
 from pmabench.protocol.plan import Hold, Record, Set, WaitUntil
 from tests.engine.benches import STEPS, mounted, one_trial, plan
