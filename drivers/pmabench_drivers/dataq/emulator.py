@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import random
 import struct
-import threading
 import time
 from time import monotonic
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.dataq.options import Options, read_options
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, counts
-from pmabench_drivers.emulator.faults import Fault, Faults
+from pmabench_drivers.emulator.faults import Fault
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import Terminal
+from pmabench_drivers.emulator.streaming import Streaming
 from pmabench_drivers.options import Reader
 
 GARBAGE = b"\x00\x7f\x15"
 LEVELS = 0x7F00
 """The digital inputs with nothing wired: all high."""
-TICK = 0.004
-"""What falls due within this is sent together, from one look at the plant [s]."""
 SET = {"encode": (0, 0), "ps": (0, 7), "srate": (375, 65535), "dec": (1, 512), "deca": (1, 40000)}
 
 
@@ -33,70 +30,37 @@ def serve(device: DeviceRecord, plant: RealPlant, _log: CommandLog) -> Daq:
     return Daq(device, options, plant)
 
 
-class Daq:
+class Daq(Streaming):
     """One device; an input that no channel names reads 0 V."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant) -> None:
         self._options, self._plant, self._name = options, plant, device.name
-        self.address, self.faults = device.address, Faults()
+        super().__init__(device.name, device.address)
         self._channels = {channel.input: channel for channel in device.channels}
-        self._terminal = Terminal(device.address)
-        self._ended = threading.Event()
         self._list: list[int] = []
         self._set = {"encode": 0, "ps": 0, "srate": 6000, "dec": 1, "deca": 1}
-        self._scanning = False
-        self._due = 0.0
         self._packet = b""
-        self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
 
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._ended.set()
-        self._terminal.close()
-
-    def _serve(self) -> None:
-        asked = b""
-        while not self._ended.is_set():
-            wait = min(max(TICK, self._due - monotonic()), 0.05) if self._scanning else 0.05
-            received = self._terminal.read(wait)
-            if received is None:
-                return
-            *lines, asked = (asked + received).split(b"\r")
-            asked = asked[-200:]
-            try:
-                for line in lines:
-                    self._command(line.decode("ascii", "replace").strip())
-                if self._scanning:
-                    self._scan_what_is_due()
-            except ConnectionAbortedError:
-                self._terminal.close()
-                return
-            except OSError:
-                return
-
-    def _command(self, line: str) -> None:
-        if self._scanning and line != "stop":
+    def command(self, line: str) -> None:
+        """As a device answers: the echo of the line, and what belongs behind it."""
+        if self.streaming and line != "stop":
             return  # nothing else is heard while it scans
-        fault = self._fault() if not self._scanning else Fault()
+        fault = self.next_fault() if not self.streaming else Fault()
         if fault.kind in {"deaf", "mute"}:
             return
         if fault.kind == "slow":
             time.sleep(fault.value)
         word, *numbers = line.split(" ")
         if word == "start":
-            self._scanning, self._due, self._packet = True, monotonic(), b""
+            self.streaming, self.due, self._packet = True, monotonic(), b""
             return
         answer = self._carry_out(word, [int(number) for number in numbers if number.isdecimal()])
         data = f"{line} {answer}".strip().encode() + b"\r"
-        self._terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "cut" else data)
+        self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "cut" else data)
 
     def _carry_out(self, word: str, numbers: list[int]) -> str:
         if word == "stop":
-            self._scanning = False
+            self.streaming = False
         elif word == "info" and len(numbers) == 1:
             told = {0: "DATAQ", 1: f"{EMULATED}{self._options.model.name.removeprefix('DI-')}", 2: "65", 6: "1"}
             return {**told, 9: str(DIVIDEND)}.get(numbers[0], "")
@@ -108,34 +72,29 @@ class Daq:
             return "?"
         return ""
 
-    def _scan_what_is_due(self) -> None:
+    def send_what_is_due(self) -> None:
+        """All scans up to now, in whole packets."""
         quantities, now = self._plant.quantities(), monotonic()
         period = self._set["srate"] * self._set["dec"] * self._set["deca"] / DIVIDEND
-        while self._scanning and self._due <= now:
-            self._due += period
+        while self.streaming and self.due <= now:
+            self.due += period
             self._scan(quantities)
 
     def _scan(self, quantities: dict[str, float]) -> None:
-        fault = self._fault()
+        fault = self.next_fault()
         if fault.kind in {"deaf", "mute"}:
             return
         if fault.kind == "slow":
             time.sleep(fault.value)
         if fault.kind == "over":
-            self._scanning = False
-            self._terminal.write(OVERRUN)
+            self.streaming = False
+            self.terminal.write(OVERRUN)
             return
         data = b"".join(self._word(entry, quantities, fault) for entry in self._list)
-        if fault.kind == "cut":
-            data = data[: max(0, len(data) - int(fault.value))]
-        elif fault.kind == "garbage":
-            data = GARBAGE + data
-        elif fault.kind == "double":
-            data *= 2
-        self._packet += data
+        self._packet += self.damaged(data, fault, GARBAGE)
         size = 16 << self._set["ps"]
         while len(self._packet) >= size:
-            self._terminal.write(self._packet[:size])
+            self.terminal.write(self._packet[:size])
             self._packet = self._packet[size:]
 
     def _word(self, entry: int, quantities: dict[str, float], fault: Fault) -> bytes:
@@ -148,9 +107,3 @@ class Daq:
             value += random.uniform(-fault.value, fault.value)
         span = float(self._options.model.ranges[entry >> 8].removesuffix(" V"))
         return struct.pack("<h", counts(self._options.model, span, value))
-
-    def _fault(self) -> Fault:
-        fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
-            raise ConnectionAbortedError
-        return fault

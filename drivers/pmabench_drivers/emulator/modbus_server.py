@@ -152,8 +152,8 @@ class TcpDevice(_Device):
         except ConnectionAbortedError as error:
             if str(error) == "reset":
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        except (OSError, ValueError):
-            pass  # the other end is gone, or speaks no Modbus
+        except (OSError, ValueError) as error:  # the other end is gone, or speaks no Modbus
+            self.log.note("lost", self.registers.device.name, connection=number, why=str(error))
         finally:
             self._open.discard(connection)
             connection.close()

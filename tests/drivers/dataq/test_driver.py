@@ -146,7 +146,7 @@ def test_a_scan_that_a_dead_program_left_is_stopped(bench):
     start = time.monotonic()
     driver.open()
     assert time.monotonic() - start < 2.0
-    assert not device._scanning
+    assert not device.streaming
     driver.start(500.0)
     assert failure(driver, 0.2) is None
 
