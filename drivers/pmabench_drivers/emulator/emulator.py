@@ -58,7 +58,9 @@ class Emulator:
         served = [device for device in devices if device.driver in SERVERS]
         if not served:
             raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
-        self.plant = RealPlant(plant, preset, dump_valve=any(device.valves for device in served), seed=seed)
+        driven = any(output.quantity == "length" for device in served for output in device.outputs)
+        valve = any(device.valves for device in served)
+        self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
         self.log = CommandLog(log)
         self.devices: dict[str, Served] = {}
         try:

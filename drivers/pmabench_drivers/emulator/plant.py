@@ -12,6 +12,7 @@ from pmabench.bench.interface import (
     Load,
     OutputRecord,
     Scale,
+    Segment,
     ValveRecord,
 )
 from pmabench_drivers.mock.driver import MockBench
@@ -27,6 +28,8 @@ CHANNELS = {
     "supply": ("supply", "pressure"),
     "pressure_command": ("pressure_set", "pressure"),
 }
+DRIVEN = {"displacement_command": ("displacement_set", "length")}
+"""What there is besides where an actuator drives the free end."""
 """Channel of a bench -> the mock's input and the quantity."""
 
 
@@ -39,27 +42,45 @@ class _Mock(MockBench):
 
 
 class RealPlant:
-    """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised."""
+    """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised.
 
-    def __init__(self, plant: str = "paper0", preset: str = "bench", *, dump_valve: bool = True, seed: int = 1) -> None:
+    `driven`: an actuator holds the free end, and there are no loads.
+    """
+
+    def __init__(
+        self,
+        plant: str = "paper0",
+        preset: str = "bench",
+        *,
+        dump_valve: bool = True,
+        driven: bool = False,
+        seed: int = 1,
+    ) -> None:
+        inputs = CHANNELS | (DRIVEN if driven else {})
+        drive = OutputRecord("displacement", "length", "plant", "displacement", Scale(), 0.0, 0.0, -0.01, 0.09)
         channels = tuple(
             ChannelRecord(name, quantity, "plant", source, "float64", "SI", Scale(), -1e9, 1e9)
-            for name, (source, quantity) in CHANNELS.items()
+            for name, (source, quantity) in inputs.items()
         )
         device = DeviceRecord(
             "plant",
             "pmabench_drivers.mock:MockBench",
-            options={"plant": plant, "preset": preset, "seed": seed},
+            options={"plant": plant, "preset": preset, "seed": seed, **({"free_end": "actuator"} if driven else {})},
             channels=channels,
-            outputs=(OutputRecord("pressure", "pressure", "plant", "pressure", Scale(), 0.0, 0.0, 0.0, 1e6),),
+            outputs=(
+                OutputRecord("pressure", "pressure", "plant", "pressure", Scale(), 0.0, 0.0, 0.0, 1e6),
+                *((drive,) if driven else ()),
+            ),
             valves=(ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
             interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
         )
-        self._mock = _Mock(device, RealClock())
+        self._clock = RealClock()
+        self._mock = _Mock(device, self._clock)
         self._lock = threading.Lock()
         self._mock.open()
         self._mock.start(RATE)
-        self._latest = dict.fromkeys(CHANNELS, 0.0)
+        self._sent = 0.0
+        self._latest = dict.fromkeys(inputs, 0.0)
 
     def quantities(self) -> dict[str, float]:
         """What each channel of a bench measures now [SI], noise included."""
@@ -78,6 +99,23 @@ class RealPlant:
         """Energise the dump valve, or not."""
         with self._lock:
             self._mock.switch(DUMP_VALVE, on=on)
+
+    def drive(self, position: float, speed: float = 0.0) -> None:
+        """Where the actuator is sent [m of contraction]: at once, or from where it was sent before at `speed` [m/s]."""
+        with self._lock:
+            origin, self._sent = self._sent, position
+            if speed > 0 and position != origin:
+                segment = Segment("ramp", self._clock.now(), origin, position, rate=speed)
+                self._mock.follow("displacement", segment)
+            else:
+                self._mock.write("displacement", position)
+
+    def stop_drive(self) -> float:
+        """Stop the actuator where it is; the place [m of contraction]."""
+        with self._lock:
+            self._mock.halt("displacement")
+            self._sent = self._mock.read_back("displacement")
+            return self._sent
 
     def load(self, force: float, mass: float) -> None:
         """What hangs on the free end from now on [N], [kg]."""
