@@ -17,6 +17,7 @@ import sys
 import time
 import traceback
 from array import array
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -39,6 +40,16 @@ LOOK = 0.05
 """Interlocks are looked at, and watchdogs fed, so often [s]."""
 ACTIVE = (State.SETUP, State.RUNNING)
 COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves")
+PASSED_ON: Mapping[str, Callable[..., Any]] = {
+    "release": Guard.release,
+    "set": Guard.set,
+    "ramp": Guard.ramp,
+    "sine": Guard.sine,
+    "valves": Guard.valves,
+    "stream": Guard.stream,
+    "place": lambda guard, force, mass: guard.place(Load(force, mass)),
+}
+"""Requests that are a call of the guard and no more; its result is the answer's `value`."""
 STALE = 0.5
 """A command that was sent longer ago [s] is not carried out: whoever sent it to a guard that stood still gave up."""
 
@@ -148,7 +159,7 @@ class Service:
 
     def _do(self, peer: _Peer, do: str, sent: float | None, given: dict[str, Any]) -> dict[str, Any]:
         act = getattr(self, f"do_{do}", None)
-        if act is None:
+        if act is None and do not in PASSED_ON:
             raise LimitRefused(f'"{do}" is not something that the guard does')
         if do not in {"vent", "status"} and peer is not self._engine:
             if self._served:
@@ -156,6 +167,8 @@ class Service:
             self._engine, self._served = peer, True
         if do in COMMANDS and not (sent is not None and abs(time.monotonic() - sent) <= STALE):
             raise LimitRefused(f'"{do}" is not done: it was sent too long ago')
+        if act is None:
+            return {"value": PASSED_ON[do](self.guard, **given)}
         return act(peer=peer, **given) or {}
 
     def _send(self, peer: _Peer, answer: dict[str, Any], payload: bytes = b"") -> None:
@@ -189,38 +202,10 @@ class Service:
             self.station.note("armed", run=str(run), why="")
         self.guard.arm(str(run))
 
-    def do_release(self, peer: _Peer) -> None:
-        """The bench is proven."""
-        self.guard.release()
-
-    def do_set(self, peer: _Peer, name: str, value: float) -> dict[str, Any]:
-        """A set-point [SI]."""
-        return {"sent": self.guard.set(name, value)}
-
-    def do_ramp(self, peer: _Peer, **ramp: Any) -> None:
-        """A ramp."""
-        self.guard.ramp(**ramp)
-
-    def do_sine(self, peer: _Peer, **sine: Any) -> None:
-        """A sine."""
-        self.guard.sine(**sine)
-
-    def do_valves(self, peer: _Peer, *, closed: bool, only: str = "") -> None:
-        """All valves (or one) closed or open."""
-        self.guard.valves(closed=closed, only=only)
-
-    def do_place(self, peer: _Peer, force: float, mass: float) -> None:
-        """What hands put on."""
-        self.guard.place(Load(force, mass))
-
-    def do_stream(self, peer: _Peer, device: str, rate: float) -> dict[str, Any]:
-        """Begin to sample, or end it with a rate of 0."""
-        return {"rate": self.guard.stream(device, rate)}
-
     def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
         self._collected = time.monotonic()
-        blocks = [*self._kept.pop(device, []), self._collect(device)]
+        blocks = [*self._kept.pop(device, []), self.guard.collect(device)]
         self.guard.latest.update(self._believed(seen))
         columns = list(blocks[0].columns)
         payload = b"".join(array("q", block.time).tobytes() for block in blocks)
@@ -299,7 +284,7 @@ class Service:
             self._collected = now
             for name in self._streams():
                 with suppress(PmaError):
-                    self._kept.setdefault(name, []).append(self._collect(name))
+                    self._kept.setdefault(name, []).append(self.guard.collect(name))
         vent = self.guard.step_safe(self.guard.latest)
         if vent is None or self._vent is not None:
             return
@@ -318,9 +303,6 @@ class Service:
             if peer.waits:
                 with suppress(OSError):
                     self._send(peer, {})
-
-    def _collect(self, name: str) -> Block:
-        return self.guard.collect(name)
 
 
 def _write_down() -> None:

@@ -38,11 +38,11 @@ class RemoteStream:
 
     def start(self, rate: float) -> float:
         """As `Stream.start`."""
-        return float(self._guard.ask("stream", device=self._device, rate=rate)[0]["rate"])
+        return float(self._guard.ask("stream", name=self._device, rate=rate)[0]["value"])
 
     def stop(self) -> None:
         """As `Stream.stop`."""
-        self._guard.ask("stream", device=self._device, rate=0.0)
+        self._guard.ask("stream", name=self._device, rate=0.0)
 
     def collect(self) -> Block:
         """As `Stream.collect`: 64-bit integers and floats, whatever the device gives."""
@@ -133,7 +133,7 @@ class RemoteGuard:
 
     def set(self, name: str, value: float) -> float:
         """As `Guard.set`."""
-        return float(self.ask("set", name=name, value=value)[0]["sent"])
+        return float(self.ask("set", name=name, value=value)[0]["value"])
 
     def ramp(self, name: str, origin: float, target: float, rate: float) -> None:
         """As `Guard.ramp`."""

@@ -32,14 +32,14 @@ def test_an_engine_is_served_and_leaves():
         assert opened["streams"] == ["dac"]
         assert opened["identities"]["dac"]["model"] == "rig"
         assert serving.ask(link, "arm", run="")["state"] == "running"
-        assert serving.ask(link, "set", name="pressure", value=3e5)["sent"] == 3e5
+        assert serving.ask(link, "set", name="pressure", value=3e5)["value"] == 3e5
         assert "error" not in serving.ask(link, "ramp", name="pressure", origin=3e5, target=1e5, rate=1e5)
         assert "error" not in serving.ask(
             link, "sine", name="pressure", mean=2e5, amplitude=1e4, frequency=1.0, cycles=2
         )
         assert "error" not in serving.ask(link, "valves", closed=False)
         assert "error" not in serving.ask(link, "place", force=10.0, mass=1.0)
-        assert serving.ask(link, "stream", device="dac", rate=100.0)["rate"] == 100.0
+        assert serving.ask(link, "stream", name="dac", rate=100.0)["value"] == 100.0
         serving.rig.reads["pressure"] = 5.0
         block = serving.ask(link, "collect", device="dac", seen={})
         assert (block["rows"], block["columns"]) == (1, ["pressure"])
@@ -247,7 +247,7 @@ def test_a_command_that_was_sent_too_long_ago_is_not_carried_out(at):
     [{"do": "set"}, {"do": "set", "name": ["pressure"], "value": 1.0}, {"do": "set", "name": "pressure", "value": "1"},
      {"do": "set", "name": "pressure", "value": 10**400}, {"do": "nothing"}, {"do": 5}, {"do": ["set"]}, {},
      {"do": "set", "name": "pressure", "value": 1.0, "peer": 1}, {"do": "collect", "device": "dac", "seen": 5},
-     {"do": "collect", "device": [], "seen": {}}, {"do": "stream", "device": "dac", "rate": "fast"},
+     {"do": "collect", "device": [], "seen": {}}, {"do": "stream", "name": "dac", "rate": "fast"},
      {"do": "collect", "device": "dac", "seen": {"x": "y"}}, {"do": "open"}, {"do": "arm", "run": ""}],
 )  # fmt: skip
 def test_an_engines_mistake_is_told_to_it_and_commands_nothing(message):
@@ -422,7 +422,7 @@ def a_message(rng):
         "sine": {"name": name, "mean": number(), "amplitude": number(), "frequency": number(), "cycles": number()},
         "valves": {"closed": rng.choice([True, False, None])},
         "place": {"force": number(), "mass": number()},
-        "stream": {"device": rng.choice(["dac", "x", None]), "rate": number()},
+        "stream": {"name": rng.choice(["dac", "x", None]), "rate": number()},
         "collect": {
             "device": rng.choice(["dac", "x", None]),
             "seen": rng.choice([{}, {"pressure": 0.0}, 5, {"a": "b"}]),
