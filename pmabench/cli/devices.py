@@ -1,4 +1,7 @@
-"""`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench."""
+"""`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench.
+
+`read` and `set` are in `pmabench.cli.devices_values`.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import DeviceError, UsageError
+from pmabench.cli import devices_values
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -35,6 +39,10 @@ NOT_SAID = "emulator only"
 @click.group(name="devices")
 def command() -> None:
     """Drivers that are installed, and what the devices of a bench answer."""
+
+
+command.add_command(devices_values.read)
+command.add_command(devices_values.set_)
 
 
 @command.command(name="list")

@@ -1,4 +1,4 @@
-"""Pressure and actuator by hand, in steps, inside the bench's set-up pressure: a run of kind `setup`."""
+"""Pressure and actuator by hand, within the set-up pressure, in steps or to one value: a run of kind `setup`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import LimitRefused, UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.interface import OutputRecord
+from pmabench.bench.interface import CompiledBench, OutputRecord
 from pmabench.engine.executor import Executor
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
@@ -25,6 +25,11 @@ TRAVEL = 0.05
 STEPS = {"pressure": (1e3, 2e3, 5e3, 10e3, 20e3, 50e3), "displacement": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)}
 """Steps that can be chosen [SI]."""
 KEYS = "+ - pressure   ] [ actuator   > < step   0 no pressure   z tare   v vent and end"
+
+
+def highest(bench: CompiledBench, output: OutputRecord) -> float:
+    """The most that an output may be sent to by hand [SI]."""
+    return min(output.high, bench.setup_pressure) if output.name == "pressure" else output.high
 
 
 @dataclass
@@ -52,7 +57,7 @@ class Jog:
             self.size = min(max(self.size + (1 if key == ">" else -1), 0), len(STEPS["pressure"]) - 1)
             return f"step {self.steps()}"
         if key == "0" and "pressure" in self._outputs:
-            return self._go("pressure", self._outputs["pressure"].safe)
+            return self.go("pressure", self._outputs["pressure"].safe)
         if key.lower() in "vq":
             self.over = True
             return "vent and end"
@@ -68,21 +73,19 @@ class Jog:
         told = []
         for name, value in self.stands.items():
             output = self._outputs[name]
-            most = show(self._most(output), output.quantity, 4)
+            most = show(highest(self.executor.bench, output), output.quantity, 4)
             told.append(f"{name} {show(value, output.quantity, 4)} (up to {most})")
         return "commanded " + "   ".join(told)
-
-    def _most(self, output: OutputRecord) -> float:
-        return min(output.high, self.executor.bench.setup_pressure) if output.name == "pressure" else output.high
 
     def _step(self, name: str, way: int) -> str:
         output = self._outputs[name]
         wanted = self.stands[name] + way * STEPS[name][self.size]
-        value = min(max(wanted, output.low), self._most(output))
-        told = self._go(name, value)
+        value = min(max(wanted, output.low), highest(self.executor.bench, output))
+        told = self.go(name, value)
         return told if value == wanted else f"{told}: its limit here"
 
-    def _go(self, name: str, value: float) -> str:
+    def go(self, name: str, value: float) -> str:
+        """Send an output to `value` [SI], slowly where it has a highest rate; where it stands then, in words."""
         output = self._outputs[name]
         before = self.stands[name]
         if value != before:
@@ -123,4 +126,52 @@ def jog(
             shown(series, work, [line for line in told if line])
 
     plan = guided_plan(mounted, "setup", f"set-up of {mounted.bench.name}")
+    return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)
+
+
+def hold_at(
+    mounted: Mounted,
+    name: str,
+    value: float,
+    operator: Operator,
+    out: Path | None,
+    shown: Callable[[Mapping[str, Series], Jog], None],
+    *,
+    seconds: float | None = None,
+    operator_name: str = "",
+) -> Outcome:
+    """Send one output to `value` [SI] after the operator's consent and hold it for `seconds` [s], or until a signal.
+
+    `shown` gets the newest samples and may not wait in real time. Raises UsageError where there is no such output,
+    LimitRefused where the value is outside what may be set by hand; nothing is opened then.
+    """
+    bench = mounted.bench
+    outputs = {output.name: output for output in bench.outputs}
+    if name not in outputs:
+        raise UsageError(f'"{bench.name}" has no output "{name}" that takes values{did_you_mean(name, outputs)}')
+    output, most = outputs[name], highest(bench, outputs[name])
+    low, high, wanted = (show(number, output.quantity) for number in (output.low, most, value))
+    if not output.low <= value <= most:
+        why = output.high_from if most == output.high else "its set-up pressure; a protocol may go to the limits"
+        raise LimitRefused(f"{wanted} for {name} is outside {low} to {high} ({why}): nothing was sent")
+    lasts = "until Ctrl-C" if seconds is None else f"for {seconds:g} s"
+    text = f"{name} goes to {wanted} and stays there {lasts}; then the safe state follows."
+
+    def procedure(executor: Executor) -> None:
+        acquisition, clock = executor.acquisition, executor.clock
+
+        def wait() -> None:
+            acquisition.pass_time(BLOCK)
+
+        acquisition.record(on=True)
+        executor.recorder.event("prompt", clock.now(), text=text, phase=PHASE)
+        answer = executor.operator.ask(text, acquisition.latest, wait)
+        executor.recorder.event("answer", clock.now(), text=text, answer=answer)
+        work = Jog(executor, mounted)
+        work.go(name, value)
+        end = clock.now() + (float("inf") if seconds is None else seconds)
+        while clock.now() < end - 1e-9:
+            shown(listen(acquisition, min(BLOCK, end - clock.now())), work)
+
+    plan = guided_plan(mounted, "setup", f"{name} of {bench.name} by hand", {name: value})
     return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)

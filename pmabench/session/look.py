@@ -27,8 +27,8 @@ class Look:
 
 
 @contextmanager
-def looking(bench: CompiledBench) -> Iterator[Look]:
-    """Open the bench and sample it; limits are not watched, because nothing is armed that could be vented.
+def looking(bench: CompiledBench, rate: float = RATE) -> Iterator[Look]:
+    """Open the bench and sample it at `rate` [Hz]. Limits are not watched: nothing is armed that could be vented.
 
     Raises DeviceError where a device does not answer or the bench is in use, LimitRefused where it is tripped.
     """
@@ -45,7 +45,7 @@ def looking(bench: CompiledBench) -> Iterator[Look]:
             identities |= own.identities
             streams |= own.streams
         names = tuple(channel.name for channel in bench.channels)
-        acquisition = Acquisition(bench, streams, clock, RATE, names, NoRecord())
+        acquisition = Acquisition(bench, streams, clock, rate, names, NoRecord())
         acquisition.begin_safe_state()
         stack.callback(acquisition.stop)
         acquisition.start()
