@@ -132,18 +132,18 @@ class AsciiDevice:
         if question[:1] != self._letter:
             return True
         fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
+        if fault.kind in {"hang-up", "reset"}:
             self._terminal.close()
             return False
-        if fault.kind == "deaf":
+        if fault.kind == "silence":
             return True
         lines = self._lines(question[1:], fault.kind)
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
-        if fault.kind == "mute":
+        if fault.kind == "lost":
             return True
         answer = "".join(f"{line}\r" for line in lines).encode("ascii")
-        if fault.kind == "cut":
+        if fault.kind == "truncated":
             answer = answer[: max(0, len(answer) - int(fault.value))]
         self._terminal.write(
             (GARBAGE if fault.kind == "garbage" else b"") + answer * (2 if fault.kind == "double" else 1)

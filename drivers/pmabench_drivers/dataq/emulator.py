@@ -46,9 +46,9 @@ class Daq(Streaming):
         if self.streaming and line != "stop":
             return  # nothing else is heard while it scans
         fault = self.next_fault() if not self.streaming else Fault()
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
         word, *numbers = line.split(" ")
         if word == "start":
@@ -56,7 +56,7 @@ class Daq(Streaming):
             return
         answer = self._carry_out(word, [int(number) for number in numbers if number.isdecimal()])
         data = f"{line} {answer}".strip().encode() + b"\r"
-        self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "cut" else data)
+        self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "truncated" else data)
 
     def _carry_out(self, word: str, numbers: list[int]) -> str:
         if word == "stop":
@@ -82,9 +82,9 @@ class Daq(Streaming):
 
     def _scan(self, quantities: dict[str, float]) -> None:
         fault = self.next_fault()
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
         if fault.kind == "over":
             self.streaming = False

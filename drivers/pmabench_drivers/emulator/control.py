@@ -1,6 +1,6 @@
 """A socket on 127.0.0.1 that takes one JSON object a line: loads, faults, the log; knows no wire.
 
-`{"load": {"force": 58.86, "mass": 6}}`, `{"device": "regulator", "fault": "slow", "value": 0.3, "count": 5}`,
+`{"load": {"force": 58.86, "mass": 6}}`, `{"device": "regulator", "fault": "delay", "value": 0.3, "count": 5}`,
 `{"plant": "burst"}` (a fault of the mock; `"over": true` ends it), `{"log": "set"}`. Each is answered by one line,
 `{"ok": true, ...}` or `{"ok": false, "why": "..."}`.
 """

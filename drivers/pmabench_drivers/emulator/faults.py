@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from pmabench.base.errors import did_you_mean
 
 KINDS = {
-    "deaf": "nothing is carried out and nothing answered",
-    "mute": "everything is carried out and nothing answered",
-    "slow": "answers come `value` seconds late",
-    "drop": "the connection is closed at the next request",
+    "silence": "nothing is carried out and nothing answered",
+    "lost": "everything is carried out and nothing answered",
+    "delay": "answers come `value` seconds late",
+    "hang-up": "the connection is closed at the next request",
     "reset": "the connection is reset at the next request",
     "exception": "Modbus: answers are the exception `value`",
     "ignore": "Modbus: writes are answered and not carried out",
     "wrong": "Modbus: read registers are `value` too high",
-    "mixed": "Modbus TCP: answers carry the number of the request before",
-    "cut": "the last `value` bytes of each answer are missing",
+    "stale": "Modbus TCP: answers carry the number of the request before",
+    "truncated": "the last `value` bytes of each answer are missing",
     "garbage": "bytes of no meaning stand before each answer",
     "unit": "serial text: the line is in another unit (N as kg, mm as in)",
     "noise": "serial text: the number is off by up to `value`, another way in each line",

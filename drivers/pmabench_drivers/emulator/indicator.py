@@ -72,16 +72,16 @@ class Indicator:
     def _send(self) -> bool:
         """One line, with the fault of the moment; whether there is anybody to send to."""
         fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
+        if fault.kind in {"hang-up", "reset"}:
             self._terminal.close()
             return False
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return True
         line = self._line(fault.kind, fault.value)
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
         data = line.encode("ascii", "replace")
-        if fault.kind == "cut":
+        if fault.kind == "truncated":
             data = data[: max(0, len(data) - int(fault.value))]
         return self._write(data * 2 if fault.kind == "double" else data)
 

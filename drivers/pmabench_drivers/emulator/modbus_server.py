@@ -77,9 +77,9 @@ class _Device:
     def answer(self, pdu: bytes, connection: int, send: Callable[[bytes, str], None]) -> None:
         """Carry out a request and send its answer as the fault of the moment lets it."""
         fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
+        if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError(fault.kind)
-        if fault.kind == "deaf":
+        if fault.kind == "silence":
             return
         try:
             request = frames.parse(pdu)
@@ -91,10 +91,10 @@ class _Device:
             reply = frames.answer(request, values)
         except frames.Refused as refused:
             reply = frames.refusal(pdu[0], refused.code)
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
-        if fault.kind != "mute":
-            send(reply, fault.kind if fault.kind != "cut" else f"cut {int(fault.value)}")
+        if fault.kind != "lost":
+            send(reply, fault.kind if fault.kind != "truncated" else f"truncated {int(fault.value)}")
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
@@ -144,7 +144,7 @@ class TcpDevice(_Device):
                     def send(
                         reply: bytes, fault: str, now: int = transaction, then: int = before, unit: int = unit
                     ) -> None:
-                        frame = frames.mbap(then if fault == "mixed" else now, unit, reply)
+                        frame = frames.mbap(then if fault == "stale" else now, unit, reply)
                         connection.sendall(_damaged(frame, fault))
 
                     self.answer(pdu, number, send)
@@ -201,6 +201,6 @@ class RtuDevice(_Device):
 def _damaged(frame: bytes, fault: str) -> bytes:
     if fault == "garbage":
         return GARBAGE + frame
-    if fault.startswith("cut "):
-        return frame[: max(0, len(frame) - int(fault[4:]))]
+    if fault.startswith("truncated "):
+        return frame[: max(0, len(frame) - int(fault[10:]))]
     return frame

@@ -49,14 +49,14 @@ class Streaming(ABC):
     def next_fault(self) -> Fault:
         """The fault of the moment; one that drops the line hangs up."""
         fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
+        if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError
         return fault
 
     @staticmethod
     def damaged(data: bytes, fault: Fault, garbage: bytes) -> bytes:
         """One measurement as a bad wire delivers it."""
-        if fault.kind == "cut":
+        if fault.kind == "truncated":
             return data[: max(0, len(data) - int(fault.value))]
         if fault.kind == "garbage":
             return garbage + data

@@ -230,9 +230,9 @@ class CpxDevice(TcpDevice):
             return
         self.terminal.hear()
         fault = self.faults.next()
-        if fault.kind in {"drop", "reset"}:
+        if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError(fault.kind)
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return
         if len(pdu) != 4 or pdu[2] not in {1, 2}:
             send(frames.refusal(0x2B, frames.VALUE), fault.kind)
@@ -240,7 +240,7 @@ class CpxDevice(TcpDevice):
         objects = NAMES[:3] if pdu[2] == 1 else NAMES
         body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
         head = bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)])
-        send(head + body, fault.kind if fault.kind != "cut" else f"cut {int(fault.value)}")
+        send(head + body, fault.kind if fault.kind != "truncated" else f"truncated {int(fault.value)}")
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):

@@ -39,15 +39,15 @@ class Sensor(Streaming):
     def command(self, line: str) -> None:
         """As a sensor answers; the prompt ends each answer."""
         fault = self.next_fault()
-        if fault.kind == "deaf":
+        if fault.kind == "silence":
             return
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
         word, _, value = line.partition(" ")
         answer = f"E{int(fault.value):03d} refused" if fault.kind == "exception" else self._carry_out(word, value)
         data = f"{line} {answer}".strip().encode() + b"\r\n->"
-        if fault.kind != "mute":
-            self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "cut" else data)
+        if fault.kind != "lost":
+            self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "truncated" else data)
 
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
@@ -78,9 +78,9 @@ class Sensor(Streaming):
         """One measurement, with the fault of the moment; the counter counts also what is lost on the wire."""
         fault = self.next_fault()
         counter, self.counter = self.counter, (self.counter + 1) % WRAP
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return b""
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             time.sleep(fault.value)
         raw = 0.0
         for channel in self._device.channels[:1]:

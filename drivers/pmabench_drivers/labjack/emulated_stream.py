@@ -17,11 +17,11 @@ from time import monotonic, sleep
 SHORTEST, LONGEST = 0.001, 0.01
 """Sleep between two looks at what is due [s]."""
 FAULTS = {
-    "lose": "stream: the next `value` packets are lost on the way",
-    "skip": "stream: the device leaves out `value` scans, as with a full buffer",
-    "status": "stream: the next packet has the status `value`",
-    "silent": "stream: nothing is sent for `value` seconds, and the buffer fills",
-    "babble": "stream: `value` bytes without meaning are sent",
+    "stream-lost": "stream: the next `value` packets are lost on the way",
+    "stream-skip": "stream: the device leaves out `value` scans, as with a full buffer",
+    "stream-status": "stream: the next packet has the status `value`",
+    "stream-silence": "stream: nothing is sent for `value` seconds, and the buffer fills",
+    "stream-garbage": "stream: `value` bytes without meaning are sent",
 }
 
 Sample = Callable[[int], list[int]]
@@ -101,11 +101,11 @@ class Streamer:
             now = monotonic()
             while self._faults:
                 kind, value = self._faults.popleft()
-                lose += int(value) if kind == "lose" else 0
-                leave_out += int(value) if kind == "skip" else 0
-                status_next = int(value) if kind == "status" else status_next
-                silent_until = now + value if kind == "silent" else silent_until
-                outgoing += b"\xa5" * int(value) if kind == "babble" else b""
+                lose += int(value) if kind == "stream-lost" else 0
+                leave_out += int(value) if kind == "stream-skip" else 0
+                status_next = int(value) if kind == "stream-status" else status_next
+                silent_until = now + value if kind == "stream-silence" else silent_until
+                outgoing += b"\xa5" * int(value) if kind == "stream-garbage" else b""
             while number < int((now - start) * rate):
                 number += 1
                 if recovering or leave_out or (len(buffer) + 1) * channels > capacity:

@@ -1,6 +1,7 @@
 """An emulated board on a pseudo-terminal: the protocol as the sketch speaks it, in front of the plant, with faults.
 
-`slow`, `deaf`, `mute`, `cut`, `garbage`, `double` act on lines; `drop` hangs up; `reset` starts the board again.
+`delay`, `silence`, `lost`, `truncated`, `garbage`, `double` act on lines; `hang-up` and `reset` are those of the
+line and of the board.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ class EmulatedBoard:
 
     def _obey(self, line: bytes) -> None:
         fault = self.faults.next()
-        if fault.kind == "deaf":
+        if fault.kind == "silence":
             return
         try:
             letter, *numbers = decode(line)
@@ -213,22 +214,22 @@ class EmulatedBoard:
 
     def _send(self, fault: Fault, *fields: object) -> None:
         line = encode(*fields)
-        if fault.kind in {"deaf", "mute"}:
+        if fault.kind in {"silence", "lost"}:
             return
-        if fault.kind == "drop":
+        if fault.kind == "hang-up":
             self._terminal.close()
             raise ConnectionAbortedError
         if fault.kind == "reset":
             self.faults.set("clear")
             self._boot()
             return
-        if fault.kind == "cut":
+        if fault.kind == "truncated":
             line = line[: max(0, len(line) - int(fault.value))]
         if fault.kind == "garbage":
             line = GARBAGE + line
         if fault.kind == "double":
             line *= 2
-        if fault.kind == "slow":
+        if fault.kind == "delay":
             later = threading.Timer(fault.value, self._terminal.write, [line])
             later.daemon = True
             later.start()

@@ -277,36 +277,39 @@ def test_over_range_is_no_number(rig):
     assert all(math.isnan(value) for value in device.collect().columns["pressure"])
 
 
-SLOW = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("mute", "slow", "cut", "garbage", "double", "drop")]
+SLOW = [
+    pytest.param(kind, marks=pytest.mark.slow)
+    for kind in ("lost", "delay", "truncated", "garbage", "double", "hang-up")
+]
 
 
-@pytest.mark.parametrize("kind", ["deaf", *SLOW])
+@pytest.mark.parametrize("kind", ["silence", *SLOW])
 def test_every_call_ends_in_time_and_tells_the_truth(rig, kind):
     """Whatever the line does, a set-point that is not refused is the one that the device holds."""
     emulator, _, device = rig
     device.start(50.0)
     for number in range(2):
-        fault(emulator, kind, {"cut": 3.0, "slow": 0.15}.get(kind, 0.0))
+        fault(emulator, kind, {"truncated": 3.0, "delay": 0.15}.get(kind, 0.0))
         for call, *arguments in ((device.write, "pressure", 50.0 + number), (device.read_back, "pressure")):
             took, outcome = timed(call, *arguments)
             assert took < CALL
             if not isinstance(outcome, DeviceError):
                 assert behind(emulator).set_point == pytest.approx(50.0 + number)
-        if kind != "drop":
+        if kind != "hang-up":
             fault(emulator, "clear")
             time.sleep(0.2)
             device.start(50.0)
             took, outcome = timed(device.write, "pressure", 80.0 + number)
             assert outcome is None
             assert took < CALL
-    if kind == "drop":
+    if kind == "hang-up":
         assert failure(device)
 
 
 def test_a_silent_device_is_said_by_collect(rig):
     emulator, record, device = rig
     device.start(50.0)
-    fault(emulator, "deaf")
+    fault(emulator, "silence")
     said = failure(device)
     assert f"no answer from {record.address}" in said or "not taken for a new one" in said
 
@@ -315,7 +318,7 @@ def test_one_lost_answer_is_a_gap_and_no_failure(rig):
     emulator, _, device = rig
     device.start(50.0)
     time.sleep(0.2)
-    fault(emulator, "mute", count=1)
+    fault(emulator, "lost", count=1)
     time.sleep(0.4)
     assert len(device.collect().time) > 5
     assert not failure(device, 0.1)
@@ -328,10 +331,10 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path, protocol):
     right = refused = 0
     with emulated(record, preset="ideal") as (emulator, [record]), opened(record) as device:
         for number in range(cases(20)):
-            fault(emulator, "slow", chance.uniform(0.0, 3.0) * 0.015, count=1)
+            fault(emulator, "delay", chance.uniform(0.0, 3.0) * 0.015, count=1)
             took, outcome = timed(device.write, "pressure", 100.0 + number)
             assert took < CALL
-            fault(emulator, "slow", chance.uniform(0.0, 3.0) * 0.015, count=1)
+            fault(emulator, "delay", chance.uniform(0.0, 3.0) * 0.015, count=1)
             _, held = timed(device.read_back, "pressure")
             refused += isinstance(outcome, DeviceError) + isinstance(held, DeviceError)
             if not isinstance(outcome, DeviceError):

@@ -96,7 +96,7 @@ def test_a_controller_that_goes_silent_under_pressure_is_vented_by_the_dump_valv
     control, process = begin(rig)
     try:
         assert pressurised(control)
-        ask(control, device="controller", fault="deaf")
+        ask(control, device="controller", fault="silence")
         cut = time.monotonic()
         assert until(lambda: not dump_valve(control)["on"], 10)
         assert dump_valve(control)["t"] - cut < 2.0

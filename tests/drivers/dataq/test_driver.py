@@ -71,7 +71,9 @@ def test_channels_are_told_apart_and_ranges_are_set(tmp_path):
     assert columns["pressure"][-1] == pytest.approx(3.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("kind", "value"), [("cut", 1), ("cut", 2), ("cut", 5), ("garbage", 0), ("over", 0)])
+@pytest.mark.parametrize(
+    ("kind", "value"), [("truncated", 1), ("truncated", 2), ("truncated", 5), ("garbage", 0), ("over", 0)]
+)
 def test_a_broken_stream_is_begun_again_and_never_a_false_value(bench, kind, value):
     device, driver, emulator = bench
     emulator.plant.quantities = lambda: {"pressure": 151e3, "force": 777.0}
@@ -93,7 +95,7 @@ def test_a_broken_stream_is_begun_again_and_never_a_false_value(bench, kind, val
 def test_a_stream_that_breaks_again_and_again_is_an_error(bench):
     device, driver, _ = bench
     driver.start(500.0)
-    device.faults.set("cut", 1)
+    device.faults.set("truncated", 1)
     assert failure(driver) == "daq: lost bytes or ran over 4 times within 5 s"
     device.faults.set("clear")
     driver.start(500.0)
@@ -105,7 +107,7 @@ def test_whole_scans_that_never_came_are_an_error(bench):
     device, driver, _ = bench
     driver.start(500.0)
     gather(driver, 0.5)
-    device.faults.set("mute", count=100)
+    device.faults.set("lost", count=100)
     why = failure(driver, 5.0)
     assert why is not None
     assert "s behind its clock: scans are lost" in why
@@ -122,14 +124,14 @@ def test_silence_is_soon_an_error(bench):
     device, driver, _ = bench
     driver.start(500.0)
     gather(driver, 0.1)
-    device.faults.set("mute")
+    device.faults.set("lost")
     assert failure(driver) == "daq: has sent no scan for 0.5 s"
 
 
 def test_a_port_that_is_gone_is_said(bench):
     device, driver, _ = bench
     driver.start(500.0)
-    device.faults.set("drop")
+    device.faults.set("hang-up")
     assert failure(driver).startswith(f"daq: lost {device.address}: ")
     start = time.monotonic()
     driver.close()
@@ -166,7 +168,7 @@ def refused(record, prepare):
 
 def test_what_does_not_answer_or_is_another_model_is_not_opened(tmp_path):
     record = daq(tmp_path / "daq")
-    why = refused(record, lambda device: device.faults.set("deaf"))
+    why = refused(record, lambda device: device.faults.set("silence"))
     assert why == 'daq: did not answer "stop": is it in its CDC mode?'
     other = daq(tmp_path / "daq", model="DI-4108")
 

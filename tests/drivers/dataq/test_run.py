@@ -64,8 +64,8 @@ def test_a_protocol_runs_and_a_loss_on_the_way_is_a_gap_in_the_record(tmp_path):
         )
         try:
             assert until(lambda: any(e["si"] >= 300e3 for e in ask(control, log="set")["entries"]), 60)
-            ask(control, device="laser", fault="mute", count=20)
-            ask(control, device="daq", fault="cut", value=1, count=1)
+            ask(control, device="laser", fault="lost", count=20)
+            ask(control, device="daq", fault="truncated", value=1, count=1)
             text, _ = run.communicate(timeout=120)
         finally:
             run.kill()

@@ -97,24 +97,24 @@ def test_a_module_with_a_fault_gives_no_samples_and_is_named(rig):
 # -- lost answers ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["mute", "drop"])
+@pytest.mark.parametrize("kind", ["lost", "hang-up"])
 def test_a_lost_answer_is_settled_by_what_the_module_says(rig, kind):
     for number in range(5):
         rig.at_requests(WRITES, kind)
         took, outcome = timed(rig.device.write, "ao4.0", 1000.0 + number)
         rig.well()
         assert took < BOUND
-        if kind == "mute":
+        if kind == "lost":
             assert outcome is None, outcome
         else:
             assert "did not answer to the command" in str(outcome)
-    expected = [1000.0 + number for number in range(5)] if kind == "mute" else []
+    expected = [1000.0 + number for number in range(5)] if kind == "lost" else []
     assert [entry["raw"] for entry in rig.log("set")] == expected  # never more than once
 
 
 def test_a_write_that_was_not_executed_says_so_and_is_not_sent_again(rig):
     for output, value in (("ao4.0", 8000.0), ("do2.0", 1.0)):
-        rig.at_requests(WRITES, "deaf")
+        rig.at_requests(WRITES, "silence")
         call = rig.device.write if output == "ao4.0" else lambda name, on: rig.device.switch(name, on=bool(on))
         with pytest.raises(
             DeviceError, match=rf"terminal.{output}: did not answer to the command {value:g} and holds 0$"
@@ -135,7 +135,7 @@ def test_a_terminal_that_answers_and_does_nothing_is_found_out(rig):
 
 
 def test_an_unknown_outcome_is_called_unknown(rig):
-    rig.server.faults.set("mute")
+    rig.server.faults.set("lost")
     took, outcome = timed(rig.device.write, "ao4.0", 8000.0)
     assert "whether it took 8000 is not known" in str(outcome)
     assert took < BOUND
@@ -161,10 +161,10 @@ def test_after_the_terminal_has_hung_up_the_next_call_is_done_once(rig):
     assert [entry["raw"] for entry in rig.log("set")] == [500.0 + number for number in range(5)]
 
 
-LATE = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("deaf", "slow", "cut", "garbage", "reset")]
+LATE = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("silence", "delay", "truncated", "garbage", "reset")]
 
 
-@pytest.mark.parametrize("kind", ["mute", "drop", "mixed", "exception", *LATE])
+@pytest.mark.parametrize("kind", ["lost", "hang-up", "stale", "exception", *LATE])
 def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
     device = rig.device
     device.write("ao4.0", 10.0)
@@ -182,7 +182,7 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
         lambda: device.rescue("do2.0", 0.0),
     ]
     for call in calls:
-        rig.server.faults.set(kind, 3.0 if kind in {"cut", "exception"} else 0.5)
+        rig.server.faults.set(kind, 3.0 if kind in {"truncated", "exception"} else 0.5)
         took, outcome = timed(call)
         rig.well()
         assert took < BOUND
@@ -215,7 +215,7 @@ def test_what_the_terminal_took_away_is_not_put_back_beside_another_valve(rig):
 def test_where_the_neighbours_cannot_be_read_all_goes_off_and_nothing_on(rig):
     rig.inside._put(40003, 0b101)
     time.sleep(0.01)
-    rig.at_requests(READS, "mute")
+    rig.at_requests(READS, "lost")
     took, outcome = timed(rig.device.switch, "do2.1", on=True)
     assert isinstance(outcome, DeviceError)
     assert took < BOUND
@@ -227,7 +227,7 @@ def test_where_the_neighbours_cannot_be_read_all_goes_off_and_nothing_on(rig):
     rig.well()
     rig.inside._put(40003, 0b101)
     time.sleep(0.01)
-    rig.at_requests(READS, "mute")
+    rig.at_requests(READS, "lost")
     took, outcome = timed(rig.device.rescue, "do2.0", 0.0)
     assert outcome is None
     assert took < BOUND
@@ -312,7 +312,7 @@ def test_rescue_goes_round_a_call_that_hangs(rig):
     device = rig.device
     device.write("ao4.0", 6400.0)
     device.switch("do2.0", on=True)
-    rig.server.faults.set("slow", 0.5, count=1)
+    rig.server.faults.set("delay", 0.5, count=1)
     hanging = threading.Thread(target=timed, args=(device.read_back, "ao4.0"))
     hanging.start()
     time.sleep(0.02)
@@ -339,7 +339,7 @@ def test_polling_tells_of_a_silent_terminal_and_goes_on_when_it_is_back(rig):
     device = rig.device
     device.start(100.0)
     time.sleep(0.1)
-    rig.server.faults.set("deaf")
+    rig.server.faults.set("silence")
     deadline, outcome = time.monotonic() + 3, None
     while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
         took, outcome = timed(device.collect)

@@ -127,7 +127,7 @@ def test_a_range_that_is_not_taken():
         refused(rig, "did not take the range 0..10 V")
 
 
-@pytest.mark.parametrize("kind", ["deaf", "mute", "drop", "reset", "mixed", "cut", "garbage", "exception"])
+@pytest.mark.parametrize("kind", ["silence", "lost", "hang-up", "reset", "stale", "truncated", "garbage", "exception"])
 def test_a_terminal_that_does_not_answer_properly(kind):
     with served() as rig:
         rig.server.faults.set(kind, 3.0)

@@ -87,7 +87,7 @@ def test_lost_measurements_are_a_gap_of_their_length_at_their_place(bench):
     sensor.counter = WRAP - 150
     driver.start(1000.0)
     times, _ = gather(driver, 0.1)
-    sensor.faults.set("mute", count=25)
+    sensor.faults.set("lost", count=25)
     more, _ = gather(driver, 0.4)
     times += more
     steps = [later - earlier for earlier, later in itertools.pairwise(times)]
@@ -96,7 +96,7 @@ def test_lost_measurements_are_a_gap_of_their_length_at_their_place(bench):
     assert all(abs(t - times[0] - 1_000_000 * round((t - times[0]) / 1e6)) <= 1 for t in times)
 
 
-@pytest.mark.parametrize(("kind", "value"), [("cut", 1), ("cut", 4), ("garbage", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("truncated", 1), ("truncated", 4), ("garbage", 0)])
 def test_broken_measurements_are_gaps_and_never_numbers(bench, kind, value):
     sensor, driver, _ = bench
     driver.start(1000.0)
@@ -142,7 +142,7 @@ def test_a_sensor_that_is_set_wrong_is_an_error_in_words(bench, code, words):
     assert words in failure(driver)
 
 
-@pytest.mark.parametrize(("kind", "value"), [("mute", 0), ("cut", 6), ("garbage", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("lost", 0), ("truncated", 6), ("garbage", 0)])
 def test_silence_and_noise_are_soon_an_error_and_over_when_begun_again(bench, kind, value):
     sensor, driver, _ = bench
     driver.start(1000.0)
@@ -172,7 +172,7 @@ def test_another_rate_than_agreed_is_an_error(bench):
 def test_a_port_that_is_gone_is_said(bench):
     sensor, driver, _ = bench
     driver.start(1000.0)
-    sensor.faults.set("drop")
+    sensor.faults.set("hang-up")
     assert failure(driver).startswith(f"laser: lost {sensor.address}: ")
     start = time.monotonic()
     driver.close()
@@ -212,9 +212,9 @@ def refused(record, prepare):
 
 def test_what_does_not_answer_or_refuses_is_not_opened(tmp_path):
     record = laser(tmp_path / "laser")
-    why = refused(record, lambda sensor: sensor.faults.set("deaf"))
+    why = refused(record, lambda sensor: sensor.faults.set("silence"))
     assert why == 'laser: sent nothing when it was asked "OUTPUT NONE"'
-    why = refused(record, lambda sensor: sensor.faults.set("cut", 1))
+    why = refused(record, lambda sensor: sensor.faults.set("truncated", 1))
     assert "without the end of an answer" in why
     assert 'refuses "MEASRATE 3": E220' in refused(laser(tmp_path / "laser", rate="3 kHz"), lambda _sensor: None)
 

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.realtime
 
 BOUND = 0.3
 """The contract is 0.2 s; the rest is for a busy machine."""
-SLOW = ("deaf", "mute", "reset", "slow", "garbage")
+SLOW = ("silence", "lost", "reset", "delay", "garbage")
 
 
 @pytest.fixture(name="bench")
@@ -190,19 +190,19 @@ def test_ramps_are_stepped_and_end_on_their_target(bench):
 
 def test_a_switch_without_answer_is_settled_by_the_terminal(bench):
     emulator, served, device = bench
-    served.faults.set("mute", count=1)
+    served.faults.set("lost", count=1)
     device.switch("FIO0", on=True)
-    served.faults.set("deaf", count=1)
+    served.faults.set("silence", count=1)
     with pytest.raises(DeviceError, match="did not answer to the command 0 and its terminal is high"):
         device.switch("FIO0", on=False)
     assert [entry["on"] for entry in sent(emulator, "switch")] == [True]
-    served.faults.set("mute")
+    served.faults.set("lost")
     with pytest.raises(DeviceError, match="whether it took 0 is not known"):
         device.switch("FIO0", on=False)
 
 
 @pytest.mark.parametrize(
-    "kind", ["drop", "mixed", "cut", *(pytest.param(kind, marks=pytest.mark.slow) for kind in SLOW)]
+    "kind", ["hang-up", "stale", "truncated", *(pytest.param(kind, marks=pytest.mark.slow) for kind in SLOW)]
 )
 def test_every_call_ends_in_time_and_the_next_one_is_right(bench, kind):
     _emulator, served, device = bench
@@ -221,7 +221,7 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(bench, kind):
         lambda: device.rescue("DAC0", 0.0),
     ]
     for call in calls:
-        served.faults.set(kind, 3.0 if kind == "cut" else 0.5)
+        served.faults.set(kind, 3.0 if kind == "truncated" else 0.5)
         took, outcome = timed(call)
         served.faults.set("clear")
         assert took < BOUND
@@ -339,7 +339,7 @@ def test_rescue_goes_round_a_call_that_hangs(bench):
     device.switch("FIO0", on=True)
     device.write("DAC0", 1.0)
     device.start(200.0)
-    served.faults.set("slow", 0.5, count=1)
+    served.faults.set("delay", 0.5, count=1)
     hanging = threading.Thread(target=timed, args=(device.read_back, "DAC0"))
     hanging.start()
     time.sleep(0.02)

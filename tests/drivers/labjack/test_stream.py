@@ -89,7 +89,7 @@ def test_lost_packets_are_gaps_of_their_size():
         counted(served, 4)
         device.start(500.0)
         first = gather(device, 0.3)
-        served.faults.set("lose", 3)
+        served.faults.set("stream-lost", 3)
         second = gather(device, 0.5)
         times, columns = first[0] + second[0], {name: first[1][name] + second[1][name] for name in first[1]}
         held = check(served, device, times, columns, 500.0)
@@ -103,7 +103,7 @@ def test_scans_that_the_device_leaves_out_are_a_gap_of_their_size():
         counted(served, 4)
         device.start(500.0)
         first = gather(device, 0.3)
-        served.faults.set("skip", 57)
+        served.faults.set("stream-skip", 57)
         second = gather(device, 0.6)
         times, columns = first[0] + second[0], {name: first[1][name] + second[1][name] for name in first[1]}
         held = check(served, device, times, columns, 500.0)
@@ -118,7 +118,7 @@ def test_a_buffer_that_really_overflows_leaves_one_gap():
         counted(served, 1)
         device.start(20_000.0)
         first = gather(device, 0.2)
-        served.faults.set("silent", 1.2)
+        served.faults.set("stream-silence", 1.2)
         time.sleep(1.3)
         second = gather(device, 0.7)
         held = check(
@@ -132,11 +132,11 @@ def test_a_buffer_that_really_overflows_leaves_one_gap():
 @pytest.mark.parametrize(
     ("fault", "value", "why"),
     [
-        ("status", 2942, "scans overlap"),
-        ("status", 2943, "did not count what it left out"),
-        ("status", 2945, "its buffer was full"),
-        ("babble", 40, "no stream packet"),
-        ("silent", 5, "has been silent for"),
+        ("stream-status", 2942, "scans overlap"),
+        ("stream-status", 2943, "did not count what it left out"),
+        ("stream-status", 2945, "its buffer was full"),
+        ("stream-garbage", 40, "no stream packet"),
+        ("stream-silence", 5, "has been silent for"),
     ],
 )
 def test_a_stream_that_fails_says_why_and_can_be_started_again(fault, value, why):

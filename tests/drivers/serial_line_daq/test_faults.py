@@ -113,7 +113,7 @@ def test_samples_that_begin_at_zero_again_are_not_believed():
         assert "no sample" in failure(driver)
 
 
-@pytest.mark.parametrize(("kind", "value"), [("mute", 0), ("cut", 3), ("deaf", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("lost", 0), ("truncated", 3), ("silence", 0)])
 def test_a_board_that_says_nothing_readable_is_soon_an_error_and_then_comes_back(rig, kind, value):
     served, device = rig
     device.start(100.0)
@@ -129,7 +129,7 @@ def test_a_board_that_says_nothing_readable_is_soon_an_error_and_then_comes_back
     assert "whether it took 5 is not known" in str(error)
     served.faults.set("clear")
     assert collected(device, 3)
-    assert device.read_back("o0") == (0.0 if kind == "deaf" else 5.0)
+    assert device.read_back("o0") == (0.0 if kind == "silence" else 5.0)
 
 
 @pytest.mark.parametrize("kind", ["garbage", "double"])

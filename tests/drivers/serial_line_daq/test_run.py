@@ -91,7 +91,7 @@ def test_with_engine_and_guard_killed_the_board_vents_by_itself(rig):
 def test_a_torn_line_ends_the_run_and_the_board_vents_by_itself(rig):
     control, process = rig
     assert under_pressure(control)
-    ask(control, device="board", fault="deaf")
+    ask(control, device="board", fault="silence")
     assert until(lambda: entries(control, "watchdog"), 3)
     said, _ = process.communicate(timeout=90)
     assert process.returncode not in {0, None}, said

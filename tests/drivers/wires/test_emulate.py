@@ -68,8 +68,8 @@ def test_a_bench_is_served_where_its_file_says_and_the_drivers_find_it(tmp_path)
             regulator.switch("dump_valve", on=True)
             regulator.write("pressure", 1234.0)
         assert ask(said["control"], load={"force": 58.86, "mass": 8.0}) == {"ok": True}
-        assert ask(said["control"], device="regulator", fault="drop") == {"ok": True}
-        assert "did you mean" in ask(said["control"], device="regulator", fault="drops")["why"]
+        assert ask(said["control"], device="regulator", fault="hang-up") == {"ok": True}
+        assert "did you mean" in ask(said["control"], device="regulator", fault="hang-ups")["why"]
         assert "did you mean" in ask(said["control"], plant="bursts")["why"]
         assert ask(said["control"], log="set")["entries"][0]["si"] == pytest.approx(123400.0)
         assert ask(said["control"], nothing=1)["ok"] is False

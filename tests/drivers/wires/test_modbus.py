@@ -104,7 +104,7 @@ def test_an_executed_write_without_answer_is_settled_by_what_the_device_holds(ri
     emulator, _record, device = rig
     settled = 0
     for number in range(20):
-        emulator.devices["regulator"].faults.set("mute", count=1)
+        emulator.devices["regulator"].faults.set("lost", count=1)
         took, outcome = timed(device.write, "pressure", 100.0 + number)
         assert outcome is None or "is not known" in str(outcome), outcome
         assert took < BOUND
@@ -116,7 +116,7 @@ def test_an_executed_write_without_answer_is_settled_by_what_the_device_holds(ri
 def test_a_write_that_was_not_executed_says_so_and_is_not_sent_again(rig):
     emulator, _record, device = rig
     for _ in range(5):
-        emulator.devices["regulator"].faults.set("deaf", count=1)
+        emulator.devices["regulator"].faults.set("silence", count=1)
         with pytest.raises(DeviceError, match=r"regulator.pressure: did not answer to the command 250 and holds 0$"):
             device.write("pressure", 250.0)
     assert sent(emulator) == []
@@ -133,7 +133,7 @@ def test_a_device_that_answers_and_does_nothing_is_found_out(rig):
 
 def test_an_unknown_outcome_is_called_unknown(rig):
     emulator, _record, device = rig
-    emulator.devices["regulator"].faults.set("mute")
+    emulator.devices["regulator"].faults.set("lost")
     took, outcome = timed(device.write, "pressure", 250.0)
     assert isinstance(outcome, DeviceError)
     assert "whether it took 250 is not known" in str(outcome)
@@ -141,7 +141,7 @@ def test_an_unknown_outcome_is_called_unknown(rig):
     assert len(sent(emulator)) == 1
 
 
-@pytest.mark.parametrize("kind", ["deaf", "mute", "drop", "reset", "slow", "mixed", "cut", "garbage"])
+@pytest.mark.parametrize("kind", ["silence", "lost", "hang-up", "reset", "delay", "stale", "truncated", "garbage"])
 def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
     emulator, _record, device = rig
     device.write("pressure", 10.0)
@@ -156,13 +156,13 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
         device.disarm_watchdog,
     ]
     for call in calls:
-        emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "cut" else 0.5)
+        emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "truncated" else 0.5)
         took, outcome = timed(call)
         emulator.devices["regulator"].faults.set("clear")
         assert took < BOUND
         assert outcome is None or isinstance(outcome, DeviceError | bool | float)
         assert device.read_back("pressure") in {10.0, 20.0}
-    emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "cut" else 0.5)
+    emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "truncated" else 0.5)
     took, outcome = timed(device.rescue, "pressure", 0.0)
     assert took < BOUND
 
@@ -171,7 +171,7 @@ def test_polling_tells_of_a_silent_device_and_goes_on_when_it_is_back(rig):
     emulator, _record, device = rig
     device.start(100.0)
     time.sleep(0.1)
-    emulator.devices["regulator"].faults.set("deaf")
+    emulator.devices["regulator"].faults.set("silence")
     deadline, outcome = time.monotonic() + 3, None
     while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
         took, outcome = timed(device.collect)
@@ -318,7 +318,7 @@ def test_rescue_goes_round_a_call_that_hangs(rig):
     """The first connection is stuck in a slow answer; the second one vents meanwhile."""
     emulator, _record, device = rig
     device.write("pressure", 200.0)
-    emulator.devices["regulator"].faults.set("slow", 0.5, count=1)
+    emulator.devices["regulator"].faults.set("delay", 0.5, count=1)
     hanging = threading.Thread(target=timed, args=(device.read_back, "pressure"))
     hanging.start()
     time.sleep(0.02)

@@ -51,7 +51,7 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
             device._put(device._map.outputs[f"r{i}"], 1000 + i)
         right = refused = 0
         for number in itertools.islice(itertools.cycle(range(4)), 200):
-            emulator.devices["regulator"].faults.set("slow", chance.uniform(0.5, 3.0) * TIMEOUT, count=1)
+            emulator.devices["regulator"].faults.set("delay", chance.uniform(0.5, 3.0) * TIMEOUT, count=1)
             took, outcome = timed(device._get, device._map.inputs[f"r{number}"])
             assert took < 0.3
             if isinstance(outcome, DeviceError):
@@ -74,7 +74,7 @@ def line_inputs():
 def test_a_vent_does_not_wait_for_a_late_answer(tmp_path):
     with emulated(line(tmp_path, slowest="2 s")) as (emulator, [record]), opened(record) as device:
         device.write("pressure", 100.0)
-        emulator.devices["regulator"].faults.set("deaf", count=1)
+        emulator.devices["regulator"].faults.set("silence", count=1)
         with pytest.raises(DeviceError, match="no answer"):
             device.level("e_stop")
         with pytest.raises(DeviceError, match="not taken for a new one"):
@@ -88,16 +88,16 @@ def test_a_vent_does_not_wait_for_a_late_answer(tmp_path):
 def test_a_lost_answer_is_settled_by_another_kind_of_question(tmp_path):
     with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
         for number in range(10):
-            emulator.devices["regulator"].faults.set("mute", count=1)
+            emulator.devices["regulator"].faults.set("lost", count=1)
             device.write("pressure", 50.0 + number)
         assert [entry["raw"] for entry in emulator.log.of("set")] == [50.0 + number for number in range(10)]
 
 
-@pytest.mark.parametrize("kind", ["deaf", "mute", "garbage", "cut", "slow"])
+@pytest.mark.parametrize("kind", ["silence", "lost", "garbage", "truncated", "delay"])
 def test_every_call_ends_in_time(tmp_path, kind):
     with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
         for call in (lambda: device.write("pressure", 5.0), lambda: device.level("e_stop"), device.feed_watchdog):
-            emulator.devices["regulator"].faults.set(kind, 2.0 if kind == "cut" else 0.2)
+            emulator.devices["regulator"].faults.set(kind, 2.0 if kind == "truncated" else 0.2)
             took, outcome = timed(call)
             assert took < 0.3
             assert outcome is None or isinstance(outcome, DeviceError | bool)
@@ -108,7 +108,7 @@ def test_every_call_ends_in_time(tmp_path, kind):
 
 def test_a_port_that_is_gone_is_said(tmp_path):
     with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
-        emulator.devices["regulator"].faults.set("drop")
+        emulator.devices["regulator"].faults.set("hang-up")
         outcomes = [timed(device.level, "e_stop") for _ in range(3)]
         assert all(took < 0.3 for took, _ in outcomes)
         assert all(isinstance(outcome, DeviceError) for _, outcome in outcomes)
@@ -134,9 +134,9 @@ def test_a_late_refusal_is_not_taken_for_an_answer_that_leaves_another_one_owed(
         def read(address, count):
             return timed(wire.read, "holding", address, count, time.monotonic() + 0.19)[1]
 
-        faults.set("slow", 0.06, count=1)
+        faults.set("delay", 0.06, count=1)
         assert isinstance(read(300, 2), DeviceError)  # no such address; the refusal comes after the time-out
-        faults.set("slow", 0.02, count=1)
+        faults.set("delay", 0.02, count=1)
         assert "exception 2" in str(read(200, 1))
         outcome = read(201, 1)
         assert outcome == [1001] or isinstance(outcome, DeviceError), outcome

@@ -116,7 +116,7 @@ def test_noise_on_the_wire_is_measured_as_it_is(rig):
     assert max(values) - min(values) > 0.5
 
 
-@pytest.mark.parametrize(("kind", "value"), [("garbage", 0), ("double", 0), ("cut", 4), ("mute", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("garbage", 0), ("double", 0), ("truncated", 4), ("lost", 0)])
 def test_what_cannot_be_read_is_no_sample_and_soon_an_error(rig, kind, value):
     emulator, _record, device = rig
     device.start(100.0)
@@ -158,7 +158,7 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
         emulator.plant.quantities = quantities
         taken = 0
         while len(asked) < 100:
-            fault(emulator, "slow", chance.uniform(0.5, 3.0) * 0.02, count=1)
+            fault(emulator, "delay", chance.uniform(0.5, 3.0) * 0.02, count=1)
             before = len(asked)
             driver._poll()
             time.sleep(0.004)
@@ -172,7 +172,7 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
 def test_a_port_that_is_gone_is_said(rig):
     emulator, record, device = rig
     device.start(100.0)
-    fault(emulator, "drop")
+    fault(emulator, "hang-up")
     assert str(failure(device)).startswith(f"cell: lost {record.address}: ")
     took, _ = timed(device.close)
     assert took < 0.5
