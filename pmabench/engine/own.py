@@ -8,7 +8,7 @@ from functools import partial
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, CompiledBench, Device, Identity, Stream
-from pmabench.guard.guard import OPENS_WITHIN, load_driver
+from pmabench.guard.links import OPENS_WITHIN, load_driver
 from pmabench.guard.owner import Owner
 
 COLLECTS_WITHIN = 0.5

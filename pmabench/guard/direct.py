@@ -30,7 +30,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
         guard.step_safe({})
         for name in sampled:
             with suppress(PmaError):
-                guard.stream(name, RATE)
+                guard.links.stream(name, RATE)
 
         def measure() -> Mapping[str, float]:
             guard.latest.clear()

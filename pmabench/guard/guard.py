@@ -7,13 +7,8 @@ In virtual time it lives in the engine's process, at a real bench in one of its 
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from enum import Enum
-from functools import partial
-from importlib import import_module
 from itertools import takewhile
 from math import inf, isfinite
 from typing import Any
@@ -23,36 +18,23 @@ from pmabench.base.errors import DeviceError, LimitRefused
 from pmabench.bench.interface import (
     Block,
     CompiledBench,
-    Device,
     DeviceRecord,
-    Follower,
-    Hands,
-    Identity,
-    Inputs,
     Load,
-    Motion,
     OutputRecord,
-    Rescue,
     SafeAction,
     Segment,
-    SetPoint,
-    Stream,
-    Switch,
     ValveRecord,
-    Watchdog,
 )
 from pmabench.guard import course
 from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_bench, to_device
-from pmabench.guard.owner import Call, Direct, Owner
+from pmabench.guard.links import Act, Links
+from pmabench.guard.owner import Call
 from pmabench.guard.safe import AT_ONCE, SafeState, Vent
 
-__all__ = ["Guard", "Measure", "State", "Vent", "load_driver"]
+__all__ = ["Guard", "Measure", "State", "Vent"]
 
 Measure = Callable[[], Mapping[str, float]]
 """Lets a little bench time pass and returns the latest measured values [SI]."""
-
-OPENS_WITHIN = 8.0
-"""Longest time that a device may take to be opened [s]."""
 
 
 class State(Enum):
@@ -67,18 +49,6 @@ class State(Enum):
     TRIPPED = "tripped"
 
 
-def load_driver(record: DeviceRecord, clock: Clock) -> Device:
-    """The driver of a device, made from `module:Class`; nothing is opened."""
-    module, _, name = record.driver.partition(":")
-    try:
-        made = getattr(import_module(module), name)(record, clock)
-    except (ImportError, AttributeError) as error:
-        raise DeviceError(record.name, f"its driver {record.driver} cannot be loaded: {error}") from error
-    if not isinstance(made, Device):
-        raise DeviceError(record.name, f"{record.driver} does not implement the device interface")
-    return made
-
-
 class Guard:
     """Commands the outputs of one compiled bench.
 
@@ -88,15 +58,13 @@ class Guard:
     """
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool = False, forgiving: bool = False) -> None:
-        self.bench = bench
+        self.bench, self.clock = bench, clock
         self.state = State.DISARMED
-        self.devices: dict[str, Device] = {}
-        self.identities: dict[str, Identity] = {}
         self.latest: dict[str, float] = {}
         """Newest measured values [SI] of the devices that the guard itself reads."""
-        self.clock = clock
+        self.links = Links(bench, clock, threads=threads)
+        self.devices, self.identities = self.links.devices, self.links.identities
         self._threads, self._forgiving = threads, forgiving
-        self._owners: dict[str, Direct | Owner] = {}
         self._outputs = {output.name: output for output in bench.outputs}
         self._valves = {valve.name: valve for valve in bench.valves}
         ends = [(c.name, c.low) for device in bench.devices for c in device.channels]
@@ -109,55 +77,28 @@ class Guard:
         """For which run folder it is armed, and what began the safe state."""
         self._courses: dict[str, course.Course] = {}
         """Where each output was sent last [SI over s]."""
-        self._fed: dict[str, Call] = {}
 
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
-        opening: dict[str, Call] = {}
         records = [
             record for record in self.bench.devices if record.guarded or not self._threads or self._tells(record)
         ]
-        try:
-            for record in records:
-                owner = self._owners[record.name] = (Owner if self._threads else Direct)(record.name)
-                with suppress(*((Exception,) if self._forgiving else ())):
-                    opening[record.name] = owner.submit(
-                        partial(self._open, record.name, load_driver(record, self.clock))
-                    )
-            until = time.monotonic() + OPENS_WITHIN
-            for name, call in opening.items():
-                with suppress(*((Exception,) if self._forgiving else ())):
-                    self._owners[name].wait(call, max(0.0, until - time.monotonic()))
-        except BaseException:
-            self.close()
-            raise
+        self.links.open(records, self._first_of, forgiving=self._forgiving)
 
     def _tells(self, record: DeviceRecord) -> bool:
         """Whether a device that only measures is opened too: a forgiving guard has nobody else to confirm a vent by."""
         wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
-    def _open(self, name: str, device: Device) -> None:
-        """Open a device, in its thread; a forgiving guard sends at once what the safe state begins with."""
-        self.identities[name] = device.open()
-        self.devices[name] = device
-        for action in takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ()):
-            target = self._target(action)
-            if target is not None and target.device == name:
-                with suppress(Exception):  # it is sent again, and counted, when the safe state runs
-                    self._action(action, target)()
+    def _first_of(self, name: str) -> list[Act]:
+        """What a forgiving guard sends at once to a device that has just been opened: how the safe state begins."""
+        begins = takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ())
+        targets = [(action, self._target(action)) for action in begins]
+        return [self._action(action, target) for action, target in targets if target and target.device == name]
 
     def close(self) -> None:
         """Let go of every device, its watchdog off where the bench is safe; harmless when repeated."""
-        safe = self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed
-        for name, device in list(self.devices.items()):
-            try:
-                if safe and isinstance(device, Watchdog):
-                    self._owners[name].call(device.disarm_watchdog)
-                self._owners[name].call(device.close)
-            except DeviceError:
-                continue
-        self.devices = {}
+        self.links.close(disarm=self._safe is not None and self._safe.vent is not None and self._safe.vent.confirmed)
 
     # -- arming -------------------------------------------------------------------------------------------------
 
@@ -168,20 +109,14 @@ class Guard:
         self.run = run
         refuse_unsafe_bench(self.bench)
         for output in self._outputs.values():
-            if not isinstance(self.devices.get(output.device), SetPoint):
-                raise DeviceError(output.device, "takes no set-points", output.output)
-        for record in self.bench.devices:
-            if record.watchdog:
-                self._arm_watchdog(record)
-            for interlock in record.interlocks:
-                if not isinstance(self.devices[record.name], Inputs):
-                    raise DeviceError(record.name, "has no digital inputs", interlock.input)
-        self.refuse_open_interlock()
+            self.links.writing(output, output.safe)  # raises where a device takes no set-points; nothing is sent yet
+        self.links.arm_watchdogs()
+        self.links.refuse_open_interlock()
         for output in self._outputs.values():
             self._write(output, output.safe)
-            self._refuse_other_read_back(output)
+            self.links.refuse_other_read_back(output)
         for valve in self._valves.values():
-            self._owners[valve.device].call(self._switching(valve, closed=valve.safe == "open"))
+            self.links.call(valve.device, self.links.switching(valve, closed=valve.safe == "open"))
         self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
     def release(self) -> None:
@@ -189,43 +124,6 @@ class Guard:
         if self.state is not State.SETUP:
             raise LimitRefused(f"the bench is {self.state.value}: it cannot be released")
         self.state = State.RUNNING
-
-    def _arm_watchdog(self, record: DeviceRecord) -> None:
-        device = self.devices[record.name]
-        if not isinstance(device, Watchdog):
-            raise DeviceError(record.name, "has no watchdog, and the bench file says that it has")
-        told = self._owners[record.name].call(partial(device.arm_watchdog, record.watchdog))
-        if not 0 < told <= record.watchdog * 1.01:
-            raise DeviceError(record.name, f"its watchdog says {told:g} s where {record.watchdog:g} s was asked for")
-
-    def _refuse_other_read_back(self, output: OutputRecord) -> None:
-        device = self.devices[output.device]
-        assert isinstance(device, SetPoint)  # noqa: S101  (checked before)
-        held = self._owners[output.device].call(partial(device.read_back, output.output))
-        if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
-            raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
-
-    def refuse_open_interlock(self) -> None:
-        """Raise LimitRefused where an interlock is not at its safe level."""
-        for record in self.bench.devices:
-            device = self.devices.get(record.name)
-            if not isinstance(device, Inputs):
-                continue
-            for interlock in record.interlocks:
-                high = self._owners[record.name].call(partial(device.level, interlock.input))
-                if high != (interlock.safe == "high"):
-                    raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
-
-    def feed_watchdogs(self) -> None:
-        """Tell every armed device that the program lives; raises DeviceError where one said before that it failed."""
-        for record in self.bench.devices:
-            device = self.devices.get(record.name)
-            if record.watchdog and isinstance(device, Watchdog):
-                before = self._fed.get(record.name)
-                if before is None or before.done.is_set():
-                    self._fed[record.name] = self._owners[record.name].submit(device.feed_watchdog)
-                    if before is not None:
-                        before.get(record.name)
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -239,7 +137,7 @@ class Guard:
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
         refuse_jump(output, self._stands(output), origin)
-        self._call_follow(output, self._ramp_segment(output, origin, target, rate))
+        self.links.call(output.device, self._ramping(output, origin, target, rate))
         self._courses[name] = course.ramp(self.clock.now(), origin, target, rate)
 
     def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
@@ -259,20 +157,18 @@ class Guard:
             frequency=frequency,
             cycles=cycles,
         )
-        self._call_follow(output, segment)
+        self.links.call(output.device, self.links.following(output, segment))
         self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
         """Tell the devices that have an operator inside what hands did."""
-        for name, device in list(self.devices.items()):
-            if isinstance(device, Hands):
-                self._owners[name].call(partial(device.place, load))
+        self.links.place(load)
 
     def valves(self, *, closed: bool, only: str = "") -> None:
         """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state: dump open for hands."""
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
-            self._owners[valve.device].call(self._switching(valve, closed=closed == (valve.safe == "open")))
+            self.links.call(valve.device, self.links.switching(valve, closed=closed == (valve.safe == "open")))
 
     def value_sent(self, name: str, value: float) -> float:
         """The value [SI] that the device would get for `value`, after scaling and rounding."""
@@ -281,22 +177,12 @@ class Guard:
 
     def collect(self, name: str) -> Block:
         """The new samples of one device; the guard keeps the newest values of channels that it confirms."""
-        device = self.devices.get(name)
-        if not isinstance(device, Stream):
-            raise DeviceError(name, "takes no samples")
-        block: Block = self._owners[name].call(device.collect)
+        block = self.links.collect(name)
         if len(block.time):
             for record in self.bench.devices:
                 for channel in record.channels if record.name == name else ():
                     self.latest[channel.name] = float(channel.scale.to_si(block.columns[channel.name][-1]))
         return block
-
-    def stream(self, name: str, rate: float) -> float:
-        """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
-        device = self.devices.get(name)
-        if not isinstance(device, Stream):
-            raise DeviceError(name, "takes no samples")
-        return float(self._owners[name].call(partial(device.start, rate) if rate else device.stop) or 0.0)
 
     def _refuse_unless_active(self, name: str) -> None:
         if self.state not in {State.SETUP, State.RUNNING}:
@@ -312,38 +198,18 @@ class Guard:
         return output
 
     def _write(self, output: OutputRecord, value: float) -> float:
-        raw = to_device(output, value)
-        self._owners[output.device].call(self._writing(output, raw))
-        sent = float(output.scale.to_si(raw))
+        self.links.call(output.device, self.links.writing(output, value))
+        sent = self.value_sent(output.name, value)
         self._courses[output.name] = course.step(sent)
         return sent
 
     def _stands(self, output: OutputRecord) -> float:
         return self._courses.get(output.name, course.step(output.safe))(self.clock.now())
 
-    def _writing(self, output: OutputRecord, raw: float) -> Callable[[], None]:
-        device = self.devices[output.device]
-        assert isinstance(device, SetPoint)  # noqa: S101  (checked at arming)
-        return partial(device.write, output.output, raw)
-
-    def _ramp_segment(self, output: OutputRecord, origin: float, target: float, rate: float) -> Segment:
+    def _ramping(self, output: OutputRecord, origin: float, target: float, rate: float) -> Act:
         ends = (to_device(output, origin), to_device(output, target))
-        return Segment("ramp", self.clock.now(), *ends, rate / abs(output.scale.slope))
-
-    def _call_follow(self, output: OutputRecord, segment: Segment) -> None:
-        self._owners[output.device].call(self._following(output, segment))
-
-    def _following(self, output: OutputRecord, segment: Segment) -> Callable[[], None]:
-        device = self.devices[output.device]
-        if not isinstance(device, Follower):
-            raise DeviceError(output.device, "cannot follow a ramp or a sine by itself", output.output)
-        return partial(device.follow, output.output, segment)
-
-    def _switching(self, valve: ValveRecord, *, closed: bool) -> Callable[[], None]:
-        device = self.devices[valve.device]
-        if not isinstance(device, Switch):
-            raise DeviceError(valve.device, "switches no valves", valve.output)
-        return partial(device.switch, valve.output, on=closed == (valve.energised == "closed"))
+        segment = Segment("ramp", self.clock.now(), *ends, rate / abs(output.scale.slope))
+        return self.links.following(output, segment)
 
     # -- the safe state -----------------------------------------------------------------------------------------
 
@@ -388,7 +254,7 @@ class Guard:
         try:
             if target is None or target.device not in self.devices:
                 raise DeviceError(target.device if target else action.target, "is not open")
-            return self._owners[target.device].submit(self._action(action, target))
+            return self.links.submit(target.device, self._action(action, target))
         except Exception as error:  # belongs to the outcome of the safe state, which goes on
             call = Call(lambda: None)
             call.error = error
@@ -398,42 +264,29 @@ class Guard:
     def _target(self, action: SafeAction) -> OutputRecord | ValveRecord | None:
         return self._outputs.get(action.target) or self._valves.get(action.target)
 
-    def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Callable[[], Any]:
+    def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Act:
+        """A safe action as a call; that of a ramp tells how long the ramp takes [s]."""
         if isinstance(target, ValveRecord):
-            return self._switching(target, closed=action.do == "close")
+            return self.links.switching(target, closed=action.do == "close")
         if action.do == "stop":
-            device = self.devices[target.device]
-            if not isinstance(device, Motion):
-                raise DeviceError(target.device, "cannot stop a motion by itself", target.output)
-            return partial(device.halt, target.output)
+            return self.links.halting(target)
         if action.do == "ramp":
             stands = self._stands(target)
+            follow = self._ramping(target, stands, action.value, action.rate)
             self._courses[target.name] = course.ramp(self.clock.now(), stands, action.value, action.rate)
-            follow = self._following(target, self._ramp_segment(target, stands, action.value, action.rate))
             lasts = abs(action.value - stands) / action.rate
-
-            def begin() -> float:
-                follow()
-                return lasts
-
-            return begin
+            return lambda: (follow(), lasts)[1]
         self._courses[target.name] = course.step(action.value)
-        return self._writing(target, to_device(target, action.value))
+        return self.links.writing(target, action.value)
 
     def _rescue(self, action: SafeAction) -> Call | None:
-        """Try an action over the second way of its device, from a thread that hangs alone if it does."""
+        """Try an action over the second way of its device, where it has one."""
         target = self._target(action)
-        device = self.devices.get(target.device) if target is not None else None
-        if target is None or action.do == "stop" or not isinstance(device, Rescue):
+        if target is None or action.do == "stop":
             return None
-        raw = (
-            to_device(target, action.value)
-            if isinstance(target, OutputRecord)
-            else float((action.do == "close") == (target.energised == "closed"))
-        )
-        call = Call(partial(device.rescue, target.output, raw))
-        threading.Thread(target=call.run, daemon=True).start()
-        return call
+        if isinstance(target, OutputRecord):
+            return self.links.rescue(target, to_device(target, action.value))
+        return self.links.rescue(target, float((action.do == "close") == (target.energised == "closed")))
 
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""

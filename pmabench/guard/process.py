@@ -46,7 +46,7 @@ PASSED_ON: Mapping[str, Callable[..., Any]] = {
     "ramp": Guard.ramp,
     "sine": Guard.sine,
     "valves": Guard.valves,
-    "stream": Guard.stream,
+    "stream": lambda guard, name, rate: guard.links.stream(name, rate),
     "place": lambda guard, force, mass: guard.place(Load(force, mass)),
 }
 """Requests that are a call of the guard and no more; its result is the answer's `value`."""
@@ -261,13 +261,13 @@ class Service:
             if now - self._looked > LOOK:
                 self._looked = now
                 with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                    self.guard.feed_watchdogs()
+                    self.guard.links.feed_watchdogs()
             self._step(now)
 
     def _look(self) -> None:
         try:
-            self.guard.feed_watchdogs()
-            self.guard.refuse_open_interlock()
+            self.guard.links.feed_watchdogs()
+            self.guard.links.refuse_open_interlock()
         except PmaError as error:
             self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
 

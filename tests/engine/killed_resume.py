@@ -1,7 +1,7 @@
 """Runs of 20 trials in virtual time that are killed (SIGKILL, by themselves, at a write) and gone on with until done.
 
-`python -m tests.engine.killed_resume FOLDER KILLS SEED` prints the last run folder of each chain, one per line, and
-how many writes a whole run has. The program imports once and forks a child for each run.
+`python -m tests.engine.killed_resume FOLDER KILLS SEED` prints the last run folder of each chain, whether that
+was killed after its last trial (then nothing is left to do), and how many writes a whole run has. The program imports once and forks a child for each run.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def main() -> None:
             if told["code"] is not None:
                 break
             done += 1
-        chains.append(before)
+        chains.append({"last": before, "killed_at_the_end": told.get("nothing_left", False)})
     sys.stdout.write(json.dumps({"chains": chains, "kills": done, "writes": writes}) + "\n")
 
 
@@ -65,6 +65,7 @@ def _child(prepared: Any, out: Path, before: str | None, at: int | None) -> dict
 
 
 def _run(prepared: Any, out: Path, before: str | None, at: int | None, tell: int) -> int:
+    from pmabench.base.errors import InvalidFile
     from pmabench.engine.operator import ConfirmedBeforehand
     from pmabench.engine.resume import continue_run
     from pmabench.engine.run import run_plan
@@ -90,7 +91,11 @@ def _run(prepared: Any, out: Path, before: str | None, at: int | None, tell: int
 
     continues = None
     if before is not None:
-        continues = continue_run(Path(before), prepared.plan, prepared.mounted, prepared.protocol_text)
+        try:
+            continues = continue_run(Path(before), prepared.plan, prepared.mounted, prepared.protocol_text)
+        except InvalidFile as error:
+            say(nothing_left="nothing is left to do" in str(error))
+            return 0
     outcome = run_plan(
         prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=out, protocol_text=prepared.protocol_text,
         continues=continues, begun=lambda folder: say(folder=str(folder)),

@@ -33,9 +33,10 @@ def chains(tmp_path_factory):
 def test_each_trial_is_finished_once_and_in_order(chains, record_property):
     record_property("cases", chains["kills"])
     assert chains["kills"] >= KILLS
-    for last in chains["chains"]:
-        chain = open_chain(Path(last))
-        assert [run.status for run in chain] == ["interrupted"] * (len(chain) - 1) + ["finished"]
+    for told in chains["chains"]:
+        chain = open_chain(Path(told["last"]))
+        end = "interrupted" if told["killed_at_the_end"] else "finished"
+        assert [run.status for run in chain] == ["interrupted"] * (len(chain) - 1) + [end]
         finished = [trial.index for run in chain for trial in run.trials if trial.status == "finished"]
         assert finished == list(range(20)), f"{len(chain)} runs: {finished}"
         assert len({json.dumps(run.manifest["snapshots"]["plan.json"]) for run in chain}) == 1
@@ -46,14 +47,15 @@ def test_each_trial_is_finished_once_and_in_order(chains, record_property):
 
 
 def test_the_kills_lie_everywhere(chains):
-    counts = [len(open_chain(Path(last))) for last in chains["chains"]]
-    assert sum(counts) - len(counts) == chains["kills"]
+    counts = [len(open_chain(Path(told["last"]))) for told in chains["chains"]]
+    whole = sum(not told["killed_at_the_end"] for told in chains["chains"])
+    assert sum(counts) - whole == chains["kills"]
     assert max(counts) > 2
 
 
 def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains, tmp_path):
     """On the first run of a chain, which was closed as interrupted, without those that go on after it."""
-    there = Path(open_chain(Path(chains["chains"][0]))[0].path)
+    there = Path(open_chain(Path(chains["chains"][0]["last"]))[0].path)
     first = Path(shutil.copytree(there, tmp_path / there.name))
     made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
     name = next(name for name in made.mounted.documents if name.startswith("calibrations/"))
@@ -69,7 +71,7 @@ def test_what_has_changed_is_refused_by_name_and_can_be_accepted(chains, tmp_pat
 
 def test_a_run_that_another_one_goes_on_after_is_not_gone_on_with_again(chains):
     """Its trials would be done twice; the run to go on after is named, whichever of the chain is given."""
-    long = max((open_chain(Path(last)) for last in chains["chains"]), key=len)
+    long = max((open_chain(Path(told["last"])) for told in chains["chains"]), key=len)
     made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
     for run in long[:-1]:
         with pytest.raises(InvalidFile, match="done twice") as refused:
@@ -80,4 +82,4 @@ def test_a_run_that_another_one_goes_on_after_is_not_gone_on_with_again(chains):
 def test_a_run_that_is_done_is_not_gone_on_with(chains):
     made = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
     with pytest.raises(InvalidFile, match="nothing is left to do"):
-        continue_run(Path(chains["chains"][0]), made.plan, made.mounted, made.protocol_text)
+        continue_run(Path(chains["chains"][0]["last"]), made.plan, made.mounted, made.protocol_text)

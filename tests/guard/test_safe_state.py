@@ -252,11 +252,11 @@ def test_the_watchdog_is_let_go_only_where_the_bench_is_confirmed_to_be_safe():
 
 def test_a_watchdog_that_has_bitten_is_noticed():
     guard, rig = armed()
-    guard.feed_watchdogs()
+    guard.links.feed_watchdogs()
     rig.wrong["feed_watchdog"] = "its watchdog has vented"
-    guard.feed_watchdogs()
+    guard.links.feed_watchdogs()
     with pytest.raises(DeviceError, match="has vented"):
-        guard.feed_watchdogs()
+        guard.links.feed_watchdogs()
 
 
 # -- devices that hang ----------------------------------------------------------------------------------------------
@@ -293,7 +293,7 @@ def test_a_hung_feed_is_not_piled_up():
     guard, rig = armed(threads=True)
     released = rig.wrong["feed_watchdog"] = threading.Event()
     for _ in range(50):
-        guard.feed_watchdogs()
+        guard.links.feed_watchdogs()
     released.set()
     guard.set("pressure", 1e3)
     assert len(rig.values("feed_watchdog")) == 1
@@ -324,7 +324,7 @@ def test_what_a_device_raises_is_a_device_error(owner):
 
 
 def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(monkeypatch):
-    monkeypatch.setattr("pmabench.guard.guard.OPENS_WITHIN", 0.3)
+    monkeypatch.setattr("pmabench.guard.links.OPENS_WITHIN", 0.3)
     Rig.made.clear()
     released = threading.Event()
     hangs = DeviceRecord("hangs", DRIVER, options={"wrong": {"open": released}}, watchdog=1.0)
@@ -388,17 +388,17 @@ def test_a_sine_that_moves_too_fast_is_refused():
 
 def test_streams_hands_and_what_would_be_sent():
     guard, rig = armed()
-    assert guard.stream("dac", 100.0) == 100.0
+    assert guard.links.stream("dac", 100.0) == 100.0
     rig.reads["pressure"] = 12.0
     assert guard.collect("dac").columns["pressure"][0] == 12.0
     assert guard.latest == {"pressure": 12.0}
-    assert guard.stream("dac", 0.0) == 0.0
+    assert guard.links.stream("dac", 0.0) == 0.0
     assert guard.value_sent("pressure", 1.0) == 0.0
     from pmabench.bench.interface import Load
 
     guard.place(Load(10.0, 1.0))
     assert rig.values("place") == [("place", 10.0, 1.0)]
-    for ask in (lambda: guard.collect("none"), lambda: guard.stream("none", 1.0)):
+    for ask in (lambda: guard.collect("none"), lambda: guard.links.stream("none", 1.0)):
         with pytest.raises(DeviceError, match="takes no samples"):
             ask()
 
@@ -432,7 +432,7 @@ def test_each_device_is_asked_for_what_it_has_and_no_other():
     assert "reader" not in guard.devices
     guard.arm()
     assert ("switch", "s", True) in Rig.made["island"].told, "the supply stands open in a run"
-    guard.feed_watchdogs()
+    guard.links.feed_watchdogs()
     rig.told.clear()
     guard.valves(closed=False, only="dump_valve")
     assert rig.values("switch") == [("switch", "v", False)]
@@ -457,8 +457,7 @@ def test_each_device_is_asked_for_what_it_has_and_no_other():
 def test_a_watchdog_of_a_device_that_has_none_is_not_fed():
     guard = Guard(bench(replace(DEVICE, driver=f"{Plain.__module__}:Plain")), RealClock())
     guard.open()
-    guard.feed_watchdogs()
-    guard.refuse_open_interlock()
+    guard.links.feed_watchdogs()
 
 
 def test_a_value_that_the_device_would_round_beyond_its_limit_is_refused():

@@ -295,7 +295,7 @@ def test_what_the_engine_says_it_measured_counts_only_where_the_guard_cannot_mea
 def test_an_error_in_the_guard_itself_makes_the_bench_safe(monkeypatch):
     with Serving() as serving:
         serving.armed()
-        monkeypatch.setattr(serving.guard, "refuse_open_interlock", lambda: 1 / 0)
+        monkeypatch.setattr(serving.guard.links, "refuse_open_interlock", lambda: 1 / 0)
         ended_by(serving, "an error in the guard")
 
 

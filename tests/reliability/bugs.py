@@ -157,14 +157,14 @@ BUGS = (
     ),
     Bug(
         "a watchdog that fails is not noticed",
-        "pmabench/guard/guard.py",
+        "pmabench/guard/links.py",
         "                        before.get(record.name)\n",
         "                        pass\n",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
         "the valve's coil is taken the wrong way round",
-        "pmabench/guard/guard.py",
+        "pmabench/guard/links.py",
         'on=closed == (valve.energised == "closed")',
         'on=closed == (valve.energised == "open")',
         ("tests/guard/test_arming.py",),

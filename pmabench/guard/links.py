@@ -1,0 +1,207 @@
+"""How the guard calls the devices of a bench, each from a thread of its own; decides nothing."""
+# mypy: disable-error-code="type-abstract"
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from typing import Any, TypeVar
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.bench.interface import (
+    Block,
+    CompiledBench,
+    Device,
+    DeviceRecord,
+    Follower,
+    Hands,
+    Identity,
+    Inputs,
+    Load,
+    Motion,
+    OutputRecord,
+    Rescue,
+    Segment,
+    SetPoint,
+    Stream,
+    Switch,
+    ValveRecord,
+    Watchdog,
+)
+from pmabench.guard.limits import to_device
+from pmabench.guard.owner import Call, Direct, Owner
+
+OPENS_WITHIN = 8.0
+"""Longest time that a device may take to be opened [s]."""
+
+Act = Callable[[], Any]
+"""A call of a device, ready to be made in the thread that owns it."""
+Capability = TypeVar("Capability")
+
+
+def load_driver(record: DeviceRecord, clock: Clock) -> Device:
+    """The driver of a device, made from `module:Class`; nothing is opened."""
+    module, _, name = record.driver.partition(":")
+    try:
+        made = getattr(import_module(module), name)(record, clock)
+    except (ImportError, AttributeError) as error:
+        raise DeviceError(record.name, f"its driver {record.driver} cannot be loaded: {error}") from error
+    if not isinstance(made, Device):
+        raise DeviceError(record.name, f"{record.driver} does not implement the device interface")
+    return made
+
+
+class Links:
+    """The open devices, by name. `threads`: each is called from a thread of its own."""
+
+    def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool) -> None:
+        self.devices: dict[str, Device] = {}
+        self.identities: dict[str, Identity] = {}
+        self._bench, self._clock = bench, clock
+        self._owner = Owner if threads else Direct
+        self._owners: dict[str, Direct | Owner] = {}
+        self._fed: dict[str, Call] = {}
+
+    def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
+        """Open the devices side by side, and make the calls that `first` names as soon as each is open.
+
+        `forgiving`: those that cannot be opened are left out. Otherwise a failure closes those already open.
+        """
+        opening: dict[str, Call] = {}
+        passed = (Exception,) if forgiving else ()
+        try:
+            for record in records:
+                owner = self._owners[record.name] = self._owner(record.name)
+                with suppress(*passed):
+                    device = load_driver(record, self._clock)
+                    opening[record.name] = owner.submit(partial(self._open, record.name, device, first))
+            until = time.monotonic() + OPENS_WITHIN
+            for name, call in opening.items():
+                with suppress(*passed):
+                    self._owners[name].wait(call, max(0.0, until - time.monotonic()))
+        except BaseException:
+            self.close(disarm=False)
+            raise
+
+    def _open(self, name: str, device: Device, first: Callable[[str], list[Act]]) -> None:
+        self.identities[name] = device.open()
+        self.devices[name] = device
+        for act in first(name):
+            with suppress(Exception):  # it is sent again, and counted, when the safe state runs
+                act()
+
+    def close(self, *, disarm: bool) -> None:
+        """Let go of every device, its watchdog off where that is wanted; harmless when repeated."""
+        for name, device in list(self.devices.items()):
+            with suppress(DeviceError):
+                if disarm and isinstance(device, Watchdog):
+                    self.call(name, device.disarm_watchdog)
+                self.call(name, device.close)
+        self.devices.clear()
+
+    def call(self, name: str, act: Act) -> Any:
+        """Make a call of a device and wait for it."""
+        return self._owners[name].call(act)
+
+    def submit(self, name: str, act: Act) -> Call:
+        """Have a call of a device made; what comes of it shows later."""
+        return self._owners[name].submit(act)
+
+    def need(self, name: str, capability: type[Capability], lacks: str, channel: str = "") -> Capability:
+        """The device, as one that can do this; raises DeviceError with what it `lacks`."""
+        device = self.devices.get(name)
+        if not isinstance(device, capability):
+            raise DeviceError(name, lacks, channel)
+        return device
+
+    # -- calls that command something, ready to be made -----------------------------------------------------------
+
+    def writing(self, output: OutputRecord, value: float) -> Act:
+        """Command `value` [SI], rounded to the safe side."""
+        device = self.need(output.device, SetPoint, "takes no set-points", output.output)
+        return partial(device.write, output.output, to_device(output, value))
+
+    def following(self, output: OutputRecord, segment: Segment) -> Act:
+        """Follow a ramp or a sine."""
+        device = self.need(output.device, Follower, "cannot follow a ramp or a sine by itself", output.output)
+        return partial(device.follow, output.output, segment)
+
+    def switching(self, valve: ValveRecord, *, closed: bool) -> Act:
+        """Close a valve, or open it."""
+        device = self.need(valve.device, Switch, "switches no valves", valve.output)
+        return partial(device.switch, valve.output, on=closed == (valve.energised == "closed"))
+
+    def halting(self, output: OutputRecord) -> Act:
+        """Stop a motion where it is."""
+        device = self.need(output.device, Motion, "cannot stop a motion by itself", output.output)
+        return partial(device.halt, output.output)
+
+    def rescue(self, target: OutputRecord | ValveRecord, raw: float) -> Call | None:
+        """Command a raw value over the device's second way, from a thread that hangs alone; None where it has none."""
+        device = self.devices.get(target.device)
+        if not isinstance(device, Rescue):
+            return None
+        call = Call(partial(device.rescue, target.output, raw))
+        threading.Thread(target=call.run, daemon=True).start()
+        return call
+
+    # -- calls that are waited for --------------------------------------------------------------------------------
+
+    def refuse_other_read_back(self, output: OutputRecord) -> None:
+        """Raise DeviceError where a device does not hold the safe value that was sent."""
+        device = self.need(output.device, SetPoint, "takes no set-points", output.output)
+        held = self.call(output.device, partial(device.read_back, output.output))
+        if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
+            raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
+
+    def arm_watchdogs(self) -> None:
+        """Arm the watchdog of each device that the bench says has one, and hear from it that it is armed."""
+        for record in self._bench.devices:
+            if record.watchdog:
+                device = self.need(record.name, Watchdog, "has no watchdog, and the bench file says that it has")
+                told = self.call(record.name, partial(device.arm_watchdog, record.watchdog))
+                if not 0 < told <= record.watchdog * 1.01:
+                    asked = f"{record.watchdog:g} s was asked for"
+                    raise DeviceError(record.name, f"its watchdog says {told:g} s where {asked}")
+
+    def feed_watchdogs(self) -> None:
+        """Tell every armed device that the program lives; raises DeviceError where one said before that it failed."""
+        for record in self._bench.devices:
+            device = self.devices.get(record.name)
+            if record.watchdog and isinstance(device, Watchdog):
+                before = self._fed.get(record.name)
+                if before is None or before.done.is_set():
+                    self._fed[record.name] = self.submit(record.name, device.feed_watchdog)
+                    if before is not None:
+                        before.get(record.name)
+
+    def refuse_open_interlock(self) -> None:
+        """Raise LimitRefused where an interlock is not at its safe level."""
+        for record in self._bench.devices:
+            for interlock in record.interlocks if record.name in self.devices else ():
+                device = self.need(record.name, Inputs, "has no digital inputs", interlock.input)
+                high = self.call(record.name, partial(device.level, interlock.input))
+                if high != (interlock.safe == "high"):
+                    raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
+
+    def place(self, load: Load) -> None:
+        """Tell the devices that have an operator inside what hands did."""
+        for name, device in list(self.devices.items()):
+            if isinstance(device, Hands):
+                self.call(name, partial(device.place, load))
+
+    def stream(self, name: str, rate: float) -> float:
+        """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
+        device = self.need(name, Stream, "takes no samples")
+        return float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
+
+    def collect(self, name: str) -> Block:
+        """The new samples of one device."""
+        device = self.need(name, Stream, "takes no samples")
+        block: Block = self.call(name, device.collect)
+        return block
