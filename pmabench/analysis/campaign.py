@@ -28,8 +28,8 @@ class Campaign:
     noise: Noise
 
     def name(self, number: int) -> str:
-        """`run/index` of a trial."""
-        return f"{self.trials[number].run}/{self.trials[number].index}"
+        """`run/number` of a trial."""
+        return self.trials[number].name
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
         for trial in run.trials:
             reason = _unusable(run, trial, runs[0].rate)
             if reason:
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, reason))
+                dropped.append(Dropped(trial.name, trial.point, reason))
             else:
                 members.append((run, trial))
     if not members:
@@ -81,6 +81,8 @@ def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
     """Why a trial cannot be used; empty where it can."""
     if trial.status != "finished":
         return f"the trial is {trial.status}"
+    if trial.again:
+        return "reference trial, done again when the run went on: compared with the first, in no fit"
     for channel in ("pressure", "displacement"):
         if channel not in trial.channels:
             return f"the {channel} is not recorded"

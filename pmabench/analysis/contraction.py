@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis import contraction_steps, contraction_view, replay, skew
+from pmabench.analysis import contraction_steps, contraction_view, reference, replay, skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
@@ -71,6 +71,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *contraction_view.findings(campaign, pooled, estimates, free_run),
             *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *beside.estimates)),
             *beside.findings,
+            *reference.findings(runs),
         ),
         traces=traces,
         facts={

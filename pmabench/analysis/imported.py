@@ -60,7 +60,7 @@ def measured(
         for trial in run.trials:
             one = measure(trial, late or (0.0, 0.0))
             if isinstance(one, str):
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, one))
+                dropped.append(Dropped(trial.name, trial.point, one))
             else:
                 found.append((run, one))
     return found, dropped, told

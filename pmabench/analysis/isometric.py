@@ -43,7 +43,7 @@ class _Test:
     @property
     def name(self) -> str:
         """`run/index`."""
-        return f"{self.trial.run}/{self.trial.index}"
+        return self.trial.name
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _tests(
         for trial in run.trials:
             test, reason = _test(run, trial, phases, above)
             if test is None:
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, reason))
+                dropped.append(Dropped(trial.name, trial.point, reason))
             else:
                 groups.setdefault(round(trial.point["contraction"], SAME), []).append(test)
     return groups, dropped

@@ -59,7 +59,7 @@ class Sine:
     @property
     def name(self) -> str:
         """`run/index`."""
-        return f"{self.trial.run}/{self.trial.index}"
+        return self.trial.name
 
     @property
     def omega(self) -> float:

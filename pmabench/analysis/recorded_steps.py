@@ -86,7 +86,7 @@ class Step:
     @property
     def name(self) -> str:
         """`run/index`."""
-        return f"{self.trial.run}/{self.trial.index}"
+        return self.trial.name
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:

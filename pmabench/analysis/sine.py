@@ -119,7 +119,7 @@ def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[
             try:
                 members.append(Member(run, trial, measure(run, trial, discard)))
             except NotUsable as reason:
-                dropped.append(Dropped(f"{trial.run}/{trial.index}", trial.point, str(reason)))
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
     return members, dropped
 
 

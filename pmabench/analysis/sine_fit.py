@@ -42,7 +42,7 @@ class Member:
     @property
     def name(self) -> str:
         """`run/index`."""
-        return f"{self.trial.run}/{self.trial.index}"
+        return self.trial.name
 
 
 @dataclass(frozen=True)

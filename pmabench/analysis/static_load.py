@@ -130,7 +130,7 @@ def _points(runs: Sequence[RunData]) -> tuple[_Points, list[Dropped]]:
     dropped: list[Dropped] = []
     for run in runs:
         for trial in run.trials:
-            name = f"{trial.run}/{trial.index}"
+            name = trial.name
             found = {phase: trial.found.get(phase) or {} for phase in ("lift", "set-down")}
             pressures = {phase: _pressure(result) for phase, result in found.items()}
             if trial.status not in ("finished", "failed"):
@@ -348,7 +348,7 @@ def _traces(runs: Sequence[RunData], points: _Points) -> tuple[Trace, ...]:
             quantities={"load": "force", "lift": "pressure", "set_down": "pressure"},
         )
     ]
-    trials = {f"{trial.run}/{trial.index}": trial for run in runs for trial in run.trials}
+    trials = {trial.name: trial for run in runs for trial in run.trials}
     first = [points.names[int(np.flatnonzero(points.load == load)[0])] for load in np.unique(points.load)]
     for name in dict.fromkeys(first[round(i)] for i in np.linspace(0, len(first) - 1, SHOWN)):
         traces += _lift_trace(trials[name])

@@ -66,7 +66,7 @@ class _Cell:
 
 def name_of(trial: TrialData) -> str:
     """`run/index`, as parents are named."""
-    return f"{trial.run}/{trial.index}"
+    return trial.name
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:

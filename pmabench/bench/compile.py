@@ -16,11 +16,11 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import channels
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.driver_options import checked
-from pmabench.bench.files import BenchFile, SpecimenFile
+from pmabench.bench.files import BenchFile, DeviceFile, SpecimenFile
 from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
 from pmabench.bench.lacks import lacks
 from pmabench.bench.outputs import outputs, valves
-from pmabench.bench.registry import driver_class
+from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.safe_state import interlocks, proof, safe_state, setup_pressure, stop_rate
 from pmabench.bench.session import Session, lacks_session, session
 from pmabench.bench.trips import trips
@@ -131,8 +131,18 @@ def _devices(
             tuple(_left_safe(valve, actions) for valve in switched.values() if valve.device == name),
             tuple(locked[name]),
             file.watchdog or 0.0,
+            _verified(file),
+            file.verified.firmware if file.verified is not None else "",
         )
         yield checked(c, record)
+
+
+def _verified(file: DeviceFile) -> str:
+    """What the bench file says about the driver; empty where that is left to the driver."""
+    if file.verified is None:
+        return ""
+    firmware = f", firmware {file.verified.firmware}" if file.verified.firmware else ""
+    return f"{HARDWARE} ({file.verified.by}, {file.verified.date.isoformat()}{firmware})"
 
 
 def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:

@@ -16,6 +16,7 @@ from pathlib import Path
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, SetPoint, Stream, Switch, Watchdog
+from pmabench.bench.registry import verified
 from pmabench.files.document import Document, Location, document_text, read_document
 
 MAP = "map"
@@ -36,6 +37,7 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     except (ImportError, AttributeError) as error:
         c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}')
         return device
+    device = replace(device, verified=device.verified or verified(driver))
     if _lacks_a_capability(c, device, driver):
         return device
     check = getattr(driver, "check", None)

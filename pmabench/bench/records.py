@@ -188,6 +188,10 @@ class DeviceRecord:
     interlocks: tuple[InterlockRecord, ...] = ()
     watchdog: float = 0.0
     """The device vents by itself when it hears nothing for so long [s]; 0: it has no such thing."""
+    verified: str = ""
+    """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
+    verified_firmware: str = ""
+    """The firmware for which the bench file says so; empty: any."""
 
     @property
     def guarded(self) -> bool:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 from pmabench.base.errors import did_you_mean
 
+EMULATOR_ONLY = "emulator only"
+"""What a driver was tried on that does not say it by its class attribute `verified`."""
+HARDWARE = "hardware"
+"""How `verified` begins where a driver was tried on a device: `hardware (who, date, firmware)`."""
+
 
 @lru_cache(maxsize=1)
+def _points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group="pmabench.drivers")}
+
+
 def drivers() -> dict[str, str]:
     """Name of each driver and its `module:Class`."""
-    return {point.name: point.value for point in entry_points(group="pmabench.drivers")}
+    return {name: point.value for name, point in _points().items()}
 
 
 def driver_class(name: str) -> str:
@@ -23,3 +32,14 @@ def driver_class(name: str) -> str:
     if name not in known:
         raise ValueError(f'no driver "{name}" is installed{did_you_mean(name, known)}')
     return known[name]
+
+
+def driver_version(target: str) -> str:
+    """Version of the package that installed the driver `module:Class`; empty where no package did."""
+    found = next((point for point in _points().values() if point.value == target and point.dist is not None), None)
+    return found.dist.version if found is not None and found.dist is not None else ""
+
+
+def verified(driver: object) -> str:
+    """What a driver class was tried on: `hardware (who, date, firmware)`, or `emulator only`."""
+    return str(getattr(driver, "verified", EMULATOR_ONLY))

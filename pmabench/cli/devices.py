@@ -32,8 +32,6 @@ CAPABILITIES = {
     "Rescue": "second way",
 }
 """Capability of `pmabench.bench.interface` -> what it is called here."""
-NOT_SAID = "emulator only"
-"""What a driver that does not say where it was verified has been tried on."""
 
 
 @click.group(name="devices")
@@ -59,6 +57,7 @@ def _driver(name: str, target: str) -> dict[str, Any]:
     from importlib import import_module
 
     from pmabench.bench import interface
+    from pmabench.bench.registry import verified
 
     module, _, attribute = target.partition(":")
     try:
@@ -70,7 +69,7 @@ def _driver(name: str, target: str) -> dict[str, Any]:
         "name": name,
         "driver": target,
         "can": can,
-        "verified": getattr(made, "verified", NOT_SAID),
+        "verified": verified(made),
         "problem": "" if issubclass(made, interface.Device) else "does not implement the device interface",
     }
 
@@ -98,6 +97,7 @@ def probe(ui: Ui, bench: str, specimen: str | None, out: Path, operator: str, *,
             raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
         return _self_test(ui, bench, specimen, out, operator, yes=yes)
     from pmabench.bench.compile import mount_alone
+    from pmabench.engine.untried import doubt
     from pmabench.files.shipped import find_file
     from pmabench.session.listening import listen
     from pmabench.session.look import looking
@@ -105,7 +105,14 @@ def probe(ui: Ui, bench: str, specimen: str | None, out: Path, operator: str, *,
     compiled = mount_alone(find_file("bench", bench)).bench
     with looking(compiled) as look:
         series = listen(look.acquisition, 0.5)
-        identities = {name: vars(identity) for name, identity in look.identities.items()}
+        identities = {
+            device.name: {
+                **vars(look.identities[device.name]),
+                "verified": device.verified,
+                "doubt": doubt(device, look.identities[device.name]),
+            }
+            for device in compiled.devices
+        }
     channels = []
     for channel in compiled.channels:
         one = series.get(channel.name)
@@ -136,7 +143,7 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
 
     console = ui.console()
     rows = [
-        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], "SIMULATED" if i["simulated"] else ""]
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)]
         for name, i in identities.items()
     ]
     heads = ["device", "answers as", "serial", "firmware", ""]
@@ -155,6 +162,11 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
             ]
         )
     print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
+
+
+def _standing(identity: dict[str, Any]) -> str:
+    """Whether a device is simulated, or what its driver was verified on."""
+    return "SIMULATED" if identity["simulated"] else f"verified: {identity['doubt'] or identity['verified']}"
 
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:

@@ -30,6 +30,7 @@ from pmabench.protocol.plan import (
     Seek,
     Set,
     Step,
+    TrialRecord,
     WaitUntil,
 )
 
@@ -86,6 +87,8 @@ class Executor:
     """The steps to run, where not all of the plan's."""
     attempts: dict[int, int] = field(default_factory=dict)
     """How often each trial was begun, also in the runs that this one continues."""
+    again: TrialRecord | None = None
+    """The reference trial that is done again because the run goes on after another one; no trial of the plan."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
     unloaded: bool = False
@@ -129,9 +132,10 @@ class Executor:
             if number == len(steps):
                 return
             step = steps[number]
-            self.progress(
-                Progress(number, len(steps), self._trial, len(self.plan.trials), self.clock.now(), left, step.phase)
-            )
+            trial, phase = self._trial, step.phase
+            if self.again is not None and trial == self.again.index:
+                trial, phase = None, "reference trial again"
+            self.progress(Progress(number, len(steps), trial, len(self.plan.trials), self.clock.now(), left, phase))
             if isinstance(step, Ask) or step.phase == "precondition":
                 after = None
             if isinstance(step, Record) and step.on and step.trial is not None:
@@ -242,7 +246,8 @@ class Executor:
         if step.on:
             self._trial, self._trial_status = step.trial, "finished"
             if step.trial is not None:
-                trial = self.plan.trials[step.trial]
+                again = self.again is not None and step.trial == self.again.index
+                trial = self.again if self.again is not None and again else self.plan.trials[step.trial]
                 self.attempts[trial.index] = self.attempts.get(trial.index, 0) + 1
                 self._event(
                     "trial-begin",
@@ -251,6 +256,7 @@ class Executor:
                     repeat=trial.repeat,
                     reference=trial.reference,
                     attempt=self.attempts[trial.index],
+                    **({"again": True} if again else {}),
                 )
             self.acquisition.record(on=True)
             return

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted
 from pmabench.engine.run import Continues
-from pmabench.protocol.plan import Ask, Plan, Record, Step
+from pmabench.protocol.plan import Ask, Plan, Record, Step, TrialRecord
 
 CHANGES = ("bench", "calibration", "specimen", "protocol")
 """What may have changed since, and can be accepted by name."""
@@ -55,7 +56,8 @@ def continue_run(
     for run in open_chain(folder):
         for trial in run.trials:
             attempts[trial.index] = attempts.get(trial.index, 0) + 1
-    return Continues({**link, "accepted_changes": changed}, steps, attempts)
+    again = max([len(plan.trials) - 1, *attempts]) + 1
+    return Continues({**link, "accepted_changes": changed}, *with_reference(plan, steps, again), attempts)
 
 
 def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
@@ -86,6 +88,28 @@ def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
             left[asks:asks] = prepares
         kept += left
     return tuple(kept)
+
+
+def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
+    """`steps` with the plan's reference trial before them, done again as the trial `index`; None where it is not due.
+
+    A new start shows by it whether the specimen is still the same. It is no trial of the plan and takes no place of
+    one. Where the first trial that is left is a reference trial, that one shows it.
+    """
+    trials = {trial.index: trial for trial in plan.trials}
+    reference = next((trial for trial in plan.trials if trial.reference), None)
+    first = next((step.trial for step in steps if isinstance(step, Record) and step.trial is not None), None)
+    if reference is None or first is None or trials[first].reference:
+        return steps, None
+    before = [
+        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
+        for step in remaining(plan, trials.keys() - {reference.index})
+    ]
+    rest = [step for step in steps if step.phase != "precondition"]
+    on = next((step.load for step in before if isinstance(step, Ask)), None)
+    if rest and isinstance(rest[0], Ask) and rest[0].load == on:
+        del rest[0]
+    return (*before, *rest), replace(reference, index=index)
 
 
 def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:

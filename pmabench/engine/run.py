@@ -24,10 +24,11 @@ from pmabench.engine.own import OwnDevices
 from pmabench.engine.proof import prove
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
 from pmabench.engine.signals import Signals
+from pmabench.engine.untried import agree, as_data
 from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
-from pmabench.protocol.plan import Plan, Step
+from pmabench.protocol.plan import Plan, Step, TrialRecord
 from pmabench.store.naming import run_name
 
 if TYPE_CHECKING:
@@ -82,6 +83,8 @@ class Continues:
     """What the new manifest says of it."""
     steps: tuple[Step, ...]
     """What is left to do."""
+    again: TrialRecord | None
+    """The reference trial that is done again before it."""
     attempts: Mapping[int, int]
 
 
@@ -127,6 +130,7 @@ def run_plan(
         writer: RunWriter | None = None
         if out is not None:
             told: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
+            told["drivers"] = as_data(bench)
             told |= {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
             if continues is not None:
                 told["continues"] = dict(continues.manifest)
@@ -139,6 +143,7 @@ def run_plan(
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             if continues is not None:
                 executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
+                executor.again = continues.again
             return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
     finally:
         guard.close()
@@ -217,6 +222,7 @@ class _Run:
         try:
             acquisition.start()
             self._open_streams()
+            agree(executor, {**self.guard.identities, **(self.own.identities if self.own is not None else {})})
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)

@@ -60,7 +60,8 @@ def finished_trials(folder: Path) -> list[int]:
 
 
 def _finished(runs: Sequence[RunData]) -> list[int]:
-    return [trial.index for run in runs for trial in run.trials if trial.status == "finished"]
+    """A reference trial that was done again is none of the plan's."""
+    return [t.index for run in runs for t in run.trials if t.status == "finished" and not t.again]
 
 
 def open_chain(folder: Path) -> tuple[RunData, ...]:

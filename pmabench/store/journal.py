@@ -56,12 +56,17 @@ def decode(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
 
 
 def summary(manifest: Mapping[str, Any], journal: Journal, spans: list[tuple[float, float]]) -> dict[str, Any]:
-    """Trials planned and finished, and the duration [s] from the first to the last sample or event."""
+    """Trials planned and finished, and the duration [s] from the first to the last sample or event.
+
+    A reference trial that was done again is none of the plan's.
+    """
     ends = [line["data"] for line in journal.lines if line["kind"] == "trial-end"]
-    begun = {line["data"].get("trial") for line in journal.lines if line["kind"] == "trial-begin"}
+    begins = [line["data"] for line in journal.lines if line["kind"] == "trial-begin"]
+    again = {begin.get("trial") for begin in begins if begin.get("again")}
+    begun = {begin.get("trial") for begin in begins} - again
     times = [line["t"] for line in journal.lines] + [t for span in spans for t in span]
     return {
         "trials_planned": max(int(manifest.get("trials_planned") or 0), len(begun)),
-        "trials_finished": len({end.get("trial") for end in ends if end.get("status") == "finished"}),
+        "trials_finished": len({end.get("trial") for end in ends if end.get("status") == "finished"} - again),
         "duration": max(times) - min(times) if times else None,
     }

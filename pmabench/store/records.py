@@ -96,6 +96,18 @@ class TrialData:
     """Results of searches, keyed by the phase of the seek."""
     attempt: int = 1
     """From 1; more where the trial was begun again."""
+    again: bool = False
+    """A reference trial done again by a run that goes on after another: compared with the first, in no fit."""
+
+    @property
+    def number(self) -> int:
+        """The number of the trial for people: from 1, while the record counts indices from 0."""
+        return self.index + 1
+
+    @property
+    def name(self) -> str:
+        """`run/number`, as results name a trial."""
+        return f"{self.run}/{self.number}"
 
     @property
     def usable(self) -> NDArray[np.bool_]:

@@ -64,6 +64,7 @@ def cut_trials(
                 commands=tuple(cut.commands),
                 found=cut.found,
                 attempt=int(cut.data.get("attempt") or 1),
+                again=bool(cut.data.get("again")),
             )
         )
     return supersede(trials)

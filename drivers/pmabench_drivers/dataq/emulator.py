@@ -74,9 +74,10 @@ class Daq(Streaming):
 
     def send_what_is_due(self) -> None:
         """All scans up to now, in whole packets."""
-        quantities, now = self._plant.quantities(), monotonic()
+        now = monotonic()
         period = self._set["srate"] * self._set["dec"] * self._set["deca"] / DIVIDEND
         while self.streaming and self.due <= now:
+            quantities = self._plant.at(self.due)
             self.due += period
             self._scan(quantities)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right
+from collections import deque
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import (
@@ -20,7 +22,9 @@ from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0
-"""The plant is sampled so often; whoever looks gets the latest sample [Hz]."""
+"""The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
+KEPT = 2.0
+"""How long samples are kept for devices that sample at moments of their own [s]."""
 CHANNELS = {
     "pressure": ("pressure", "pressure"),
     "displacement": ("displacement", "length"),
@@ -80,15 +84,33 @@ class RealPlant:
         self._mock.open()
         self._mock.start(RATE)
         self._sent = 0.0
-        self._latest = dict.fromkeys(inputs, 0.0)
+        self._times: deque[int] = deque([0], maxlen=round(KEPT * RATE))
+        self._samples: deque[tuple[float, ...]] = deque([(0.0,) * len(inputs)], maxlen=round(KEPT * RATE))
+        self._names = tuple(inputs)
 
     def quantities(self) -> dict[str, float]:
         """What each channel of a bench measures now [SI], noise included."""
         with self._lock:
-            block = self._mock.collect()
-            if len(block.time):
-                self._latest = {name: float(column[-1]) for name, column in block.columns.items()}
-            return dict(self._latest)
+            self._collect()
+            return dict(zip(self._names, self._samples[-1], strict=True))
+
+    def at(self, moment: float) -> dict[str, float]:
+        """What each channel measured at a moment of the last `KEPT` seconds [s, monotonic]: the sample before it.
+
+        For devices that a clock of their own times: they lose nothing when this machine looks late.
+        """
+        with self._lock:
+            time_ns = round((moment - self._clock.start) * 1e9)
+            if self._times[-1] < time_ns:
+                self._collect()
+            place = max(0, bisect_right(self._times, time_ns) - 1)
+            return dict(zip(self._names, self._samples[place], strict=True))
+
+    def _collect(self) -> None:
+        block = self._mock.collect()
+        self._times.extend(int(time) for time in block.time)
+        columns = [block.columns[name] for name in self._names]
+        self._samples.extend(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
 
     def command(self, pressure: float) -> None:
         """The regulator's set-point [Pa]."""

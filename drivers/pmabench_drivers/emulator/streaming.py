@@ -10,7 +10,7 @@ from pmabench_drivers.emulator.faults import Fault, Faults
 from pmabench_drivers.emulator.ports import Terminal
 
 TICK = 0.004
-"""What falls due within this is sent together, from one look at the plant [s]."""
+"""What falls due within this is sent together [s]."""
 IDLE = 0.05
 """Longest wait for a command [s]."""
 LONGEST = 200

@@ -67,8 +67,9 @@ class Sensor(Streaming):
 
     def send_what_is_due(self) -> None:
         """All measurements up to now."""
-        quantities, now, data = self._plant.quantities(), monotonic(), b""
+        now, data = monotonic(), b""
         while self.due <= now:
+            quantities = self._plant.at(self.due)
             self.due += 1.0 / self._rate
             data += self._measure(quantities)
         if data:

@@ -323,8 +323,8 @@ class T7:
         numbers = [address // 2 for address in listed]
         gains = [self._gain(number) for number in numbers]
 
-        def sample(_number: int) -> list[int]:
-            quantities = self._plant.quantities()
+        def sample(number: int) -> list[int]:
+            quantities = self._plant.at(self._stream.began + number / rate)
             found = []
             for number, gain in zip(numbers, gains, strict=True):
                 channel = self._channels.get(number)

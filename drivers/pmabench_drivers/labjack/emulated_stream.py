@@ -36,6 +36,8 @@ class Streamer:
         self.port = int(self._listener.getsockname()[1])
         self._client: socket.socket | None = None
         self._running = threading.Event()
+        self.began = 0.0
+        """When scan 0 was due [s, monotonic]."""
         self._ended = False
         self._faults: deque[tuple[str, float]] = deque()
         self._thread: threading.Thread | None = None
@@ -66,7 +68,7 @@ class Streamer:
     def begin(self, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample) -> None:
         """Scan from now on: `rate` [Hz], samples in a packet, samples in the buffer."""
         self.end()
-        self._running = threading.Event()
+        self._running, self.began = threading.Event(), monotonic()
         self._running.set()
         arguments = (self._running, rate, channels, per_packet, capacity, sample)
         self._thread = threading.Thread(target=self._scan, args=arguments, name="emulated T7 scans", daemon=True)
@@ -93,7 +95,7 @@ class Streamer:
     def _scan(
         self, running: threading.Event, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample
     ) -> None:
-        start, number, transaction, leave_out, silent_until = monotonic(), 0, 0, 0, 0.0
+        start, number, transaction, leave_out, silent_until = self.began, 0, 0, 0, 0.0
         buffer: deque[tuple[int, list[int]]] = deque()  # each scan with what was left out before it, -1 for none
         recovering = skipped = lose = status_next = 0
         scans, outgoing = per_packet // channels, b""

@@ -104,11 +104,12 @@ class EmulatedBoard:
         now = self._micros()
         if not self._period or now < self._due:
             return
-        passed = (now - self._due) // self._period + 1
-        self._number += passed
-        self._due += passed * self._period
-        number, micros = (self._number - 1) % (1 << 32), now % (1 << 32)
-        self._send(self.faults.next(), "S", number, micros, self._state(), *self._counts())
+        while self._due <= now:  # the board is in time, even where this program is not
+            moment = self._booted + 1e-6 * (self._due - self._boot_micros)
+            number, micros = self._number % (1 << 32), self._due % (1 << 32)
+            self._number += 1
+            self._due += self._period
+            self._send(self.faults.next(), "S", number, micros, self._state(), *self._counts(moment))
 
     def _vent(self) -> None:
         self._held = {f"o{i}": 0 for i in range(OUTPUTS)} | {f"v{i}": 0 for i in range(VALVES)}
@@ -119,8 +120,8 @@ class EmulatedBoard:
             if name in self._held:
                 self._plant.switch(on=valve.energised != "closed")
 
-    def _counts(self) -> list[int]:
-        quantities = self._plant.quantities()
+    def _counts(self, moment: float) -> list[int]:
+        quantities = self._plant.at(moment)
         counts = []
         for i in range(INPUTS):
             channel = self._inputs.get(f"a{i}")

@@ -4,7 +4,7 @@
 channel's scale.
 """
 
-from pmabench.bench.files.bench import BenchFile, OutputFile, ValveFile
+from pmabench.bench.files.bench import BenchFile, DeviceFile, OutputFile, ValveFile
 from pmabench.bench.files.calibration import CalibrationFile
 from pmabench.bench.files.parts import Reading
 from pmabench.bench.files.safety import LimitFile, SafeActionFile, WatchFile
@@ -13,6 +13,7 @@ from pmabench.bench.files.specimen import ExpectedFile, SpecimenFile, any_specim
 __all__ = [
     "BenchFile",
     "CalibrationFile",
+    "DeviceFile",
     "ExpectedFile",
     "LimitFile",
     "OutputFile",

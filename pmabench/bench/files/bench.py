@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -63,6 +64,15 @@ class Air(Strict):
     """Most that the regulator overshoots a step."""
 
 
+class VerifiedFile(Strict):
+    """Who compared this device with instruments through this driver, when, and with which firmware."""
+
+    by: Annotated[str, Field(min_length=1, max_length=100)]
+    date: datetime.date
+    firmware: Annotated[str, Field(max_length=100)] = ""
+    """As the device tells it (`devices probe`); with another one the driver counts as not verified."""
+
+
 class DeviceFile(Strict):
     """One device: driver by name, address, and the driver's own options."""
 
@@ -71,6 +81,8 @@ class DeviceFile(Strict):
     options: dict[str, Any] = {}
     watchdog: TimeAbove0 | None = None
     """After so long without a word from the program the device vents by itself."""
+    verified: VerifiedFile | None = None
+    """That this driver was tried on this device itself, not on an emulator only."""
 
 
 class ChannelFile(Strict):
