@@ -45,6 +45,10 @@ WAYS = {
     "both killed": (2, kill(signal.SIGKILL, "guard", "engine")),
 }
 
+PROMISED = {"engine killed": 0.1, "engine stopped": 0.5, "both killed": 1.5}
+"""99th percentile of the time to the vent [s] that is promised (S7b; the watchdog of the shipped bench has 1 s): on
+demand, on a machine that does nothing else."""
+
 
 @pytest.mark.parametrize("way", WAYS)
 def test_the_bench_is_vented_and_latched(way, forks, lab, tmp_path, record_property):
@@ -80,6 +84,8 @@ def test_the_bench_is_vented_and_latched(way, forks, lab, tmp_path, record_prope
         if number == 0 and way in {"engine killed", "both killed"}:
             latched_until_reset(forks, run, plant)
     table(f"{way}: time to the first safe command", {way: times})
+    if len(times) >= 20 and way in PROMISED:
+        assert sorted(times)[int(0.99 * len(times))] <= PROMISED[way], sorted(times)[-5:]
 
 
 def latched_until_reset(forks, run, plant):

@@ -30,7 +30,7 @@ PARTS = (
     Part("same", "R4", "analysis again, byte by byte", 5, ("tests/reliability/test_same_bytes.py",)),
     Part("protocols", "S1", "generated and hostile protocols", 10_000, ("tests/engine/test_hostile_protocols.py",)),
     Part("evil", "S1, P3", "an engine that lies to its guard", 100_000, ("tests/guard/test_service.py::test_an_engine_that_lies_commands_nothing_illegal_and_the_guard_survives",)),
-    Part("crash", "S6, S7b", "engine and guard killed and stopped", 10, ("tests/engine/test_killed_in_real_time.py",)),
+    Part("crash", "S6, S7b", "kill -9 vented within 0.1 s, SIGSTOP within 0.5 s (p99)", 10, ("tests/engine/test_killed_in_real_time.py",)),
     Part("trips", "S2", "fault to vent in real time, p99 within 2 blocks + 20 ms", 20, ("tests/engine/test_trips_in_real_time.py",)),
     Part("ways-out", "S3, S4, S5, R8", "every cause in every kind of step", 1, ("tests/engine/test_ways_out.py",)),
     Part("vent", "S7, S9, S10", "vent from outside; two starts at once", 20, ("tests/engine/test_vent_from_outside.py",)),
