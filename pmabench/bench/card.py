@@ -114,6 +114,9 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
     if file.hands.at_pressure:
         hands += f"; HAZARD: protocols may ask for hands at up to {show(file.hands.at_pressure, 'pressure')}"
     yield ["Hands", hands]
+    tried = [f"{device.name}: {device.verified}" for device in mounted.bench.devices if mounted.bench.realtime]
+    if tried:
+        yield ["Drivers verified", "; ".join(tried)]
     if file.reviewed is not None:
         yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
 

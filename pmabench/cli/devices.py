@@ -143,8 +143,7 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
 
     console = ui.console()
     rows = [
-        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)]
-        for name, i in identities.items()
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)] for name, i in identities.items()
     ]
     heads = ["device", "answers as", "serial", "firmware", ""]
     print_grid(console, heads, rows, heads)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import Interrupted, UsageError
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -88,7 +88,6 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
     from pmabench.cli.run import outcome_json, print_outcome
-    from pmabench.engine.operator import Nobody
     from pmabench.session.jog import BLOCK, KEYS, jog
 
     live = _Live(mounted.bench, simulated=False)
@@ -114,7 +113,7 @@ def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | No
                 notices.append("tared: values marked z are differences from now on")
             return taken if time.monotonic() < end else [*taken, "q"]
 
-        outcome = jog(mounted, Nobody(), out, pressed, shown, operator_name=operator)
+        outcome = jog(mounted, _AtKeys(live.page, keys), out, pressed, shown, operator_name=operator)
     ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
     return outcome.exit_code
 
@@ -198,6 +197,31 @@ class _Keys:
         with self._lock:
             keys, self._pressed = self._pressed, []
         return keys
+
+
+class _AtKeys:
+    """An operator in front of the screen: questions stand among the notices, the key y answers."""
+
+    def __init__(self, page: Page, keys: _Keys) -> None:
+        self._page, self._keys = page, keys
+
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
+        """Nothing: the keys belong to the jog."""
+        return ()
+
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
+        """Wait for y; q and v end the run."""
+        from textwrap import wrap
+
+        before, self._page.notices = self._page.notices, (*wrap(text, 76), "y goes on, q ends")
+        while True:
+            wait()
+            taken = [key.lower() for key in self._keys.taken()]
+            if "q" in taken or "v" in taken:
+                raise Interrupted("the operator, at the question", 130)
+            if "y" in taken:
+                self._page.notices = before
+                return "y"
 
 
 @contextmanager

@@ -86,10 +86,13 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
             continue
         devices = run.manifest.get("devices")
         lines = []
-        for device in devices.values() if isinstance(devices, Mapping) else ():
+        for device_name, device in devices.items() if isinstance(devices, Mapping) else ():
             if isinstance(device, Mapping):
                 parts = [text_of(device.get(key), 60) for key in ("maker", "model")]
                 parts += [f"{key} {text_of(device[key], 60)}" for key in ("serial", "firmware") if device.get(key)]
+                tried = text_of(get(run.manifest, "drivers", device_name, "verified"), 120)
+                if tried and not device.get("simulated"):
+                    parts.append(f"(driver verified: {tried})")
                 lines.append(" ".join(part for part in parts if part))
         found.setdefault(name, "; ".join(lines))
     return list(found.items())
@@ -124,7 +127,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
     rows = []
     for run in runs:
         planned = run.manifest.get("trials_planned")
-        done = sum(trial.status == "finished" for trial in run.trials)
+        done = sum(trial.status == "finished" and not trial.again for trial in run.trials)
         rows.append(
             {
                 "run": names.get(run.id, ""),
