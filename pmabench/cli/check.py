@@ -103,7 +103,7 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "why": outcome.why,
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
-        "trials_failed": list(outcome.trials_failed),
+        "trials_failed": [index + 1 for index in outcome.trials_failed],
     }
 
 

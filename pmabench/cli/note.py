@@ -15,9 +15,9 @@ from pmabench.cli.common import Ui, common
 @click.option("--attach", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="A copy is kept.")
 @click.option(
     "--exclude",
-    type=click.IntRange(min=0),
+    type=click.IntRange(min=1),
     metavar="TRIAL",
-    help="Leave a trial out of fits: its number in `runs show`, from 0; the display counts from 1.",
+    help="Leave a trial out of fits: its number in `runs show` and on the display, from 1.",
 )
 @click.option("--because", default="", metavar="TEXT", help="Why it is left out.")
 @click.option("--operator", default="", help="Who says so; the login name if not given.")
@@ -28,8 +28,9 @@ def command(
     """Append a note to RUN, open or closed: TEXT, files, or a trial that is left out of fits and why."""
     from pmabench.store.notes import add_note
 
-    note = add_note(run, text, attach=attach, exclude=exclude, because=because, operator=operator or _user())
-    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": vars(note)}
+    index = None if exclude is None else exclude - 1
+    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or _user())
+    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.told()}
 
     def human() -> None:
         click.echo(f"note {note.number} of {run}")
@@ -48,7 +49,7 @@ def _trial(run: Path, index: int) -> str:
 
     lines = decode((run / EVENTS).read_bytes()).lines
     data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)
-    return f"trial {index} ({point_text(data.get('point') or {})}), which the display calls trial {index + 1}"
+    return f"trial {index + 1} ({point_text(data.get('point') or {})})"
 
 
 def _user() -> str:

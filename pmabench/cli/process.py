@@ -40,7 +40,7 @@ def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
         "analyses": [analysis.to_dict() for analysis in analyses],
         "verdicts": failed,
         "excluded": [
-            {"run": run.id, "trial": note.exclude, "because": note.because, "operator": note.operator}
+            {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
             for run in loaded
             for note in run.notes
             if note.exclude is not None

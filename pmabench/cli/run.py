@@ -203,7 +203,7 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
         else {"result": outcome.vent.result, "actions": list(outcome.vent.actions)},
         "bench_seconds": outcome.bench_seconds,
         "rows": outcome.rows,
-        "trials_failed": list(outcome.trials_failed),
+        "trials_failed": [index + 1 for index in outcome.trials_failed],
     }
 
 

@@ -67,11 +67,13 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "channels": {name: vars(channel) for name, channel in data.channels.items()},
         "trials": [
             {
-                "index": t.index,
+                "trial": t.number,
                 "point": dict(t.point),
                 "repeat": t.repeat,
                 "attempt": t.attempt,
                 "status": t.status,
+                "reference": t.reference,
+                "again": t.again,
                 "rows": len(t.t),
             }
             for t in data.trials
@@ -79,7 +81,7 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
-        "notes": [vars(note) for note in data.notes],
+        "notes": [note.told() for note in data.notes],
     }
 
     def human() -> None:
@@ -89,12 +91,13 @@ def show_run(ui: Ui, run: Path) -> int | None:
             if manifest.get(name):
                 click.echo(f"  {name:12} {manifest[name]}")
         rows = sum(len(t.t) for t in data.trials)
-        states = Counter(t.status for t in data.trials)
+        states = Counter(t.status for t in data.trials if not t.again)
         finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
         others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
         click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
         for t in data.trials:
-            click.echo(f"  trial {t.index:<6} {t.status:12} {point_text(t.point)}")
+            reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
+            click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
         for channel in data.channels.values():
             click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
         vents = [event for event in data.events if event.kind == "vent"]
@@ -123,7 +126,7 @@ def _print_rest(data: RunData) -> None:
     for note in data.notes:
         said = [note.text] if note.text else []
         if note.exclude is not None:
-            said.append(f"trial {note.exclude} is left out: {note.because}")
+            said.append(f"trial {note.excluded} is left out: {note.because}")
         said += [f"[{file}]" for file in note.files]
         line = f"  note {note.number:<7} {note.utc[:16]} {note.operator}: {'; '.join(said)}"
         click.echo("".join(sign if sign.isprintable() else " " for sign in line))

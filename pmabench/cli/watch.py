@@ -68,7 +68,7 @@ def _json(folder: Path, state: RunState) -> dict[str, Any]:
         "trials_planned": state.trials,
         "trials": [
             {
-                "trial": line.index,
+                "trial": line.number,
                 "point": line.point,
                 "repeat": line.repeat,
                 "status": line.status,

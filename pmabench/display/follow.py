@@ -253,8 +253,8 @@ class Follower:
             with suppress(OSError, InvalidFile):
                 note = open_json(path.read_bytes(), path)
                 text = str(note.get("text", ""))
-                if note.get("exclude") is not None:
-                    text = f"trial {note['exclude']} excluded: {note.get('because')} {text}"
+                if isinstance(note.get("exclude"), int):
+                    text = f"trial {note['exclude'] + 1} excluded: {note.get('because')} {text}"
                 texts.append(text.strip())
         return texts
 

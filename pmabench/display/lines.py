@@ -54,7 +54,7 @@ def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
 
 def _row(line: TrialLine, names: Sequence[str]) -> Text:
     """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
-    text = Text().append("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.index + 1:>5}", "bold")
+    text = Text().append("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.number:>5}", "bold")
     for name in names:
         value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
         text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")

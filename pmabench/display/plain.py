@@ -22,7 +22,8 @@ def plain_line(item: Notice | TrialLine, trials: int) -> str:
     told = ", ".join(_number(number) for number in item.numbers)
     verdict = "ok" if item.ok else "DOUBT: " + "; ".join(clean(doubt) for doubt in item.doubts)
     point = point_text(item.point)
-    return f"trial {item.index + 1} of {trials} ({point}): {told}{'; ' if told else ''}{verdict}"
+    which = "reference trial again" if item.again else f"trial {item.number} of {trials}"
+    return f"{which} ({point}): {told}{'; ' if told else ''}{verdict}"
 
 
 def _number(number: Number) -> str:
@@ -38,6 +39,6 @@ def last_line(state: RunState) -> str:
     """How it ended, or that it has not."""
     doubtful = sum(not line.ok for line in state.lines)
     why = f": {clean(state.why)}" if state.why else ""
-    trials = f"{len(state.lines)} of {state.trials} trials" + (f", {doubtful} in doubt" if doubtful else "")
+    trials = f"{state.done} of {state.trials} trials" + (f", {doubtful} in doubt" if doubtful else "")
     vent = f"; vent {clean(state.vent)}" if state.vent else ""
     return f"{clean(state.status)}{why}; {trials}; {state.rows:,} rows{vent}"

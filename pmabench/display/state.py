@@ -54,6 +54,8 @@ class Trial:
     begin: float
     point: dict[str, float]
     repeat: int
+    again: bool = False
+    """A reference trial that is done again because the run goes on after another."""
     end: float | None = None
     seen: float = 0.0
     """Wall clock when its end was read [s]."""
@@ -168,7 +170,7 @@ class RunState:
         if kind == "trial-begin" and isinstance(data.get("trial"), int):
             point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
             self._close_trial(event)
-            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0))
+            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0), bool(data.get("again")))
         elif kind == "command":
             self._command(event)
         elif kind == "prompt":
@@ -313,6 +315,11 @@ class RunState:
     def trials(self) -> int:
         """How many trials are planned."""
         return int(self.files.manifest.get("trials_planned") or 0)
+
+    @property
+    def done(self) -> int:
+        """How many of them have their line."""
+        return len({line.index for line in self.lines if not line.again})
 
     @property
     def status(self) -> str:

@@ -59,6 +59,13 @@ class TrialLine:
     status: str
     numbers: tuple[Number, ...]
     doubts: tuple[str, ...]
+    again: bool = False
+    """A reference trial that was done again because the run goes on after another: none of the plan's."""
+
+    @property
+    def number(self) -> int:
+        """From 1, as people count."""
+        return self.index + 1
 
     @property
     def ok(self) -> bool:
@@ -81,7 +88,7 @@ class Verdicts:
         doubts += at_limit
         doubts += _flagged(trial)
         if trial.status not in USED:
-            return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, (), tuple(doubts))
+            return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, (), tuple(doubts), trial.again)
         numbers: list[Number] = []
         try:
             measured, reasons = measure(run, trial, self.expected, self._quick)
@@ -100,7 +107,8 @@ class Verdicts:
         if trial.status == "finished":
             kept = {m.symbol: m.value for m in measured if m.value is not None and not m.pooled and isfinite(m.value)}
             before[trial.index] = kept
-        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, tuple(numbers), tuple(doubts))
+        told = tuple(numbers), tuple(doubts), trial.again
+        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, *told)
 
 
 def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:

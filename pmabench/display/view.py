@@ -108,7 +108,8 @@ def _head(state: RunState, width: int) -> list[Text]:
         lines.append(Text(clean(state.why), BAD if status != "finished" else ""))
     trial = state.trial
     if trial is not None:
-        where = Text().append(f"trial {trial.index + 1} of {state.trials}", STRONG)
+        which = "reference trial again" if trial.again else f"trial {trial.index + 1} of {state.trials}"
+        where = Text().append(which, STRONG)
         where.append(f"  {point_text(trial.point)}" + (f", repeat {trial.repeat + 1}" if trial.repeat else ""))
     elif not state.trials and status == "running":
         where = Text("what is to be done by hand is asked here", STRONG)
@@ -133,7 +134,7 @@ def _doing(state: RunState) -> Text:
 
 def _done(state: RunState) -> str:
     doubtful = sum(not line.ok for line in state.lines)
-    told = f"{len({line.index for line in state.lines})} of {state.trials} trials done"
+    told = f"{state.done} of {state.trials} trials done"
     return f"{told}, {doubtful} in doubt" if doubtful else told
 
 

@@ -232,7 +232,7 @@ class _Run:
             prove(self.bench, self.guard, acquisition, executor.recorder)
             self.procedure(executor)
             if executor.failed:
-                failed = ", ".join(str(index) for index in executor.failed)
+                failed = ", ".join(str(index + 1) for index in executor.failed)
                 cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
         except BaseException as error:  # every way out leads through the safe state below
             cause = error

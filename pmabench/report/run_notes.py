@@ -41,7 +41,7 @@ def notes_of(runs: Sequence[RunData], names: Mapping[str, str]) -> list[Said]:
         for note in run.notes:
             words = [note.text] if note.text else []
             if note.exclude is not None:
-                words.append(f"Trial {note.exclude} is left out: {note.because}")
+                words.append(f"Trial {note.excluded} is left out: {note.because}")
             pictures, others = [], []
             for file in note.files:
                 data = _picture(Path(run.path) / file, min(LARGEST, left))

@@ -159,12 +159,14 @@ def _fits(before: Sequence[RunData], run: RunData) -> None:
     told = run.manifest["continues"].get("trials_done")
     done = sorted(_finished(_superseded(before)))
     if told is not None and sorted(told) != done:
-        raise invalid(path, f"says that trials {told} were done before; the runs that it continues finished {done}")
+        said, finished = (", ".join(str(index + 1) for index in indices) or "none" for indices in (sorted(told), done))
+        what = f"says that these trials were done before: {said}; the runs that it continues finished {finished}"
+        raise invalid(path, what)
     points = {trial.index: (trial.point, trial.repeat) for earlier in before for trial in earlier.trials}
     for trial in run.trials:
         if trial.index in points and points[trial.index] != (trial.point, trial.repeat):
             raise invalid(
-                path, f"does not fit: its trial {trial.index} is another one than in the run that it continues"
+                path, f"does not fit: its trial {trial.number} is another one than in the run that it continues"
             )
 
 

@@ -47,6 +47,15 @@ class Note:
     files: tuple[str, ...]
     """Attached files, as names inside the run folder."""
 
+    @property
+    def excluded(self) -> int | None:
+        """The number, from 1, of the trial that is kept out of fits."""
+        return None if self.exclude is None else self.exclude + 1
+
+    def told(self) -> dict[str, Any]:
+        """As plain data for people and programs, who count trials from 1."""
+        return {**vars(self), "exclude": self.excluded}
+
 
 def add_note(
     run: Path,
@@ -136,8 +145,8 @@ def _check_trial(run: Path, trial: int) -> None:
     lines = decode(events.read_bytes()).lines if events.is_file() else ()
     begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
     if trial not in begun:
-        told = f"trials {begun[0]} to {begun[-1]}" if begun else "no trial yet"
-        raise invalid(run, f"has no trial {trial} to exclude; it has {told} (`pmabench runs show` lists them)")
+        told = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"
+        raise invalid(run, f"has no trial {trial + 1} to exclude; it has {told} (`pmabench runs show` lists them)")
 
 
 def _names(attach: Sequence[Path]) -> list[str]:

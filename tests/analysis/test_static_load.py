@@ -99,7 +99,7 @@ def test_a_line_from_results_alone():
 
 def test_searches_that_found_nothing_are_listed():
     analysis = of([found_at(100.0, 1.1e5, 0.9e5), found_at(200.0, 2.1e5, 1.9e5, 1), found_at(900.0, None, None, 2)])
-    assert [(d.trial, d.point["load"]) for d in analysis.dropped] == [("s/2", 900.0)]
+    assert [(d.trial, d.point["load"]) for d in analysis.dropped] == [("s/3", 900.0)]
     assert "did not cross" in analysis.dropped[0].reason
     assert analysis.facts["trials_used"] == 2
 

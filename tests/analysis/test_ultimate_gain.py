@@ -101,7 +101,7 @@ def test_stiction_is_refused_as_a_limit_cycle(T_r: float, same_B: bool) -> None:
     assert period.value is None
     assert "limit cycle with stiction" in gain.note
     assert "limit cycle with stiction" in texts(found, "fault")
-    assert found.dropped[0].trial == "r1/0"
+    assert found.dropped[0].trial == "r1/1"
     assert found.facts["tuning"] == []
 
 
@@ -150,7 +150,7 @@ def test_repeats_are_pooled_and_calibration_counts() -> None:
         trials.append(trial)
     gain, period = pair(reduce([as_run("ultimate-gain", trials, gain_uncertainty=0.01)]))
     assert gain.n == 3
-    assert gain.trials == ("r1/0", "r1/1", "r1/2")
+    assert gain.trials == ("r1/1", "r1/2", "r1/3")
     assert gain.value == pytest.approx(K_u, rel=0.01)
     assert gain.parts.calibration == pytest.approx(sqrt(2) * 0.01 * (gain.value or 0.0))
     assert period.parts.calibration == 0.0
@@ -190,8 +190,8 @@ def test_trials_without_levels_or_excluded_are_dropped_with_a_reason() -> None:
     others = [replace(trial, index=1, status="excluded"), replace(trial, index=2, found={})]
     analysis = reduce([as_run("ultimate-gain", [trial, *others])])
     assert {d.trial: d.reason for d in analysis.dropped} == {
-        "r1/1": "the trial is excluded",
-        "r1/2": "no levels of gain are recorded",
+        "r1/2": "the trial is excluded",
+        "r1/3": "no levels of gain are recorded",
     }
     assert analysis.facts["trials"] == 1
 

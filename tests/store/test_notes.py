@@ -201,7 +201,7 @@ def test_a_note_that_says_nothing_or_half_is_refused(tmp_path, given, says):
 
 def test_what_cannot_be_noted_is_told_in_a_sentence(tmp_path):
     folder = closed(tmp_path, rows=20)
-    with pytest.raises(InvalidFile, match="has no trial 7 to exclude; it has trials 0 to 1"):
+    with pytest.raises(InvalidFile, match="has no trial 8 to exclude; it has trials 1 to 2"):
         add_note(folder, exclude=7, because="x")
     with pytest.raises(InvalidFile, match="cannot be attached: it is no file"):
         add_note(folder, attach=[tmp_path])
