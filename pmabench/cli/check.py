@@ -58,8 +58,20 @@ def command(
 
 
 def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
-    """Duration, rows, bytes, and each command's range beside the active limits, in SI."""
+    """Duration, rows, bytes, and each command's range beside the active limits, in SI.
+
+    The duration holds the session that comes first, where the bench declares one and none counts now.
+    """
+    from pmabench.session.length import session_length
+    from pmabench.session.state import kept, out_of_date, utc_now
+
     shortest, longest = plan.duration()
+    session = None
+    if (length := session_length(mounted)) is not None:
+        why = out_of_date(kept(mounted.bench.name), mounted, utc_now())
+        session = {**vars(length), "parts": list(length.parts), "due": bool(why), "because": why}
+        if why:
+            shortest, longest = shortest + length.shortest, longest + length.longest
     outputs = {output.name: output for output in mounted.bench.outputs}
     rows = plan.rows()
     return {
@@ -71,6 +83,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "trials": len(plan.trials),
         "steps": len(plan.steps),
         "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
+        "session": session,
         "rows": rows,
         "bytes": needed(plan),
         "commands": {
@@ -115,10 +128,19 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
     shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
     length = in_words(longest) if shortest == longest else f"{in_words(shortest)} to {in_words(longest)}"
-    asks = sum(step.kind == "ask" for step in plan.steps)
+    asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]
+    if session is not None and session["due"]:
+        asks += session["hands"]
     console.print(
         f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
     )
+    if session is not None and session["due"]:
+        parts, least = ", ".join(session["parts"]) or "nothing in it", in_words(session["shortest"])
+        console.print(
+            f"            the session before it is in that: {parts}, at least {least}, hands {session['hands']}"
+        )
+    elif session is not None:
+        console.print("            no session before it: the last one still counts")
     console.print(
         f"  record    {summary['trials']} trials, at most {summary['rows']:,} rows, "
         f"{size(summary['bytes'])} on disk while running"

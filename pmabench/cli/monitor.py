@@ -87,7 +87,7 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.cli.run import tell_outcome
     from pmabench.session.jog import BLOCK, KEYS, jog
 
     live = _Live(mounted.bench, simulated=False)
@@ -114,7 +114,7 @@ def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | No
             return taken if time.monotonic() < end else [*taken, "q"]
 
         outcome = jog(mounted, _AtKeys(live.page, keys), out, pressed, shown, operator_name=operator)
-    ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
+    tell_outcome(ui, outcome)
     return outcome.exit_code
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
-from pmabench.cli.common import Ui, common, plan_options, session_options
+from pmabench.cli.common import Ui, common, plan_options, say, session_options
 from pmabench.cli.progress import CLEAR, progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -80,7 +80,7 @@ def command(
     outcome = execute(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
-    ui.result(outcome_json(outcome), lambda: print_outcome(outcome))
+    tell_outcome(ui, outcome)
     return outcome.exit_code
 
 
@@ -205,6 +205,14 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
         "rows": outcome.rows,
         "trials_failed": [index + 1 for index in outcome.trials_failed],
     }
+
+
+def tell_outcome(ui: Ui, outcome: Outcome) -> None:
+    """The result of a command that was one run; with --quiet its folder, and why where it did not finish."""
+    if ui.quiet and not ui.json and outcome.status != "finished":
+        say(f"{outcome.status}: {outcome.why}")
+    folder = () if outcome.folder is None else (str(outcome.folder),)
+    ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
 
 
 def print_outcome(outcome: Outcome) -> None:

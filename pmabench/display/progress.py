@@ -16,7 +16,11 @@ ENOUGH = 0.02
 
 
 class Progress:
-    """A pointer into the steps of a plan; time between a prompt and its answer does not count."""
+    """A pointer into the steps of a plan.
+
+    The pace leaves out the time between a prompt and its answer, pauses and a reference trial that is done again, and
+    steps that the pointer went over without doing them, because an earlier run has done them.
+    """
 
     def __init__(self, plan: Mapping[str, Any]) -> None:
         self._steps: list[Step] = []
@@ -32,7 +36,12 @@ class Progress:
         self._begun = False  # whether the step at the pointer has begun
         self._t = 0.0
         self._asked: float | None = None
-        self._hands = 0.0
+        self._out = 0.0
+        """Time that does not count [s]."""
+        self._aside: float | None = None
+        """Since when the plan stands still [s]: in a pause, or in a trial that is none of it."""
+        self._leapt = 0.0
+        """Duration of what the pointer went over [s], less what it went back."""
         self._first: float | None = None
 
     @property
@@ -44,12 +53,19 @@ class Progress:
         """Move the pointer."""
         self._first = event.t if self._first is None else self._first
         kind, phase = event.kind, event.data.get("phase")
-        if kind in ("trial-begin", "trial-end"):
+        if kind == "pause" or (kind == "trial-begin" and event.data.get("again")):
+            self._aside = event.t
+        elif self._aside is not None:
+            if kind in ("goes-on", "trial-end"):
+                self._out += event.t - self._aside
+                self._t, self._aside = max(self._t, event.t), None
+        elif kind in ("trial-begin", "trial-end"):
             on, trial = kind == "trial-begin", event.data.get("trial")
             steps = enumerate(self._steps)
-            self._after(
-                event, next((i for i, s in steps if isinstance(s, Record) and s.on == on and s.trial == trial), None)
-            )
+            place = next((i for i, s in steps if isinstance(s, Record) and s.on == on and s.trial == trial), None)
+            if on and place is not None and (place < self._at or any(map(_opens, self._steps[self._at : place]))):
+                self._leapt += self._until[place] - self._until[self._at]
+            self._after(event, place)
         elif kind == "command":
             output = event.data.get("output")
             here = self._steps[self._at] if self._begun and self._at < len(self._steps) else None
@@ -59,7 +75,7 @@ class Progress:
             self._begin(event, lambda s: isinstance(s, Ask))
             self._asked = event.t
         elif kind == "answer":
-            self._hands += event.t - self._asked if self._asked is not None else 0.0
+            self._out += event.t - self._asked if self._asked is not None else 0.0
             self._asked, self._t = None, event.t
         elif kind == "found":
             seeks = (i for i in range(self._at, len(self._steps)) if isinstance(self._steps[i], Seek))
@@ -76,7 +92,7 @@ class Progress:
             if fits(step):
                 self._at, self._begun, self._t = i, True, event.t
                 return
-            if isinstance(step, Record) and step.on and step.trial is not None:
+            if _opens(step):
                 return
 
     def done(self, t: float) -> float:
@@ -87,7 +103,8 @@ class Progress:
         """Duration of what is done by the plan [s]; the step under way counts no more than its own."""
         after = range(self._at + self._begun, len(self._steps))
         ends = next((i for i in after if self._steps[i].kind in _TOLD), len(self._steps))
-        since = 0.0 if self._asked is not None else max(0.0, t - self._t)
+        now = t if self._aside is None else self._aside
+        since = 0.0 if self._asked is not None else max(0.0, now - self._t)
         return self._until[self._at] + min(since, self._until[ends] - self._until[self._at])
 
     def left(self, t: float) -> tuple[float, bool] | None:
@@ -95,8 +112,12 @@ class Progress:
         if not self.length:
             return None
         behind = self._behind(t)
-        rest = self.length - behind
-        taken = t - (self._first or 0.0) - self._hands
-        if behind < ENOUGH * self.length or taken <= 0:
+        rest, here = self.length - behind, behind - self._leapt
+        taken = (t if self._aside is None else self._aside) - (self._first or 0.0) - self._out
+        if here < ENOUGH * self.length or taken <= 0:
             return rest, False
-        return rest * taken / behind, True
+        return rest * taken / here, True
+
+
+def _opens(step: Step) -> bool:
+    return isinstance(step, Record) and step.on and step.trial is not None

@@ -146,7 +146,9 @@ def _time(state: RunState, width: int) -> Text:
         return told
     done, left = state.progress.done(t), state.progress.left(t)
     if left is not None:
-        told.append(f", {'about' if left[1] else 'by the plan'} {clock(left[0])} left")
+        told.append(
+            f", {'about' if left[1] else 'by the plan'} {clock(left[0])} left{', paused' if state.paused else ''}"
+        )
     room = max(5, min(40, width - told.cell_len - 8))
     full = round(room * done)
     told.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")

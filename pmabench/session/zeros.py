@@ -19,6 +19,8 @@ from pmabench.session.words import load_text, moving_mass
 PHASE = "zeros"
 DRIFT = 0.2
 """Most drift while a zero is taken, of its limit."""
+STEADY = 1.0
+"""Over what time a zero is the mean [s]."""
 STEADY_WITHIN = 30.0
 """How long a channel may take to come to rest [s]."""
 
@@ -75,7 +77,7 @@ def _vent(executor: Executor) -> None:
 
 
 def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTaken:
-    reading: Reading = steady(executor.acquisition, name, DRIFT * zero.most, within=STEADY_WITHIN)
+    reading: Reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
     quantity = CHANNEL_QUANTITY[name]
     if abs(reading.mean) > zero.most:
         channel = next(c for c in executor.bench.channels if c.name == name)

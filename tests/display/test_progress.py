@@ -65,6 +65,32 @@ def test_while_the_operator_is_asked_nothing_goes_on():
     assert progress.left(1000.0) == (pytest.approx(3.0 + 10 * LENGTH), False)
 
 
+def test_in_a_pause_the_time_left_stands_still_and_the_pause_does_not_count_afterwards():
+    data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
+    progress = taken(Progress(data), [*trial(0, 0.0), (LENGTH, "pause", {})])
+    before = progress.left(LENGTH)
+    assert before == (pytest.approx(9 * LENGTH), True)
+    assert progress.left(LENGTH + 600.0) == before
+    on = LENGTH + 600.0
+    told = [(on, "goes-on", {}), *trial(1, on)]
+    assert taken(progress, told).left(on + LENGTH) == (pytest.approx(8 * LENGTH), True)
+
+
+def test_a_run_that_goes_on_takes_its_pace_from_what_it_has_done_itself():
+    """Trials 0 to 5 were done before; the reference trial is done again, then the rest at half the pace."""
+    again = [(0.0, "trial-begin", {"trial": 10, "again": True}), (7.0, "trial-end", {"trial": 10})]
+    data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
+    progress = taken(Progress(data), [*again, *trial(6, 7.0, 2.0), *trial(7, 7.0 + 2 * LENGTH, 2.0)])
+    assert progress.left(7.0 + 4 * LENGTH) == (pytest.approx(4 * LENGTH), True)
+    assert progress.done(7.0 + 4 * LENGTH) == pytest.approx(0.8)
+
+
+def test_a_trial_that_is_done_twice_does_not_make_the_pace_slower():
+    data = plan(POINTS) | {"steps": plan(POINTS)["steps"][1:]}
+    told = [*trial(0, 0.0), *trial(1, LENGTH), *trial(1, 2 * LENGTH)]
+    assert taken(Progress(data), told).left(3 * LENGTH) == (pytest.approx(8 * LENGTH), True)
+
+
 def test_a_trial_that_is_begun_again_takes_the_pointer_back():
     told = [*trial(0, 0.0), *trial(1, 10.0), (20.0, "trial-begin", {"trial": 0})]
     assert taken(Progress(plan(POINTS)), told).done(20.0) == pytest.approx(3.0 / (3.0 + 10 * LENGTH))

@@ -28,7 +28,7 @@ def test_notes_exclusions_and_pictures_are_printed(tmp_path):
     add_note(folder, exclude=0, because="the table was hit", attach=[tmp_path / "fake.jpg"], operator="B. Ito")
     read = page(folder)
     assert "A. Meyer: hose replaced (attached: trace.pdf)" in read.text
-    assert "B. Ito: Trial 0 is left out: the table was hit (attached: fake.jpg)" in read.text
+    assert "B. Ito: Trial 1 is left out: the table was hit (attached: fake.jpg)" in read.text
     (image,) = [attributes for tag, attributes in read.tags if tag == "img"]
     assert base64.b64decode(image["src"].removeprefix("data:image/png;base64,")) == PNG
     assert image["alt"] == "rig.png"
