@@ -184,13 +184,20 @@ class Service:
         self.station.write("bench", json.loads(self.guard.bench.to_json()))
         if self.guard.devices:
             raise LimitRefused("the bench is open already")
-        self.guard.open()
-        if latched := self.station.latched():
+        latched = self.station.latched()
+        told = (
+            f"the bench is tripped: {latched}. Look at it, then: "
+            f'pmabench vent "{self.guard.bench.name}" --reset --operator NAME --because TEXT'
+        )
+        try:
+            self.guard.open()
+        except DeviceError as error:
+            if latched:
+                raise LimitRefused(f"{told}. Besides, a device cannot be opened: {error}") from error
+            raise
+        if latched:
             self._end("trip", latched)
-            raise LimitRefused(
-                f"the bench is tripped: {latched}. Look at it, then: "
-                f'pmabench vent "{self.guard.bench.name}" --reset --operator NAME --because TEXT'
-            )
+            raise LimitRefused(told)
         return {"identities": self.guard.describe(), "streams": self._streams()}
 
     def _streams(self) -> list[str]:

@@ -161,6 +161,18 @@ def test_a_latched_bench_is_made_safe_again_and_refused():
         serving.until_over()
 
 
+def test_a_latched_bench_whose_device_does_not_answer_tells_both():
+    device = replace(DEVICE, options={"wrong": {"open": "does not answer at COM7"}})
+    with Serving(bench(device), latch="burst, yesterday") as serving:
+        told = serving.ask(serving.link(), "open")["error"]
+        assert told["type"] == "LimitRefused"
+        assert "burst, yesterday" in told["text"]
+        assert "--reset" in told["text"]
+        assert "does not answer at COM7" in told["text"]
+    with Serving(bench(device)) as serving:
+        assert serving.ask(serving.link(), "open")["error"]["text"] == "dac: does not answer at COM7"
+
+
 def test_a_vent_from_somebody_else_is_answered_at_once_and_when_it_is_over():
     with Serving() as serving:
         engine, other = serving.armed(), serving.link()
