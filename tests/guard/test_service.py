@@ -170,7 +170,7 @@ def test_a_latched_bench_whose_device_does_not_answer_tells_both():
         assert "--reset" in told["text"]
         assert "does not answer at COM7" in told["text"]
     with Serving(bench(device)) as serving:
-        assert serving.ask(serving.link(), "open")["error"]["text"] == "dac: does not answer at COM7"
+        assert serving.ask(serving.link(), "open")["error"]["text"] == "does not answer at COM7"
 
 
 def test_a_vent_from_somebody_else_is_answered_at_once_and_when_it_is_over():
