@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import struct
 import threading
-import time
 from collections.abc import Mapping
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.alicat.options import ASCII, UNITS, Options, read_options
-from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, STATUS, STUCK, Faults, Outgoing
 from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import GARBAGE, RtuDevice
+from pmabench_drivers.emulator.modbus_server import RtuDevice
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
 from pmabench_drivers.options import Reader
@@ -38,9 +37,10 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevic
     reader.refuse(device.name)
     controller = Controller(device, options, plant, log)
     if options.protocol == ASCII:
-        return AsciiDevice(controller, options.letter, device.address)
+        return AsciiDevice(controller, options.letter, log)
     cells = ModbusCells(controller)
     served = RtuDevice(cells, options.number, log, device.address)
+    served.faults = Faults(LINK, STUCK, MODBUS, OVER, STATUS)
     cells.faults = served.faults
     return served
 
@@ -94,12 +94,12 @@ class Controller:
 
 
 class AsciiDevice:
-    """The controller on a pseudo-terminal that is reached by the link `path`, one answer to one question."""
+    """The controller on a pseudo-terminal, one answer to one question."""
 
-    def __init__(self, controller: Controller, letter: str, path: str) -> None:
+    def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
         self.controller, self._letter = controller, letter
-        self.address, self.faults = path, Faults()
-        self._terminal = Terminal(path)
+        self.address, self.faults = controller.device.address, Faults(LINK, STUCK, IGNORE, OVER, STATUS)
+        self._terminal, self._outgoing = Terminal(self.address, log.tap(controller.device.name)), Outgoing()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=f"emulated {controller.device.name}", daemon=True)
 
@@ -138,16 +138,8 @@ class AsciiDevice:
         if fault.kind == "silence":
             return True
         lines = self._lines(question[1:], fault.kind)
-        if fault.kind == "delay":
-            time.sleep(fault.value)
-        if fault.kind == "lost":
-            return True
         answer = "".join(f"{line}\r" for line in lines).encode("ascii")
-        if fault.kind == "truncated":
-            answer = answer[: max(0, len(answer) - int(fault.value))]
-        self._terminal.write(
-            (GARBAGE if fault.kind == "garbage" else b"") + answer * (2 if fault.kind == "double" else 1)
-        )
+        self._terminal.write(self._outgoing.of(answer, fault))
         return True
 
     def _lines(self, command: str, fault: str) -> list[str]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import random
 import struct
-import time
 from time import monotonic
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.dataq.options import Options, read_options
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, counts
-from pmabench_drivers.emulator.faults import Fault
+from pmabench_drivers.emulator.faults import NOISE, OVER, Fault
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.streaming import Streaming
@@ -22,20 +21,20 @@ LEVELS = 0x7F00
 SET = {"encode": (0, 0), "ps": (0, 7), "srate": (375, 65535), "dec": (1, 512), "deca": (1, 40000)}
 
 
-def serve(device: DeviceRecord, plant: RealPlant, _log: CommandLog) -> Daq:
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Daq:
     """The device that the driver `dataq` talks to."""
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    return Daq(device, options, plant)
+    return Daq(device, options, plant, log)
 
 
 class Daq(Streaming):
     """One device; an input that no channel names reads 0 V."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant) -> None:
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._options, self._plant, self._name = options, plant, device.name
-        super().__init__(device.name, device.address)
+        super().__init__(device, log, NOISE, OVER, garbage=GARBAGE)
         self._channels = {channel.input: channel for channel in device.channels}
         self._list: list[int] = []
         self._set = {"encode": 0, "ps": 0, "srate": 6000, "dec": 1, "deca": 1}
@@ -46,17 +45,14 @@ class Daq(Streaming):
         if self.streaming and line != "stop":
             return  # nothing else is heard while it scans
         fault = self.next_fault() if not self.streaming else Fault()
-        if fault.kind in {"silence", "lost"}:
+        if fault.kind == "silence":
             return
-        if fault.kind == "delay":
-            time.sleep(fault.value)
         word, *numbers = line.split(" ")
         if word == "start":
             self.streaming, self.due, self._packet = True, monotonic(), b""
             return
         answer = self._carry_out(word, [int(number) for number in numbers if number.isdecimal()])
-        data = f"{line} {answer}".strip().encode() + b"\r"
-        self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "truncated" else data)
+        self.terminal.write(self.outgoing(f"{line} {answer}".strip().encode() + b"\r", fault))
 
     def _carry_out(self, word: str, numbers: list[int]) -> str:
         if word == "stop":
@@ -78,21 +74,17 @@ class Daq(Streaming):
         period = self._set["srate"] * self._set["dec"] * self._set["deca"] / DIVIDEND
         while self.streaming and self.due <= now:
             quantities = self._plant.at(self.due)
-            self.due += period
+            self.due += self.seconds(period)
             self._scan(quantities)
 
     def _scan(self, quantities: dict[str, float]) -> None:
         fault = self.next_fault()
-        if fault.kind in {"silence", "lost"}:
-            return
-        if fault.kind == "delay":
-            time.sleep(fault.value)
         if fault.kind == "over":
             self.streaming = False
             self.terminal.write(OVERRUN)
             return
         data = b"".join(self._word(entry, quantities, fault) for entry in self._list)
-        self._packet += self.damaged(data, fault, GARBAGE)
+        self._packet += self.outgoing(data, fault)
         size = 16 << self._set["ps"]
         while len(self._packet) >= size:
             self.terminal.write(self._packet[:size])

@@ -11,29 +11,38 @@ from typing import Any, Protocol, cast
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.control import Control
-from pmabench_drivers.emulator.faults import Faults as LinkFaults
+from pmabench_drivers.emulator.faults import Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.mock.options import Faults
+from pmabench_drivers.emulator.ports import refuse_others
+from pmabench_drivers.mock.options import Faults as PlantFaults
 
 SERVERS = {
+    "pmabench_drivers.festo_cmmt:FestoCmmt": "pmabench_drivers.festo_cmmt.emulated",
     "pmabench_drivers.festo_cpx_e:FestoCpxE": "pmabench_drivers.festo_cpx_e.emulated",
     "pmabench_drivers.alicat:AlicatController": "pmabench_drivers.alicat.emulator",
     "pmabench_drivers.dataq:Dataq": "pmabench_drivers.dataq.emulator",
     "pmabench_drivers.ild1420:Ild1420": "pmabench_drivers.ild1420.emulator",
     "pmabench_drivers.labjack:LabJack": "pmabench_drivers.labjack.emulated",
     "pmabench_drivers.modbus:ModbusDevice": "pmabench_drivers.emulator.modbus_server",
+    "pmabench_drivers.ni_daq:NiDaq": "pmabench_drivers.ni_daq.emulated",
     "pmabench_drivers.serial_ascii:SerialIndicator": "pmabench_drivers.emulator.indicator",
     "pmabench_drivers.serial_line_daq:SerialLineDaq": "pmabench_drivers.serial_line_daq.emulator",
 }
-"""Driver -> the module whose `serve(device, plant, log)` makes the device that it talks to."""
+"""Driver -> the module whose `serve(device, plant, log)` makes the device that it talks to.
+
+It writes what it exchanges to `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by
+`ports.listen`. What has a watchdog has `expire_watchdog()`, which says whether it was armed.
+"""
+PLANT = [item.name.removesuffix("_at") for item in fields(PlantFaults)]
+"""What can go wrong with the plant."""
 
 
 class Served(Protocol):
     """One emulated device at its address."""
 
     address: str
-    faults: LinkFaults
+    faults: Faults
 
     def start(self) -> None:
         """Begin to serve."""
@@ -54,10 +63,14 @@ class Emulator:
         seed: int = 1,
         log: Path | None = None,
         control: int = 0,
+        expose: bool = False,
     ) -> None:
         served = [device for device in devices if device.driver in SERVERS]
         if not served:
             raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
+        if not expose:
+            for device in served:
+                refuse_others(device.name, device.address)
         driven = any(output.quantity == "length" for device in served for output in device.outputs)
         valve = any(device.valves for device in served)
         self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
@@ -66,7 +79,7 @@ class Emulator:
         try:
             for device in served:
                 self.devices[device.name] = self._serve(device)
-            self.control = Control(self._act, control)
+            self.control = Control(self.act, control)
         except (OSError, UsageError) as error:
             self.close()
             if isinstance(error, UsageError):
@@ -88,25 +101,38 @@ class Emulator:
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
     def _serve(self, device: DeviceRecord) -> Served:
-        return cast(Served, import_module(SERVERS[device.driver]).serve(device, self.plant, self.log))
+        seen = self.plant.seen()
+        served = cast(Served, import_module(SERVERS[device.driver]).serve(device, seen, self.log))
+        seen.faults = served.faults
+        return served
 
-    def _act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        """What the control socket asks for."""
+    def kind(self, device: str, fault: str) -> Kind:
+        """What a fault of a device is; ValueError where there is no such device or it has no such fault."""
+        if device not in self.devices:
+            raise ValueError(f'no device "{device}"{did_you_mean(device, self.devices)}')
+        return Kind("ends what went wrong") if fault == "clear" else self.devices[device].faults.known(fault)
+
+    def act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
+        """What the control socket takes, in SI; ValueError for what cannot be done."""
         if "load" in wanted:
             force, mass = float(wanted["load"]["force"]), float(wanted["load"]["mass"])
             self.plant.load(force, mass)
+            self.log.note("load", "", force=force, mass=mass)
         elif "plant" in wanted:
-            fault, known = f"{wanted['plant']}_at", [item.name for item in fields(Faults)]
-            if fault not in known:
-                hint = did_you_mean(str(wanted["plant"]), [name.removesuffix("_at") for name in known])
-                raise ValueError(f'no fault "{wanted["plant"]}"{hint}')
-            self.plant.fail(fault, over=bool(wanted.get("over", False)))
+            fault, over = str(wanted["plant"]), bool(wanted.get("over", False))
+            if fault not in PLANT:
+                raise ValueError(f'no fault of the plant "{fault}"{did_you_mean(fault, PLANT)}')
+            self.plant.fail(f"{fault}_at", over=over)
+            self.log.note("plant", "", fault=fault, over=over)
         elif "fault" in wanted:
-            name = str(wanted.get("device"))
-            if name not in self.devices:
-                raise ValueError(f'no device "{name}"{did_you_mean(name, self.devices)}')
-            value, number = float(wanted.get("value", 0.0)), int(wanted.get("count", -1))
-            self.devices[name].faults.set(str(wanted["fault"]), value, number)
+            name, fault = str(wanted.get("device")), str(wanted["fault"])
+            value, count = wanted.get("value"), int(wanted.get("count", -1))
+            value = self.kind(name, fault).usual if value is None else float(value)
+            if fault != "watchdog":
+                self.devices[name].faults.set(fault, value, count)
+            elif not getattr(self.devices[name], "expire_watchdog", bool)():
+                raise ValueError(f"the watchdog of {name} is not armed")
+            self.log.note("fault", name, fault=fault, value=value, count=count)
         elif "log" in wanted:
             return {"entries": self.log.of(str(wanted["log"]))}
         else:

@@ -1,37 +1,63 @@
-"""What can go wrong with an emulated link, called up while it runs; knows no protocol."""
+"""What can go wrong with an emulated device or its link, called up while it runs; knows no protocol.
+
+One vocabulary for all: `KINDS`. A device says which of them it has; `Outgoing` makes what a link does to whole answers.
+"""
 
 from __future__ import annotations
 
+import random
 import threading
+import time
 from dataclasses import dataclass, replace
+from time import monotonic
 
 from pmabench.base.errors import did_you_mean
 
-KINDS = {
-    "silence": "nothing is carried out and nothing answered",
-    "lost": "everything is carried out and nothing answered",
-    "delay": "answers come `value` seconds late",
-    "hang-up": "the connection is closed at the next request",
-    "reset": "the connection is reset at the next request",
-    "exception": "Modbus: answers are the exception `value`",
-    "ignore": "Modbus: writes are answered and not carried out",
-    "wrong": "Modbus: read registers are `value` too high",
-    "stale": "Modbus TCP: answers carry the number of the request before",
-    "truncated": "the last `value` bytes of each answer are missing",
-    "garbage": "bytes of no meaning stand before each answer",
-    "unit": "serial text: the line is in another unit (N as kg, mm as in)",
-    "noise": "serial text: the number is off by up to `value`, another way in each line",
-    "over": "serial text, Alicat: the range is said to be exceeded",
-    "double": "serial text: each line comes twice",
-    "held": "Alicat: the status says that the valves are held",
-    "sensor": "Alicat: the status says that the pressure sensor has failed",
-    "limit": "Alicat: the status says that it is over its pressure limit",
+
+@dataclass(frozen=True)
+class Kind:
+    """What a fault does, and what its value is: a `time` [s], a `ratio`, a whole `number`, a `level`, or nothing."""
+
+    means: str
+    takes: str = ""
+    usual: float = 0.0
+
+
+LINK = {
+    "silence": Kind("nothing is carried out and nothing is answered"),
+    "lost": Kind("answers and samples are lost on the way: all, or this share of them", "ratio", 1.0),
+    "delay": Kind("answers come so much later", "time", 0.1),
+    "late": Kind("an answer comes only when the next one is due, just before it"),
+    "stale": Kind("the answer before comes once more, in place of the new one"),
+    "truncated": Kind("so many bytes at the end of an answer are missing", "number", 1.0),
+    "corrupted": Kind("the bits of this byte of an answer, counted from 0, are inverted", "number"),
+    "garbage": Kind("bytes of no meaning stand before an answer"),
+    "double": Kind("an answer comes twice"),
+    "hang-up": Kind("the connection is closed at the next request"),
+    "reset": Kind("the connection is reset at the next request; a board starts again"),
 }
+"""What can happen on every wire. A device that sends by itself has samples for answers."""
+STUCK = {"stuck": Kind("measured values stay as they were when it began")}
+SKEW = {"skew": Kind("the device's clock runs so much too fast (below 0: too slow)", "ratio", 1e-3)}
+EXPIRY = {"watchdog": Kind("the armed watchdog expires now, once")}
+EXCEPTION = {"exception": Kind("the answer is this exception, or error, code", "number", 4.0)}
+IGNORE = {"ignore": Kind("what is written is acknowledged and not carried out")}
+MODBUS = {**EXCEPTION, **IGNORE, "wrong": Kind("registers that are read are so much too high", "number", 1.0)}
+NOISE = {"noise": Kind("the number is off by up to so much in the device's unit, another way each time", "level", 1.0)}
+OVER = {"over": Kind("the range is said to be exceeded")}
+UNIT = {"unit": Kind("the line is in another unit (N as kg, mm as in)")}
+STATUS = {
+    "held": Kind("the status says that the valves are held"),
+    "sensor": Kind("the status says that the pressure sensor has failed"),
+    "limit": Kind("the status says that it is over its pressure limit"),
+}
+KINDS = {**LINK, **STUCK, **SKEW, **EXPIRY, **MODBUS, **NOISE, **OVER, **UNIT, **STATUS}
+GARBAGE = b"\x00\xff\x13"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one device for the next `count` requests or lines; -1: until it is cleared."""
+    """A fault of one device for the next `count` requests or samples; -1: until it is cleared."""
 
     kind: str = ""
     value: float = 0.0
@@ -39,18 +65,29 @@ class Fault:
 
 
 class Faults:
-    """The fault of one device, used by its threads."""
+    """The fault of one device, used by its threads; `kinds` are those that it has."""
 
-    def __init__(self) -> None:
+    def __init__(self, *kinds: dict[str, Kind]) -> None:
+        self.kinds = {name: kind for group in kinds or (KINDS,) for name, kind in group.items()}
         self._lock = threading.Lock()
         self._fault = Fault()
+        self._chance = random.Random(1)
 
-    def set(self, kind: str, value: float = 0.0, count: int = -1) -> None:
+    def known(self, kind: str) -> Kind:
+        """What a kind means here; ValueError for one that the device does not have."""
+        if kind not in self.kinds:
+            hint = did_you_mean(kind, [*self.kinds, "clear"]) or f": it has {', '.join(sorted(self.kinds))}"
+            raise ValueError(f'no fault "{kind}"{hint}')
+        return self.kinds[kind]
+
+    def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
         """Let it happen from the next request on; ValueError for a kind that is not known. `clear` ends it."""
-        if kind not in KINDS and kind != "clear":
-            raise ValueError(f'no fault "{kind}"{did_you_mean(kind, [*KINDS, "clear"])}')
+        fault = Fault()
+        if kind != "clear":
+            usual = self.known(kind).usual
+            fault = Fault(kind, usual if value is None else value, count)
         with self._lock:
-            self._fault = Fault() if kind == "clear" else Fault(kind, value, count)
+            self._fault = fault
 
     def peek(self) -> Fault:
         """The fault of the moment, which is not counted."""
@@ -61,6 +98,55 @@ class Faults:
         """The fault that this request meets."""
         with self._lock:
             fault = self._fault
+            if fault.kind == "lost" and self._chance.random() >= fault.value:
+                return Fault()
             if fault.count > 0:
                 self._fault = Fault() if fault.count == 1 else replace(fault, count=fault.count - 1)
             return fault
+
+
+class Outgoing:
+    """The sending end of one connection: what really leaves of each answer."""
+
+    def __init__(self, garbage: bytes = GARBAGE) -> None:
+        self._garbage = garbage
+        self._before = self._kept = b""
+
+    def of(self, data: bytes, fault: Fault) -> bytes:
+        """What leaves in place of `data`, which may be nothing; waits where the answer is delayed."""
+        before, self._before = self._before, data
+        kept, self._kept = self._kept, b""
+        if fault.kind in {"silence", "lost"}:
+            return kept
+        if fault.kind == "late":
+            self._kept = data
+            return kept
+        if fault.kind == "delay":
+            time.sleep(fault.value)
+        return kept + damaged(before if fault.kind == "stale" else data, fault, self._garbage)
+
+
+def damaged(data: bytes, fault: Fault, garbage: bytes = GARBAGE) -> bytes:
+    """One answer as a bad wire delivers it."""
+    if fault.kind == "truncated":
+        return data[: max(0, len(data) - int(fault.value))]
+    if fault.kind == "corrupted" and data:
+        place = min(int(fault.value), len(data) - 1)
+        return data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :]
+    if fault.kind == "garbage":
+        return garbage + data
+    return data * 2 if fault.kind == "double" else data
+
+
+class DeviceClock:
+    """The clock of a device that times its samples itself, and that the fault `skew` lets run fast or slow."""
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults, self._at, self._shown = faults, monotonic(), 0.0
+
+    def now(self) -> float:
+        """Its time since it was made [s]."""
+        fault, at = self._faults.peek(), monotonic()
+        self._shown += (at - self._at) * (1.0 + (fault.value if fault.kind == "skew" else 0.0))
+        self._at = at
+        return self._shown

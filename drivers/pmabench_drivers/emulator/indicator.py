@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import random
 import threading
-import time
-from time import monotonic
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
-from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, DeviceClock, Faults, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
@@ -16,24 +14,25 @@ from pmabench_drivers.options import Reader
 from pmabench_drivers.serial_ascii.options import Options, read_options
 
 OTHER_UNITS = {"N": "kg", "kN": "kg", "kg": "lb", "mm": "in", "cm": "in", "um": "mil", "kPa": "bar", "bar": "psi"}
-GARBAGE = "\x00\x7f@#"
+GARBAGE = b"\x00\x7f@#"
+KINDS = (LINK, STUCK, NOISE, OVER, UNIT)
 
 
-def serve(device: DeviceRecord, plant: RealPlant, _log: CommandLog) -> Indicator:
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Indicator:
     """The indicator that a device of the driver `serial-ascii` talks to."""
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    return Indicator(device, options, plant, device.address)
+    return Indicator(device, options, plant, log)
 
 
 class Indicator:
     """One indicator on a pseudo-terminal; the line is the option `emulate`, its number the first channel's."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, path: str) -> None:
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._options, self._plant = device, options, plant
-        self.address, self.faults = path, Faults()
-        self._terminal = Terminal(path)
+        self.address, self.faults = device.address, Faults(*KINDS, *(() if options.poll else (SKEW,)))
+        self._terminal, self._outgoing = Terminal(device.address, log.tap(device.name)), Outgoing(GARBAGE)
         self._ended = threading.Event()
         target = self._serve if options.poll else self._send_by_itself
         self._thread = threading.Thread(target=target, name=f"emulated {device.name}", daemon=True)
@@ -63,8 +62,8 @@ class Indicator:
                     return
 
     def _send_by_itself(self) -> None:
-        due, period = monotonic(), 1.0 / self._options.rate
-        while not self._ended.wait(max(0.0, due - monotonic())):
+        clock, due, period = DeviceClock(self.faults), 0.0, 1.0 / self._options.rate
+        while not self._ended.wait(max(0.0, due - clock.now())):
             due += period
             if not self._send():
                 return
@@ -75,15 +74,8 @@ class Indicator:
         if fault.kind in {"hang-up", "reset"}:
             self._terminal.close()
             return False
-        if fault.kind in {"silence", "lost"}:
-            return True
         line = self._line(fault.kind, fault.value)
-        if fault.kind == "delay":
-            time.sleep(fault.value)
-        data = line.encode("ascii", "replace")
-        if fault.kind == "truncated":
-            data = data[: max(0, len(data) - int(fault.value))]
-        return self._write(data * 2 if fault.kind == "double" else data)
+        return self._write(self._outgoing.of(line.encode("ascii", "replace"), fault))
 
     def _line(self, fault: str, size: float) -> str:
         end = self._options.terminator.decode("ascii")
@@ -96,7 +88,7 @@ class Indicator:
         if fault == "unit":
             unit = self._options.unit or channel.raw_unit
             line = line.replace(unit, OTHER_UNITS.get(unit, "XX"))
-        return GARBAGE + line if fault == "garbage" else line
+        return line
 
     def _write(self, data: bytes) -> bool:
         try:

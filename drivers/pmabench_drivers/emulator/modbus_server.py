@@ -1,4 +1,4 @@
-"""An emulated Modbus device on 127.0.0.1, or on a pseudo-terminal: connections, frames and faults of the link."""
+"""An emulated Modbus device on TCP, or on a pseudo-terminal: connections, frames and faults of the link."""
 
 from __future__ import annotations
 
@@ -6,42 +6,37 @@ import contextlib
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
 from itertools import count
 from typing import Protocol
 
-from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import frames
-from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.faults import EXPIRY, LINK, MODBUS, STUCK, Fault, Faults, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import Terminal
+from pmabench_drivers.emulator.ports import Terminal, bracketed, host_of, listen
 from pmabench_drivers.emulator.registers import Registers
 from pmabench_drivers.modbus.map_file import read_options
 from pmabench_drivers.options import Reader
 
-GARBAGE = b"\x00\xff\x13"
 WATCH = 0.005
 """How often the watchdog is looked at [s]."""
+KINDS = (LINK, STUCK, MODBUS)
+
+Send = Callable[[bytes, Fault], None]
+"""Sends an answer without its frame as a fault lets it."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
-    """What a device of the driver `modbus` talks to: TCP on this machine, or RTU on a pseudo-terminal."""
+    """What a device of the driver `modbus` talks to: TCP, or RTU on a pseudo-terminal."""
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
     registers = Registers(device, options, plant, log)
-    host, _, port = device.address.rpartition(":")
-    if not port.isdecimal():
+    if device.address.startswith("/"):
         return RtuDevice(registers, options.map.unit_id, log, device.address)
-    if host not in {"127.0.0.1", "localhost"}:
-        raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
-    try:
-        return TcpDevice(registers, options.map.unit_id, log, int(port))
-    except OSError as error:
-        raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
+    return TcpDevice(registers, options.map.unit_id, log, int(device.address.rpartition(":")[2]))
 
 
 class Answering(Protocol):
@@ -60,7 +55,8 @@ class _Device:
     """What both kinds of wire share: a request goes in, an answer comes out, or none, or the connection ends."""
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
-        self.registers, self.faults, self.log, self.unit_id = registers, Faults(), log, unit_id
+        self.registers, self.log, self.unit_id = registers, log, unit_id
+        self.faults = Faults(*KINDS, *((EXPIRY,) if hasattr(registers, "expire_watchdog") else ()))
         self._connections = count(1)
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=self._watch, name="emulated watchdog", daemon=True)]
@@ -74,7 +70,12 @@ class _Device:
         """End."""
         self._ended.set()
 
-    def answer(self, pdu: bytes, connection: int, send: Callable[[bytes, str], None]) -> None:
+    def expire_watchdog(self) -> bool:
+        """Let the watchdog expire; whether it was armed."""
+        expire = getattr(self.registers, "expire_watchdog", None)
+        return expire is not None and bool(expire())
+
+    def answer(self, pdu: bytes, connection: int, send: Send) -> None:
         """Carry out a request and send its answer as the fault of the moment lets it."""
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
@@ -91,10 +92,7 @@ class _Device:
             reply = frames.answer(request, values)
         except frames.Refused as refused:
             reply = frames.refusal(pdu[0], refused.code)
-        if fault.kind == "delay":
-            time.sleep(fault.value)
-        if fault.kind != "lost":
-            send(reply, fault.kind if fault.kind != "truncated" else f"truncated {int(fault.value)}")
+        send(reply, fault)
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
@@ -102,12 +100,13 @@ class _Device:
 
 
 class TcpDevice(_Device):
-    """Modbus TCP on 127.0.0.1; port 0 takes a free one. `address` says which."""
+    """Modbus TCP at the host of the device's address; port 0 takes a free one. `address` says which."""
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog, port: int) -> None:
         super().__init__(registers, unit_id, log)
-        self._listener = socket.create_server(("127.0.0.1", port))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        host = host_of(registers.device.address)
+        self._listener = listen(registers.device.name, host, port)
+        self.address = f"{bracketed(host)}:{self._listener.getsockname()[1]}"
         self._open: set[socket.socket] = set()
         self._threads.append(threading.Thread(target=self._accept, name="emulated Modbus", daemon=True))
 
@@ -132,23 +131,22 @@ class TcpDevice(_Device):
             threading.Thread(target=self._serve, args=(connection, number), daemon=True).start()
 
     def _serve(self, connection: socket.socket, number: int) -> None:
-        data, before = b"", 0
+        data, outgoing, tap = b"", Outgoing(), self.log.tap(self.registers.device.name, connection=number)
         try:
             while received := connection.recv(4096):
+                tap("received", received)
                 data += received
                 while (parts := frames.split_mbap(data)) is not None:
                     transaction, unit, pdu, data = parts
                     if unit not in {self.unit_id, 0, 255}:
                         continue
 
-                    def send(
-                        reply: bytes, fault: str, now: int = transaction, then: int = before, unit: int = unit
-                    ) -> None:
-                        frame = frames.mbap(then if fault == "stale" else now, unit, reply)
-                        connection.sendall(_damaged(frame, fault))
+                    def send(reply: bytes, fault: Fault, transaction: int = transaction, unit: int = unit) -> None:
+                        leaving = outgoing.of(frames.mbap(transaction, unit, reply), fault)
+                        connection.sendall(leaving)
+                        tap("sent", leaving)
 
                     self.answer(pdu, number, send)
-                    before = transaction
         except ConnectionAbortedError as error:
             if str(error) == "reset":
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -165,7 +163,7 @@ class RtuDevice(_Device):
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog, path: str) -> None:
         super().__init__(registers, unit_id, log)
-        self._terminal = Terminal(path)
+        self._terminal = Terminal(path, log.tap(registers.device.name))
         self.address = path
         self._threads.append(threading.Thread(target=self._serve, name="emulated Modbus RTU", daemon=True))
 
@@ -175,7 +173,7 @@ class RtuDevice(_Device):
         self._terminal.close()
 
     def _serve(self) -> None:
-        data = b""
+        data, outgoing = b"", Outgoing()
         while not self._ended.is_set():
             received = self._terminal.read(0.05)
             if received is None:
@@ -186,8 +184,8 @@ class RtuDevice(_Device):
                 if unit != self.unit_id:
                     continue
 
-                def send(reply: bytes, fault: str, unit: int = unit) -> None:
-                    self._terminal.write(_damaged(frames.rtu(unit, reply), fault))
+                def send(reply: bytes, fault: Fault, unit: int = unit) -> None:
+                    self._terminal.write(outgoing.of(frames.rtu(unit, reply), fault))
 
                 try:
                     self.answer(pdu, 1, send)
@@ -196,11 +194,3 @@ class RtuDevice(_Device):
                     return
                 except OSError:
                     return
-
-
-def _damaged(frame: bytes, fault: str) -> bytes:
-    if fault == "garbage":
-        return GARBAGE + frame
-    if fault.startswith("truncated "):
-        return frame[: max(0, len(frame) - int(fault[10:]))]
-    return frame

@@ -17,6 +17,7 @@ from pmabench.bench.interface import (
     Segment,
     ValveRecord,
 )
+from pmabench_drivers.emulator.faults import Faults
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import Simulation
@@ -87,6 +88,12 @@ class RealPlant:
         self._times: deque[int] = deque([0], maxlen=round(KEPT * RATE))
         self._samples: deque[tuple[float, ...]] = deque([(0.0,) * len(inputs)], maxlen=round(KEPT * RATE))
         self._names = tuple(inputs)
+        self.faults = Faults()
+        """Those of the device that looks at it."""
+
+    def seen(self) -> RealPlant:
+        """The same plant as one more device sees it."""
+        return _Seen(self)
 
     def quantities(self) -> dict[str, float]:
         """What each channel of a bench measures now [SI], noise included."""
@@ -122,10 +129,13 @@ class RealPlant:
         with self._lock:
             self._mock.switch(DUMP_VALVE, on=on)
 
-    def drive(self, position: float, speed: float = 0.0) -> None:
-        """Where the actuator is sent [m of contraction]: at once, or from where it was sent before at `speed` [m/s]."""
+    def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
+        """Where the actuator is sent [m of contraction]: at once, or at `speed` [m/s] from `origin`.
+
+        The origin is where it was sent before, unless it is given.
+        """
         with self._lock:
-            origin, self._sent = self._sent, position
+            origin, self._sent = self._sent if origin is None else origin, position
             if speed > 0 and position != origin:
                 segment = Segment("ramp", self._clock.now(), origin, position, rate=speed)
                 self._mock.follow("displacement", segment)
@@ -154,3 +164,26 @@ class RealPlant:
         with self._lock:
             simulation = self._mock.simulation()
             simulation.fail(fault, None if over else simulation.time)
+
+
+class _Seen(RealPlant):
+    """What one device sees of a plant: under its fault `stuck`, no change."""
+
+    def __init__(self, plant: RealPlant) -> None:
+        self.__dict__.update(plant.__dict__)
+        self._plant, self._stuck = plant, dict[str, float]()
+
+    def quantities(self) -> dict[str, float]:
+        """As the plant says, unless the device is stuck."""
+        return self._shown(self._plant.quantities())
+
+    def at(self, moment: float) -> dict[str, float]:
+        """As the plant says, unless the device is stuck."""
+        return self._shown(self._plant.at(moment))
+
+    def _shown(self, found: dict[str, float]) -> dict[str, float]:
+        if self.faults.peek().kind != "stuck":
+            self._stuck = {}
+            return found
+        self._stuck = self._stuck or found
+        return dict(self._stuck)

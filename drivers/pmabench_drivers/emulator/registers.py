@@ -14,7 +14,7 @@ from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.modbus.map_file import Options
-from pmabench_drivers.modbus.registers import TYPES, Register, decode, encode
+from pmabench_drivers.modbus.registers import TYPES, Register, WatchdogRegisters, decode, encode
 
 
 class Registers:
@@ -147,19 +147,34 @@ class Registers:
             return
         with self._lock:
             timeout = self._value(watchdog.timeout) * watchdog.resolution
-            armed = timeout > 0 and (watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on)
             silent = monotonic() - self._heard
-            if not armed or self._bitten or silent <= timeout:
-                return
-            self._bitten = True
-            for output in self.device.outputs:
-                register = self._map.outputs[output.output]
-                self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
-                self._plant.command(output.safe)
-            for valve in self.device.valves:
-                self._store(self._map.outputs[valve.output], [0] * self._map.outputs[valve.output].count)
-                self._plant.switch(on=valve.energised != "closed")
-            self._log.note("watchdog", self.device.name, silent=silent)
+            if silent > timeout and self._armed(watchdog):
+                self._bite(silent)
+
+    def expire_watchdog(self) -> bool:
+        """Vent by itself now; whether the watchdog was armed."""
+        watchdog = self._map.watchdog
+        if watchdog is None:
+            return False
+        with self._lock:
+            if armed := self._armed(watchdog):
+                self._bite(monotonic() - self._heard)
+            return armed
+
+    def _armed(self, watchdog: WatchdogRegisters) -> bool:
+        triggered = watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on
+        return triggered and self._value(watchdog.timeout) > 0 and not self._bitten
+
+    def _bite(self, silent: float) -> None:
+        self._bitten = True
+        for output in self.device.outputs:
+            register = self._map.outputs[output.output]
+            self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
+            self._plant.command(output.safe)
+        for valve in self.device.valves:
+            self._store(self._map.outputs[valve.output], [0] * self._map.outputs[valve.output].count)
+            self._plant.switch(on=valve.energised != "closed")
+        self._log.note("watchdog", self.device.name, silent=silent)
 
 
 def _range(kind: str) -> tuple[int, int]:

@@ -6,7 +6,9 @@ import threading
 from abc import ABC, abstractmethod
 from time import monotonic
 
-from pmabench_drivers.emulator.faults import Fault, Faults
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.emulator.faults import LINK, SKEW, STUCK, Fault, Faults, Kind, Outgoing
+from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.ports import Terminal
 
 TICK = 0.004
@@ -20,14 +22,15 @@ LONGEST = 200
 class Streaming(ABC):
     """One device on a pseudo-terminal. A kind of device says what a `command` does and what is `due`."""
 
-    def __init__(self, name: str, address: str) -> None:
-        self.address, self.faults = address, Faults()
-        self.terminal = Terminal(address)
+    def __init__(self, device: DeviceRecord, log: CommandLog, *kinds: dict[str, Kind], garbage: bytes) -> None:
+        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, *kinds)
+        self.terminal = Terminal(device.address, log.tap(device.name))
+        self._outgoing = Outgoing(garbage)
         self.streaming = False
         self.due = 0.0
         """When the next measurement is due [s, monotonic]."""
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name=f"emulated {name}", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
 
     def start(self) -> None:
         """Begin to serve."""
@@ -53,14 +56,14 @@ class Streaming(ABC):
             raise ConnectionAbortedError
         return fault
 
-    @staticmethod
-    def damaged(data: bytes, fault: Fault, garbage: bytes) -> bytes:
-        """One measurement as a bad wire delivers it."""
-        if fault.kind == "truncated":
-            return data[: max(0, len(data) - int(fault.value))]
-        if fault.kind == "garbage":
-            return garbage + data
-        return data * 2 if fault.kind == "double" else data
+    def seconds(self, shown: float) -> float:
+        """How long this machine's clock says that so much time of the device's own clock lasts [s]."""
+        fault = self.faults.peek()
+        return shown / (1.0 + fault.value) if fault.kind == "skew" else shown
+
+    def outgoing(self, data: bytes, fault: Fault) -> bytes:
+        """One answer or measurement as the line delivers it."""
+        return self._outgoing.of(data, fault)
 
     def _serve(self) -> None:
         asked = b""

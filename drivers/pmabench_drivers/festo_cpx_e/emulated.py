@@ -9,15 +9,14 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable
 from time import monotonic
 
-from pmabench.base.errors import UsageError
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import WATCH, TcpDevice
+from pmabench_drivers.emulator.modbus_server import WATCH
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.festo_cpx_e.named import NamedDevice
 from pmabench_drivers.festo_cpx_e.terminal import (
     CONTROL,
     DATA_FORMAT,
@@ -50,13 +49,9 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    host, _, port = device.address.rpartition(":")
-    if host not in {"127.0.0.1", "localhost"}:
-        raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
-    try:
-        return CpxDevice(EmulatedTerminal(device, options.terminal, plant, log), log, int(port))
-    except OSError as error:
-        raise UsageError(f"cannot serve {device.name} at {device.address}: {error.strerror}") from None
+    return CpxDevice(
+        EmulatedTerminal(device, options.terminal, plant, log), log, int(device.address.rpartition(":")[2])
+    )
 
 
 class EmulatedTerminal:
@@ -89,7 +84,7 @@ class EmulatedTerminal:
         self.timeout = FACTORY
         """Without communication for so long the outputs are taken away [ms]; 0: never."""
         self._heard = monotonic()
-        self._bitten = False
+        self._bitten = self._expire = False
 
     # -- requests -------------------------------------------------------------------------------------------------
 
@@ -200,13 +195,19 @@ class EmulatedTerminal:
     def look_at_watchdog(self) -> None:
         """Nothing: `bite` is asked by the connection, which ends with it."""
 
+    def expire_watchdog(self) -> bool:
+        """Let the time-out end at the next look; whether there is one."""
+        self._expire = self.timeout > 0
+        return self._expire
+
     def bite(self) -> bool:
         """Whether the time-out ends now; then every output is 0."""
         with self._lock:
             silent = monotonic() - self._heard
-            if not self.timeout or self._bitten or silent <= self.timeout / 1e3:
+            ends = self._expire or silent > self.timeout / 1e3
+            if not self.timeout or self._bitten or not ends:
                 return False
-            self._bitten = True
+            self._bitten, self._expire = True, False
             on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
             if on:
                 self._log.note("watchdog", self.device.name, silent=silent)
@@ -216,31 +217,12 @@ class EmulatedTerminal:
             return True
 
 
-class CpxDevice(TcpDevice):
-    """A terminal at its address; also tells its names, and hangs up when its time-out ends."""
+class CpxDevice(NamedDevice):
+    """A terminal at its address; hangs up when its time-out ends."""
 
     def __init__(self, terminal: EmulatedTerminal, log: CommandLog, port: int) -> None:
-        super().__init__(terminal, 1, log, port)
+        super().__init__(terminal, NAMES, terminal.hear, log, port)
         self.terminal = terminal
-
-    def answer(self, pdu: bytes, connection: int, send: Callable[[bytes, str], None]) -> None:
-        """Also function 43/14, which is met by the faults of the link that are about connections."""
-        if pdu[:2] != b"\x2b\x0e":
-            super().answer(pdu, connection, send)
-            return
-        self.terminal.hear()
-        fault = self.faults.next()
-        if fault.kind in {"hang-up", "reset"}:
-            raise ConnectionAbortedError(fault.kind)
-        if fault.kind in {"silence", "lost"}:
-            return
-        if len(pdu) != 4 or pdu[2] not in {1, 2}:
-            send(frames.refusal(0x2B, frames.VALUE), fault.kind)
-            return
-        objects = NAMES[:3] if pdu[2] == 1 else NAMES
-        body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
-        head = bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)])
-        send(head + body, fault.kind if fault.kind != "truncated" else f"truncated {int(fault.value)}")
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import random
-import time
 from time import monotonic
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.streaming import Streaming
@@ -19,20 +19,20 @@ RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Measuring rates that it takes [kHz]."""
 
 
-def serve(device: DeviceRecord, plant: RealPlant, _log: CommandLog) -> Sensor:
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Sensor:
     """The sensor that a device of the driver `ild1420` talks to."""
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    return Sensor(device, options, plant)
+    return Sensor(device, options, plant, log)
 
 
 class Sensor(Streaming):
     """One sensor; `counter` may be set, to look at where it begins again."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant) -> None:
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._options, self._plant = device, options, plant
-        super().__init__(device.name, device.address)
+        super().__init__(device, log, EXCEPTION, NOISE, OVER, garbage=GARBAGE)
         self._rate = options.rate
         self.counter = 0
 
@@ -41,13 +41,10 @@ class Sensor(Streaming):
         fault = self.next_fault()
         if fault.kind == "silence":
             return
-        if fault.kind == "delay":
-            time.sleep(fault.value)
         word, _, value = line.partition(" ")
         answer = f"E{int(fault.value):03d} refused" if fault.kind == "exception" else self._carry_out(word, value)
         data = f"{line} {answer}".strip().encode() + b"\r\n->"
-        if fault.kind != "lost":
-            self.terminal.write(data[: len(data) - int(fault.value)] if fault.kind == "truncated" else data)
+        self.terminal.write(self.outgoing(data, fault))
 
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
@@ -70,7 +67,7 @@ class Sensor(Streaming):
         now, data = monotonic(), b""
         while self.due <= now:
             quantities = self._plant.at(self.due)
-            self.due += 1.0 / self._rate
+            self.due += self.seconds(1.0 / self._rate)
             data += self._measure(quantities)
         if data:
             self.terminal.write(data)
@@ -79,10 +76,6 @@ class Sensor(Streaming):
         """One measurement, with the fault of the moment; the counter counts also what is lost on the wire."""
         fault = self.next_fault()
         counter, self.counter = self.counter, (self.counter + 1) % WRAP
-        if fault.kind in {"silence", "lost"}:
-            return b""
-        if fault.kind == "delay":
-            time.sleep(fault.value)
         raw = 0.0
         for channel in self._device.channels[:1]:
             raw = float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
@@ -93,4 +86,4 @@ class Sensor(Streaming):
             code = 262078
         elif fault.kind == "exception":
             code = int(fault.value)
-        return self.damaged(encode(code, counter), fault, GARBAGE)
+        return self.outgoing(encode(code, counter), fault)

@@ -8,11 +8,12 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.faults import EXPIRY, SKEW, Faults
 from pmabench_drivers.emulator.frames import ADDRESS, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import TcpDevice
+from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import host_of
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH
 from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
@@ -50,26 +51,20 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    if options.host not in {"127.0.0.1", "localhost"}:
-        raise UsageError(f'{device.name} is at {device.address}; an emulator serves only "127.0.0.1:PORT"')
-    try:
-        return EmulatedT7(device, options, plant, log, options.port, options.stream_port)
-    except OSError as error:
-        ports = f"{options.host}, ports {options.port} and {options.stream_port}"
-        raise UsageError(f"cannot serve {device.name} at {ports}: {error.strerror}") from None
+    return EmulatedT7(device, options, plant, log, options.port, options.stream_port)
 
 
 class _Faults(Faults):
     """Faults of the link, and those of the stream."""
 
     def __init__(self, stream: Streamer) -> None:
-        super().__init__()
+        super().__init__(*KINDS, SKEW, EXPIRY, FAULTS)
         self._stream = stream
 
-    def set(self, kind: str, value: float = 0.0, count: int = -1) -> None:
+    def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
         """Of the stream: once; else as for any link."""
         if kind in FAULTS:
-            self._stream.fault(kind, value)
+            self._stream.fault(kind, FAULTS[kind].usual if value is None else value)
         else:
             super().set(kind, value, count)
 
@@ -80,15 +75,15 @@ class EmulatedT7(TcpDevice):
     def __init__(
         self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, port: int, stream_port: int
     ) -> None:
-        self.stream = Streamer(stream_port)
+        self.stream = Streamer(device.name, host_of(device.address), stream_port, log)
         try:
             self.t7 = T7(device, options, plant, log, self.stream)
             super().__init__(self.t7, 1, log, port)
-        except OSError:
+        except UsageError:
             self.stream.close()
             raise
         self.stream_port = self.stream.port
-        self.faults = _Faults(self.stream)
+        self.faults = self.stream.faults = _Faults(self.stream)
 
     def start(self) -> None:
         """Begin to serve."""
@@ -323,8 +318,8 @@ class T7:
         numbers = [address // 2 for address in listed]
         gains = [self._gain(number) for number in numbers]
 
-        def sample(number: int) -> list[int]:
-            quantities = self._plant.at(self._stream.began + number / rate)
+        def sample(_number: int) -> list[int]:
+            quantities = self._plant.at(self._stream.moment)
             found = []
             for number, gain in zip(numbers, gains, strict=True):
                 channel = self._channels.get(number)
@@ -342,11 +337,15 @@ class T7:
 
     def look_at_watchdog(self) -> None:
         """Set DACs and lines where nobody has cleared it for its time."""
+        if monotonic() - self._cleared > self._u32(r.WATCHDOG_TIMEOUT):
+            self.expire_watchdog()
+
+    def expire_watchdog(self) -> bool:
+        """Do it now; whether the watchdog was armed."""
         with self._lock:
             silent = monotonic() - self._cleared
-            timeout = self._u32(r.WATCHDOG_TIMEOUT)
-            if not self._u32(r.WATCHDOG_ENABLE) or self._bitten or silent <= timeout:
-                return
+            if not self._u32(r.WATCHDOG_ENABLE) or self._bitten:
+                return False
             self._bitten = True
             self._log.note("watchdog", self.device.name, silent=silent)
             for index, name in enumerate(r.DACS):
@@ -363,3 +362,4 @@ class T7:
                 self._directions = self._directions & ~touched | direction & touched
                 for line in range(23):
                     self._valve_follows(line)
+            return True

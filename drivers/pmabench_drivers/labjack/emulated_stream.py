@@ -14,14 +14,18 @@ from collections import deque
 from collections.abc import Callable
 from time import monotonic, sleep
 
+from pmabench_drivers.emulator.faults import DeviceClock, Faults, Kind
+from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.ports import listen
+
 SHORTEST, LONGEST = 0.001, 0.01
 """Sleep between two looks at what is due [s]."""
 FAULTS = {
-    "stream-lost": "stream: the next `value` packets are lost on the way",
-    "stream-skip": "stream: the device leaves out `value` scans, as with a full buffer",
-    "stream-status": "stream: the next packet has the status `value`",
-    "stream-silence": "stream: nothing is sent for `value` seconds, and the buffer fills",
-    "stream-garbage": "stream: `value` bytes without meaning are sent",
+    "stream-lost": Kind("so many packets of the stream are lost on the way", "number", 1.0),
+    "stream-skip": Kind("the device leaves out so many scans, as with a full buffer", "number", 1.0),
+    "stream-status": Kind("the next packet of the stream has this status", "number", 2940.0),
+    "stream-silence": Kind("the stream sends nothing for so long, and the buffer fills", "time", 1.0),
+    "stream-garbage": Kind("so many bytes without meaning are sent on the stream", "number", 3.0),
 }
 
 Sample = Callable[[int], list[int]]
@@ -31,13 +35,14 @@ Sample = Callable[[int], list[int]]
 class Streamer:
     """Listens for one client at a time; `begin` and `end` are what writing STREAM_ENABLE does."""
 
-    def __init__(self, port: int) -> None:
-        self._listener = socket.create_server(("127.0.0.1", port))
+    def __init__(self, device: str, host: str, port: int, log: CommandLog) -> None:
+        self._listener = listen(device, host, port)
+        self._tap, self.faults = log.tap(device, connection="stream"), Faults()
         self.port = int(self._listener.getsockname()[1])
         self._client: socket.socket | None = None
         self._running = threading.Event()
-        self.began = 0.0
-        """When scan 0 was due [s, monotonic]."""
+        self.moment = 0.0
+        """When the scan was due that is being made [s, monotonic]."""
         self._ended = False
         self._faults: deque[tuple[str, float]] = deque()
         self._thread: threading.Thread | None = None
@@ -68,7 +73,7 @@ class Streamer:
     def begin(self, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample) -> None:
         """Scan from now on: `rate` [Hz], samples in a packet, samples in the buffer."""
         self.end()
-        self._running, self.began = threading.Event(), monotonic()
+        self._running = threading.Event()
         self._running.set()
         arguments = (self._running, rate, channels, per_packet, capacity, sample)
         self._thread = threading.Thread(target=self._scan, args=arguments, name="emulated T7 scans", daemon=True)
@@ -95,7 +100,8 @@ class Streamer:
     def _scan(
         self, running: threading.Event, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample
     ) -> None:
-        start, number, transaction, leave_out, silent_until = self.began, 0, 0, 0, 0.0
+        number, transaction, leave_out, silent_until = 0, 0, 0, 0.0
+        clock = DeviceClock(self.faults)
         buffer: deque[tuple[int, list[int]]] = deque()  # each scan with what was left out before it, -1 for none
         recovering = skipped = lose = status_next = 0
         scans, outgoing = per_packet // channels, b""
@@ -108,8 +114,10 @@ class Streamer:
                 status_next = int(value) if kind == "stream-status" else status_next
                 silent_until = now + value if kind == "stream-silence" else silent_until
                 outgoing += b"\xa5" * int(value) if kind == "stream-garbage" else b""
-            while number < int((now - start) * rate):
+            shown = clock.now()
+            while number < int(shown * rate):
                 number += 1
+                self.moment = now - (shown - number / rate)
                 if recovering or leave_out or (len(buffer) + 1) * channels > capacity:
                     leave_out = max(0, leave_out - 1)
                     recovering, skipped = 1, skipped + 1
@@ -142,6 +150,7 @@ class Streamer:
                 with contextlib.suppress(OSError, ValueError):
                     if select.select([], [client], [], 0)[1]:
                         client.setblocking(False)
-                        outgoing = outgoing[client.send(outgoing) :]
-            due = start + (number + 1) / rate
-            sleep(min(max(due - monotonic(), SHORTEST), LONGEST))
+                        sent = client.send(outgoing)
+                        self._tap("sent", outgoing[:sent])
+                        outgoing = outgoing[sent:]
+            sleep(min(max((number + 1) / rate - clock.now(), SHORTEST), LONGEST))

@@ -11,7 +11,7 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import EMULATED, DeviceRecord
-from pmabench_drivers.emulator.faults import Fault, Faults
+from pmabench_drivers.emulator.faults import EXPIRY, LINK, SKEW, STUCK, DeviceClock, Fault, Faults, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
@@ -45,25 +45,31 @@ class EmulatedBoard:
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog, boot_micros: int = 0) -> None:
         self._device, self._plant, self._log = device, plant, log
-        self.address, self.faults = device.address, Faults()
+        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, EXPIRY)
+        self._clock, self._outgoing = DeviceClock(self.faults), Outgoing(GARBAGE)
         self._inputs = {channel.input: channel for channel in device.channels}
         self._levels = {lock.input: lock for lock in device.interlocks}
         self._outputs = {output.output: output for output in device.outputs}
         self._valves = {valve.output: valve for valve in device.valves}
-        self._boot_micros, self._terminal = boot_micros, Terminal(device.address)
+        self._boot_micros, self._terminal = boot_micros, Terminal(device.address, log.tap(device.name))
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
         self._boot()
 
     def _boot(self) -> None:
-        self._booted, self._rest = monotonic(), b""
+        self._booted, self._rest = self._clock.now(), b""
         self._period = self._due = self._number = 0
-        self._armed, self._vented, self._fed = 0.0, False, 0.0
+        self._armed, self._vented, self._fed, self._expire = 0.0, False, 0.0, False
         self._vent()
 
     def start(self) -> None:
         """Begin to serve."""
         self._thread.start()
+
+    def expire_watchdog(self) -> bool:
+        """Let the watchdog expire; whether it was armed."""
+        self._expire = self._armed > 0
+        return self._expire
 
     def close(self) -> None:
         """Hang up."""
@@ -94,18 +100,18 @@ class EmulatedBoard:
 
     def _micros(self) -> int:
         """Its clock, which this program lets run on [us]."""
-        return self._boot_micros + round((monotonic() - self._booted) * 1e6)
+        return self._boot_micros + round((self._clock.now() - self._booted) * 1e6)
 
     def _turn(self) -> None:
-        if self._armed and monotonic() - self._fed >= self._armed:
+        if self._armed and (self._expire or monotonic() - self._fed >= self._armed):
             self._log.note("watchdog", self._device.name, silent=monotonic() - self._fed)
             self._vent()
-            self._armed, self._vented = 0.0, True
-        now = self._micros()
+            self._armed, self._vented, self._expire = 0.0, True, False
+        now, at = self._micros(), monotonic()
         if not self._period or now < self._due:
             return
-        while self._due <= now:  # the board is in time, even where this program is not
-            moment = self._booted + 1e-6 * (self._due - self._boot_micros)
+        while self._period and self._due <= now:  # the board is in time, even where this program is not
+            moment = at - 1e-6 * (now - self._due)
             number, micros = self._number % (1 << 32), self._due % (1 << 32)
             self._number += 1
             self._due += self._period
@@ -215,8 +221,6 @@ class EmulatedBoard:
 
     def _send(self, fault: Fault, *fields: object) -> None:
         line = encode(*fields)
-        if fault.kind in {"silence", "lost"}:
-            return
         if fault.kind == "hang-up":
             self._terminal.close()
             raise ConnectionAbortedError
@@ -224,15 +228,9 @@ class EmulatedBoard:
             self.faults.set("clear")
             self._boot()
             return
-        if fault.kind == "truncated":
-            line = line[: max(0, len(line) - int(fault.value))]
-        if fault.kind == "garbage":
-            line = GARBAGE + line
-        if fault.kind == "double":
-            line *= 2
         if fault.kind == "delay":
             later = threading.Timer(fault.value, self._terminal.write, [line])
             later.daemon = True
             later.start()
         else:
-            self._terminal.write(line)
+            self._terminal.write(self._outgoing.of(line, fault))

@@ -40,7 +40,7 @@ def rig(tmp_path, protocol):
         yield emulator, record, device
 
 
-def fault(emulator, kind, value=0.0, count=-1):
+def fault(emulator, kind, value=None, count=-1):
     emulator.devices["controller"].faults.set(kind, value, count)
 
 
@@ -289,7 +289,7 @@ def test_every_call_ends_in_time_and_tells_the_truth(rig, kind):
     emulator, _, device = rig
     device.start(50.0)
     for number in range(2):
-        fault(emulator, kind, {"truncated": 3.0, "delay": 0.15}.get(kind, 0.0))
+        fault(emulator, kind, {"truncated": 3.0, "delay": 0.15}.get(kind))
         for call, *arguments in ((device.write, "pressure", 50.0 + number), (device.read_back, "pressure")):
             took, outcome = timed(call, *arguments)
             assert took < CALL

@@ -76,7 +76,7 @@ def test_channels_are_told_apart_and_ranges_are_set(tmp_path):
 )
 def test_a_broken_stream_is_begun_again_and_never_a_false_value(bench, kind, value):
     device, driver, emulator = bench
-    emulator.plant.quantities = lambda: {"pressure": 151e3, "force": 777.0}
+    emulator.plant.at = lambda _moment: {"pressure": 151e3, "force": 777.0}
     driver.start(500.0)
     times, columns = gather(driver, 0.3)
     device.faults.set(kind, value, 1)

@@ -48,7 +48,7 @@ class Rig:
     def log(self, kind):
         return self.emulator.log.of(kind, "terminal")
 
-    def at_requests(self, functions, kind, value=0.0):
+    def at_requests(self, functions, kind, value=None):
         """Let the fault meet only requests with these function codes."""
         plain = type(self.server).answer
 

@@ -182,7 +182,7 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
         lambda: device.rescue("do2.0", 0.0),
     ]
     for call in calls:
-        rig.server.faults.set(kind, 3.0 if kind in {"truncated", "exception"} else 0.5)
+        rig.server.faults.set(kind, {"truncated": 3.0, "exception": 3.0, "delay": 0.5}.get(kind))
         took, outcome = timed(call)
         rig.well()
         assert took < BOUND

@@ -130,5 +130,5 @@ def test_a_range_that_is_not_taken():
 @pytest.mark.parametrize("kind", ["silence", "lost", "hang-up", "reset", "stale", "truncated", "garbage", "exception"])
 def test_a_terminal_that_does_not_answer_properly(kind):
     with served() as rig:
-        rig.server.faults.set(kind, 3.0)
+        rig.server.faults.set(kind, {"truncated": 3.0, "exception": 3.0}.get(kind))
         refused(rig, "terminal")

@@ -221,7 +221,7 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(bench, kind):
         lambda: device.rescue("DAC0", 0.0),
     ]
     for call in calls:
-        served.faults.set(kind, 3.0 if kind == "truncated" else 0.5)
+        served.faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
         took, outcome = timed(call)
         served.faults.set("clear")
         assert took < BOUND

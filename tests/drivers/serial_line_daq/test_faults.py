@@ -113,7 +113,7 @@ def test_samples_that_begin_at_zero_again_are_not_believed():
         assert "no sample" in failure(driver)
 
 
-@pytest.mark.parametrize(("kind", "value"), [("lost", 0), ("truncated", 3), ("silence", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("lost", 1), ("truncated", 3), ("silence", 0)])
 def test_a_board_that_says_nothing_readable_is_soon_an_error_and_then_comes_back(rig, kind, value):
     served, device = rig
     device.start(100.0)

@@ -156,13 +156,13 @@ def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
         device.disarm_watchdog,
     ]
     for call in calls:
-        emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "truncated" else 0.5)
+        emulator.devices["regulator"].faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
         took, outcome = timed(call)
         emulator.devices["regulator"].faults.set("clear")
         assert took < BOUND
         assert outcome is None or isinstance(outcome, DeviceError | bool | float)
         assert device.read_back("pressure") in {10.0, 20.0}
-    emulator.devices["regulator"].faults.set(kind, 3.0 if kind == "truncated" else 0.5)
+    emulator.devices["regulator"].faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
     took, outcome = timed(device.rescue, "pressure", 0.0)
     assert took < BOUND
 

@@ -97,7 +97,7 @@ def test_a_lost_answer_is_settled_by_another_kind_of_question(tmp_path):
 def test_every_call_ends_in_time(tmp_path, kind):
     with emulated(line(tmp_path)) as (emulator, [record]), opened(record) as device:
         for call in (lambda: device.write("pressure", 5.0), lambda: device.level("e_stop"), device.feed_watchdog):
-            emulator.devices["regulator"].faults.set(kind, 2.0 if kind == "truncated" else 0.2)
+            emulator.devices["regulator"].faults.set(kind, {"truncated": 2.0, "delay": 0.2}.get(kind))
             took, outcome = timed(call)
             assert took < 0.3
             assert outcome is None or isinstance(outcome, DeviceError | bool)

@@ -116,7 +116,7 @@ def test_noise_on_the_wire_is_measured_as_it_is(rig):
     assert max(values) - min(values) > 0.5
 
 
-@pytest.mark.parametrize(("kind", "value"), [("garbage", 0), ("double", 0), ("truncated", 4), ("lost", 0)])
+@pytest.mark.parametrize(("kind", "value"), [("garbage", 0), ("double", 0), ("truncated", 4), ("lost", 1)])
 def test_what_cannot_be_read_is_no_sample_and_soon_an_error(rig, kind, value):
     emulator, _record, device = rig
     device.start(100.0)
