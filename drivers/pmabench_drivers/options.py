@@ -15,9 +15,13 @@ from pmabench.base.errors import DeviceError, did_you_mean
 Place = tuple[str | int, ...]
 """Keys from the top of the bench file (`("channels", "pressure", "input")`) or of the device (`("options", "map")`)."""
 
-UNITS = {"time": {"s": 1.0, "ms": 1e-3, "us": 1e-6}, "frequency": {"Hz": 1.0, "kHz": 1e3}}
-_QUANTITY = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z]+)")
-_EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"'}
+UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "frequency": {"Hz": 1.0, "kHz": 1e3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+}
+_QUANTITY = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z/]+)")
+_EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"', "speed": '"20 mm/s"'}
 
 
 class Reader:
@@ -120,7 +124,7 @@ class Reader:
         low: float,
         high: float,
     ) -> float:
-        """A time [s] or a frequency [Hz] as NUMBER UNIT, from `low` to `high`."""
+        """A time [s], a frequency [Hz] or a speed [m/s] as NUMBER UNIT, from `low` to `high`."""
         if key not in given:
             return default
         value = given[key]
@@ -131,7 +135,7 @@ class Reader:
             return default
         number = float(match[1]) * factor
         if not low <= number <= high:
-            self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {'s' if kind == 'time' else 'Hz'}")
+            self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {next(iter(UNITS[kind]))}")
             return default
         return number
 

@@ -42,7 +42,7 @@ from pmabench_drivers.options import Reader
 from pmabench_drivers.polling import Cycle
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cpx_e.line import CpxLine
+    from pmabench_drivers.festo_cpx_e.line import NamedLine
     from pmabench_drivers.modbus.adapter import Line
 
 KEEP_ALIVE = 40.0
@@ -105,10 +105,10 @@ class FestoCpxE(ModbusDevice):
         self._alive.stop()
         super().close()
 
-    def _new_line(self) -> CpxLine:
-        from pmabench_drivers.festo_cpx_e.line import CpxLine
+    def _new_line(self) -> NamedLine:
+        from pmabench_drivers.festo_cpx_e.line import NamedLine
 
-        return CpxLine(self._device.name, self._device.address, self._map.timeout)
+        return NamedLine(self._device.name, self._device.address, self._map.timeout)
 
     def _keep_alive(self) -> None:
         """One question while no watchdog of ours is armed; once it is, only the program keeps the terminal quiet."""

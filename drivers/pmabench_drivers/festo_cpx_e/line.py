@@ -1,4 +1,7 @@
-"""The connection of a CPX-E: the Modbus one, and the question who answers (function 43/14). Imported by `open`."""
+"""The connection of a Festo device: the Modbus one, and the question who answers (function 43/14).
+
+Imported by `open`.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ IDENTIFY = 43
 BASIC, REGULAR = 1, 2
 
 
-class CpxLine(Line):
+class NamedLine(Line):
     """A Modbus TCP connection whose other end also tells its names."""
 
     def __init__(self, device: str, address: str, timeout: float) -> None:

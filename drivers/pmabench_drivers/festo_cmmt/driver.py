@@ -1,0 +1,414 @@
+"""The device interface in front of a CMMT: telegram 111 in a cycle of its own, ramps by the drive, sines streamed.
+
+One thread exchanges process data from `open` to `close`, as the drive expects it; nothing is written before the first
+command, so that `open` takes control from nobody. The newest command is all that is ever sent: a command of the caller
+replaces the one of the thread.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, Segment
+from pmabench_drivers.festo_cmmt import telegram as t
+from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
+from pmabench_drivers.festo_cmmt.path import Path
+from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters, decode, encode
+from pmabench_drivers.modbus.watchdog import DeviceWatchdog
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.polling import JOIN, Cycle, Samples
+
+if TYPE_CHECKING:
+    from pmabench_drivers.festo_cpx_e.line import NamedLine
+
+CALL = 0.19
+"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
+OPEN = 1.9
+ANSWER = 0.1
+"""Longest wait for one answer [s]."""
+LOOK = 0.003
+"""Pause between two looks whether the drive has done what it was told [s]."""
+PATIENCE = 0.25
+"""So long [s] cycles may fail before `collect` says so; what is lost till then is a gap in the samples."""
+
+
+class FestoCmmt:
+    """A CMMT that holds the free end: output and channel `position`, channel `set_point`, both in user units.
+
+    A ramp is one positioning task with its velocity; a sine is streamed, a target and a velocity in each cycle.
+    """
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._options: CmmtOptions = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock = device, clock
+        self._outputs = {output.output: output for output in device.outputs}
+        self._inputs = [channel.input for channel in device.channels]
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._cycle = Cycle(f"cmmt {device.name}", self._tick, clock)
+        self._watchdog = DeviceWatchdog(
+            device.name, RegisterMap(watchdog=WatchdogRegisters(t.TIMEOUT, 1e-3)), self._get, self._put
+        )
+        self._line: NamedLine | None = None
+        self._turn = threading.Lock()
+        """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
+        self._mailbox = threading.Lock()
+        self._path = Path(clock.now)
+        self._forget()
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    def _forget(self) -> None:
+        self._command: t.Command | None = None
+        """What is sent in each cycle; None: nothing was commanded yet."""
+        self._every, self._count = 0, 0
+        self._found = 0.0
+        self._release = False
+        self._per_second = 1.0
+        """Velocity units of the drive for one position unit a second."""
+        self._failing_since: float | None = None
+        self._failure: DeviceError | None = None
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, read who it is, and compare telegram and units with the bench file; takes no control."""
+        from pmabench_drivers.festo_cpx_e.line import NamedLine
+
+        self.close()
+        line = self._line = NamedLine(self._device.name, self._device.address, ANSWER)
+        until = monotonic() + OPEN
+        try:
+            told = line.identification(until)
+            selected = self._parameter(t.TELEGRAM, "uint16", until)
+            if selected != t.TELEGRAM_111:
+                message = f"has telegram {selected:g} selected, and this driver speaks 111: select it in the drive"
+                raise DeviceError(self._device.name, message, "P0.3030101")
+            self._compare_units(until)
+            self._found = self._get(t.TIMEOUT, until)
+            status = self._look(until)
+        except DeviceError:
+            self.close()
+            raise
+        self._path.stand(status.position)
+        self._cycle.start(self._options.rate)
+        model = told.get(4) or told.get(1, "")
+        return Identity(told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED))
+
+    def close(self) -> None:
+        """End the cycle; a drive that was disarmed is switched off, any other is left to its own time-out."""
+        self._cycle.stop(JOIN)
+        line = self._line
+        if line is not None and self._release and self._command is not None:
+            with suppress(DeviceError):
+                line.write(16, t.PROCESS_OUT, t.NOTHING, monotonic() + ANSWER / 2, "switching off")
+        self._line = None
+        self._watchdog.forget()
+        self._forget()
+        if line is not None:
+            line.close()
+
+    def _compare_units(self, until: float) -> None:
+        """The drive's decimal exponents of position and velocity, in metres, against the bench's scale."""
+        position, velocity = (
+            self._parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
+        )
+        self._per_second = 10.0 ** (position - velocity)
+        scales = [output.scale for output in self._device.outputs]
+        scales += [channel.scale for channel in self._device.channels]
+        for scale in scales:
+            if not abs(abs(scale.slope) / 10.0**position - 1) < 0.05:
+                message = f"counts in 1e{position:.0f} m, and the bench file in {abs(scale.slope):.4g} m"
+                raise DeviceError(self._device.name, message, "P1.7841")
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Take a sample in each cycle, or in each n-th where `rate` [Hz] is lower; returns the rate that is used."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._opened()
+        self._failing_since = self._failure = None
+        self._samples.take()
+        every = max(1, round(self._options.rate / rate))
+        self._count, self._every = 0, every
+        return self._options.rate / every
+
+    def collect(self) -> Block:
+        """The samples since the last call; an error once cycles fail, or the drive has a fault, for 0.25 s."""
+        if self._cycle.broken is not None:
+            raise DeviceError(self._device.name, f"its cycle broke off: {self._cycle.broken}")
+        failing = self._failing_since
+        if failing is not None and self._failure is not None and self._clock.now() - failing > PATIENCE:
+            raise self._failure
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """Take no more samples; a motion goes on."""
+        self._every = 0
+
+    @property
+    def missed(self) -> int:
+        """Cycles that fell out because the drive or the machine was late."""
+        return self._cycle.missed
+
+    def _tick(self) -> None:
+        """One cycle: what is commanded now, then what the drive tells."""
+        if self._watchdog.hungry() or self._line is None:
+            return  # whoever feeds it is gone: the cycle must not keep the drive's time-out quiet
+        try:
+            self._send_due()
+            self._sample()
+        except DeviceError as error:
+            self._failure = error
+            if self._failing_since is None:
+                self._failing_since = self._clock.now()
+        else:
+            self._failing_since = None
+
+    def _send_due(self) -> None:
+        """The command of this moment: the next piece of a sine, or the same as before."""
+        with self._turn:
+            command = self._command
+            if command is None:
+                return
+            piece = self._path.next(1.0 / self._options.rate)
+            if piece is not None:
+                command = self._command = self._moving(command, *piece)
+        self._send(command)
+
+    def _sample(self) -> None:
+        asked, set_point = self._clock.now(), self._path.now()
+        status = self._look(monotonic() + ANSWER)
+        answered = self._clock.now()
+        with self._turn:
+            self._path.seen(status.position, (asked + answered) / 2)
+        if self._every:
+            if self._count % self._every == 0:
+                known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
+                row = [known[name] for name in self._inputs]
+                self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
+            self._count += 1
+        command = self._command
+        if command is not None and command.on and not status.has(t.ENABLED):
+            raise DeviceError(self._device.name, self._off(status))
+
+    def _off(self, status: t.Status) -> str:
+        """Why the drive is not under power."""
+        return status.refusal() or (
+            f"is not under power (status word 0x{status.word:04x}): is its supply on, and its safe torque off released?"
+        )
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Go to a position [user units] at the bench's `speed`."""
+        slope = self._scale(output)
+        self._task(self._whole(value, output), self._options.speed / abs(slope), output)
+
+    def read_back(self, output: str) -> float:
+        """The target that the drive itself holds [user units]."""
+        self._scale(output)
+        return self._parameter(t.TARGET, "int32", monotonic() + CALL)
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """A ramp as one task of the drive, a sine streamed in its cycle; from now on if the start has passed."""
+        self._scale(output)
+        ends = (segment.start, segment.origin, segment.target, segment.amplitude)
+        paces = (segment.rate, segment.frequency, segment.cycles)
+        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
+            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
+        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
+            self._whole(value, output)
+        if segment.kind == "ramp" and segment.start <= self._clock.now():
+            self._task(self._whole(segment.target, output), segment.rate, output)
+            return
+        until = monotonic() + CALL
+        self._switch_on(until)
+        with self._turn:
+            self._path.follow(segment)
+
+    def halt(self, output: str) -> None:
+        """Give up the motion: the drive brakes as hard as it may and holds the place; looked at until it stands."""
+        self._scale(output)
+        until = monotonic() + CALL
+        with self._turn:
+            self._path.end()
+            before = self._command
+        on = before.on if before is not None else self._look(until).has(t.ENABLED)
+        self._replace(t.Command(on=on, stop=True), until)
+        while not (status := self._look(until)).has(t.STOPPED):
+            if monotonic() > until - LOOK:
+                message = f"was told to stop and still moves (status word 0x{status.word:04x})"
+                raise DeviceError(self._device.name, message, output)
+            sleep(LOOK)
+        with self._turn:
+            self._path.stand(status.position)
+
+    def _task(self, target: int, velocity: float, output: str) -> None:
+        """Send the drive to `target` at `velocity` [user units, 1/s], and see that it takes that."""
+        until = monotonic() + CALL
+        self._switch_on(until)
+        with self._turn:
+            before = self._command or t.Command()
+            self._path.go(target, velocity)
+            command = self._command = self._moving(before, target, velocity)
+        self._send(command, until)
+        while True:
+            status = self._look(until)
+            reason = status.refusal() or ("" if status.has(t.ENABLED) else self._off(status))
+            if reason:
+                raise DeviceError(self._device.name, reason, output)
+            if before.task or status.has(t.TAKEN):
+                return
+            if monotonic() > until - LOOK:
+                message = f"did not take the motion to {target} (status word 0x{status.word:04x})"
+                raise DeviceError(self._device.name, message, output)
+            sleep(LOOK)
+
+    def _moving(self, before: t.Command, target: float, velocity: float) -> t.Command:
+        units, override = t.speed(max(velocity * self._per_second, 1e-6))
+        return replace(before, task=True, stop=False, target=round(target), velocity=units, override=override)
+
+    # -- states of the drive --------------------------------------------------------------------------------------
+
+    def _switch_on(self, until: float, *, wait: bool = True) -> None:
+        """Bring the drive under power where it stands; the reason where it does not let itself be brought.
+
+        Without `wait` a drive that is on its way, but needs longer, is no error yet.
+        """
+        status = self._look(until)
+        command = self._command
+        if not (command is not None and command.on):
+            acknowledge = status.has(t.FAULT) and self._options.acknowledge_faults
+            reason = "" if acknowledge else status.refusal()
+            if reason and status.has(t.FAULT):
+                reason += "; acknowledge it there, or let that be done with acknowledge_faults: true"
+            if reason:
+                raise DeviceError(self._device.name, reason)
+            standing = t.Command(target=status.position)
+            if acknowledge:
+                self._replace(replace(standing, acknowledge=True), until)
+                self._until(lambda status: not status.has(t.FAULT), until, "keeps its fault after it was acknowledged")
+            self._replace(standing, until)
+            ready = self._until(lambda status: status.has(t.READY), until, "is not ready to be switched on")
+            if ready.refusal():
+                raise DeviceError(self._device.name, ready.refusal())
+            self._path.stand(ready.position)
+            self._replace(replace(standing, on=True), until)
+        with suppress(*(() if wait else (DeviceError,))):
+            self._until(lambda status: status.has(t.ENABLED), until, "is not under power yet")
+
+    def _until(self, true: Callable[[t.Status], bool], until: float, what: str) -> t.Status:
+        while not true(status := self._look(until)):
+            if monotonic() > until - LOOK:
+                why = status.refusal() or f"status word 0x{status.word:04x}; are supply and safe torque off in order?"
+                raise DeviceError(self._device.name, f"{what}: {why}")
+            sleep(LOOK)
+        return status
+
+    def _replace(self, command: t.Command, until: float) -> None:
+        """From now on this is what is commanded."""
+        with self._turn:
+            self._command = command
+        self._send(command, until)
+
+    def _send(self, command: t.Command, until: float = 0.0) -> None:
+        """Write the process data, unless something newer is commanded by the time the line is free."""
+        self._opened().write(
+            16,
+            t.PROCESS_OUT,
+            command.words(),
+            until or monotonic() + ANSWER,
+            "process data",
+            lambda: self._command is command,
+        )
+
+    def _look(self, until: float) -> t.Status:
+        return t.Status.of(self._opened().read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
+
+    # -- the drive's watchdog -------------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set the drive's time-out and read it back, then begin to switch it on; returns what it holds [s]."""
+        until = monotonic() + CALL
+        told = self._watchdog.arm(seconds)
+        self._release = False
+        self._switch_on(until, wait=False)
+        return told
+
+    def feed_watchdog(self) -> None:
+        """Read the time-out: any communication is a sign of life."""
+        self._watchdog.feed()
+
+    def disarm_watchdog(self) -> None:
+        """Give the drive back the time-out that it had when it was opened; `close` switches it off then."""
+        self._watchdog.forget()
+        self._release = True
+        self._put(t.TIMEOUT, self._found, monotonic() + CALL)
+
+    # -- registers and parameters ---------------------------------------------------------------------------------
+
+    def _opened(self) -> NamedLine:
+        line = self._line
+        if line is None:
+            raise DeviceError(self._device.name, "is not open")
+        return line
+
+    def _scale(self, output: str) -> float:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        return record.scale.slope
+
+    def _whole(self, value: float, output: str) -> int:
+        if not math.isfinite(value) or abs(value) >= 2**31:
+            raise DeviceError(self._device.name, f"{value} is no position", output)
+        return round(value)
+
+    def _get(self, register: Register, deadline: float) -> float:
+        words = self._opened().read(register.table, register.address, register.count, deadline, register.name)
+        return decode(register, words)
+
+    def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
+        """Write once; then what the drive holds decides, also where the answer was lost."""
+        from pmabench_drivers.modbus.adapter import Unanswered
+
+        with suppress(Unanswered):
+            self._opened().write(16, register.address, encode(register, value), deadline, register.name)
+        held = self._get(register, deadline)
+        if checked and held != value:
+            raise DeviceError(self._device.name, f"was given {value:g} and holds {held:g}", register.name)
+
+    def _parameter(self, number: int, kind: str, until: float) -> float:
+        """The value of a parameter, through the drive's mailbox; `kind` is a type of registers, or `int8`."""
+        line, what = self._opened(), f"parameter {number}"
+        with self._mailbox:
+            for address, word in ((t.NUMBER, number), (t.SUBINDEX, 0), (t.ELEMENTS, 1), (t.EXECUTE, t.READ)):
+                line.write(6, address, [word], until, what)
+            while (state := line.read("holding", t.EXECUTE, 1, until, what)[0]) != t.DONE:
+                if state == t.FAILED or monotonic() > until - LOOK:
+                    raise DeviceError(self._device.name, f"does not tell it (mailbox state {state})", what)
+                sleep(LOOK)
+            register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
+            [size] = line.read("holding", t.LENGTH, 1, until, what)
+            if size != (1 if kind == "int8" else 2 * register.count):
+                raise DeviceError(self._device.name, f"has {size} bytes, where {kind} was expected", what)
+            value = decode(register, line.read("holding", t.DATA, register.count, until, what))
+        return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
