@@ -212,14 +212,25 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
 
 
 def noise_seen(stretches: Sequence[Samples], still: Sequence[slice]) -> Noise:
-    """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves."""
+    """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
+
+    Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
+    """
 
     def typical(name: str) -> float:
         values = []
         for samples, rows in zip(stretches, still, strict=True):
             column = getattr(samples, name)
             if column is not None and samples.ok[rows].all():
-                values.append(noise_of(column[rows]))
+                values.append(max(noise_of(column[rows]), _step(column[samples.ok]) / np.sqrt(12.0)))
         return float(np.median(values)) if values else 0.0
 
     return Noise(typical("P"), typical("x"), typical("force"))
+
+
+def _step(column: Array) -> float:
+    """Smallest step between values: that of the converter where it is coarse, next to nothing where noise fills it."""
+    levels = np.unique(column)
+    steps = np.diff(levels)
+    real = steps[steps > 1e-9 * (levels[-1] - levels[0])] if len(steps) else steps
+    return float(real.min()) if len(real) else 0.0

@@ -84,3 +84,12 @@ def test_a_shifted_channel():
 def test_noise_is_seen_where_nothing_moves():
     samples = exponential(5e-6)
     assert noise_seen([samples], [slice(1000, 2000)]) == Noise(0.0, pytest.approx(5e-6, rel=0.1), 0.0)
+
+
+def test_coarse_steps_are_noise_though_a_channel_at_rest_shows_none():
+    fine, step = exponential(), 23e-6
+    samples = replace(fine, x=step * np.round(fine.x / step))
+    still = noise_seen([samples], [slice(1000, 2000)])
+    moving = np.std((samples.x - fine.x)[50:500])
+    assert still.displacement == pytest.approx(step / np.sqrt(12), rel=1e-6)
+    assert moving == pytest.approx(still.displacement, rel=0.1)
