@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from pmabench.analysis.oscillation import noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
+LEVELS = 20
+"""A channel takes at least so many values before the least distance between two is the step of its converter."""
+
 
 @dataclass(frozen=True)
 class Gate:
@@ -229,8 +232,12 @@ def noise_seen(stretches: Sequence[Samples], still: Sequence[slice]) -> Noise:
 
 
 def _step(column: Array) -> float:
-    """Smallest step between values: that of the converter where it is coarse, next to nothing where noise fills it."""
+    """Smallest step between values: that of a coarse converter, next to nothing where noise fills it.
+
+    0 for fewer than `LEVELS` values: a quantity that jumps says nothing of its converter.
+    """
     levels = np.unique(column)
+    if len(levels) < LEVELS:
+        return 0.0
     steps = np.diff(levels)
-    real = steps[steps > 1e-9 * (levels[-1] - levels[0])] if len(steps) else steps
-    return float(real.min()) if len(real) else 0.0
+    return float(steps[steps > 1e-9 * (levels[-1] - levels[0])].min())
