@@ -1,0 +1,341 @@
+"""The device interface in front of an NI device: samples timed by it, outputs and lines set one command at a time.
+
+The device's clock is the number of the sample over the rate that NI-DAQmx says it uses; it begins at the bench time of
+the start.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from array import array
+from collections.abc import Iterable
+from contextlib import suppress
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
+from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.ni_daq.connection import Connection, Unanswered
+from pmabench_drivers.ni_daq.options import read_options
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.pace import Pace
+from pmabench_drivers.polling import JOIN, Cycle, Samples
+
+CALL = 0.17
+"""Longest time that a call takes [s]."""
+ANSWER = 0.1
+"""How long the answer to a command is waited for, before the line itself is looked at [s]."""
+STEP = 0.06
+"""How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
+OPEN = 1.8
+LOOK = 50.0
+"""Waiting samples are fetched so often [Hz]."""
+STEPS = 100.0
+"""Ramps and sines are stepped so often [Hz]."""
+PATIENCE = 0.25
+"""So long no sample may come, or steps may fail, before `collect` says so [s]."""
+SLIP = 0.1
+"""More than this the samples of a whole second may not be later than they were [s]."""
+BEYOND = 1.2
+"""No converter gives more than so many times its range."""
+
+
+class NiDaq:
+    """Inputs `ai0`... [V], outputs `ao0`, `ao1` [V], lines `port0/line0`...; by NI-DAQmx here or NI's gRPC server."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._options = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock = device, clock
+        self._outputs = {output.output: output for output in device.outputs}
+        self._spans = [item.span for item in self._options.inputs.values()]
+        self._look = Cycle(f"ni-daq {device.name}", self._fetch, clock)
+        self._steps = Cycle(f"ni-daq steps {device.name}", self._step, clock)
+        self._following: dict[str, Segment] = {}
+        self._turn = threading.Lock()
+        self._link: Connection | None = None
+        self._second: Connection | None = None
+        self._held: dict[str, float] = {}
+        self._step_failing: tuple[float, DeviceError] | None = None
+        self._begin(1.0)
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Find the device, see that it has what the bench uses, prepare its tasks; outputs stay as they are."""
+        self.close()
+        link = self._link = Connection(self._device.name, self._options)
+        try:
+            with link.calls(OPEN):
+                identity = link.open()
+            if self._options.server:
+                second = self._second = Connection(self._device.name, self._options)
+                with second.calls(CALL):
+                    second.attach()
+        except DeviceError:
+            self.close()
+            raise
+        return identity
+
+    def close(self) -> None:
+        """End sampling and stepping and let go; outputs stay as they are."""
+        self._following.clear()
+        for cycle in (self._steps, self._look):
+            cycle.stop(JOIN)
+        link, self._link = self._link, None
+        second, self._second = self._second, None
+        self._held = {}
+        if second is not None:
+            second.hang_up()
+        if link is not None:
+            with suppress(DeviceError), link.calls(CALL):
+                link.close()
+
+    def _opened(self) -> Connection:
+        if self._link is None:
+            raise DeviceError(self._device.name, "is not open")
+        return self._link
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Sample all channels together at `rate` [Hz]; returns the rate that NI-DAQmx says it uses."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        link = self._opened()
+        self._look.stop(JOIN)
+        with link.calls(CALL):
+            before = self._clock.now()
+            used = link.begin(rate)
+        self._begin(used, (before + self._clock.now()) / 2)
+        self._look.start(LOOK)
+        self._sampling = True
+        return used
+
+    def _begin(self, rate: float, start: float = 0.0) -> None:
+        self._samples = Samples([channel.name for channel in self._device.channels])
+        self._rate, self._start, self._number = rate, start, 0
+        self._sampling = self._unsure = False
+        self._heard = monotonic()
+        self._pace = Pace(SLIP)
+        self._failure = ""
+        self._unheard = ""
+        self.lost = 0
+        """Samples that were taken and never came; each is a gap in the times."""
+
+    def collect(self) -> Block:
+        """What came since the last call; once all of it is handed out, an error where nothing more comes."""
+        failing = self._step_failing
+        if failing is not None and monotonic() - failing[0] > PATIENCE:
+            self._step_failing = None
+            raise failing[1]
+        for cycle in (self._look, self._steps):
+            if cycle.broken is not None:
+                raise DeviceError(self._device.name, f"ended by itself: {cycle.broken}")
+        block = self._samples.take()
+        if not len(block.time) and self._sampling:
+            silent = monotonic() - self._heard
+            if self._failure:
+                raise DeviceError(self._device.name, f"sampling broke off: {self._failure}")
+            if silent > max(PATIENCE, 3 / self._rate):
+                because = f": {self._unheard}" if self._unheard else ""
+                raise DeviceError(self._device.name, f"no sample for {silent:.2f} s{because}")
+        return block
+
+    def stop(self) -> None:
+        """End sampling; a ramp under way goes on."""
+        self._look.stop(JOIN)
+        link, was, self._sampling = self._link, self._sampling, False
+        if link is not None and was:
+            with link.calls(CALL):
+                link.end()
+
+    def _fetch(self) -> None:
+        """Everything that waits, in the fetching thread."""
+        link = self._link
+        if link is None or self._failure:
+            return
+        try:
+            with link.calls(CALL):
+                if self._unsure:
+                    self._find_place(link.position())
+                columns = link.read()
+        except Unanswered as error:  # what was asked for may be gone: the next look finds out how much
+            self._unsure, self._unheard = True, error.message
+            return
+        except DeviceError as error:
+            self._failure = error.message
+            return
+        self._unheard = ""
+        if columns:
+            self._keep(columns)
+
+    def _find_place(self, position: int) -> None:
+        """After a lost answer: the device says which sample comes next; those before it are a gap."""
+        if position < self._number:
+            raise DeviceError(self._device.name, f"stands at sample {position} after {self._number}: it began again")
+        self.lost += position - self._number
+        self._number, self._unsure = position, False
+
+    def _keep(self, columns: list[array[float]]) -> None:
+        now, first = self._clock.now(), self._number
+        self._number += len(columns[0])
+        for item, span, column in zip(self._options.inputs.values(), self._spans, columns, strict=True):
+            if not all(abs(value) <= BEYOND * span for value in column):
+                strange = next(value for value in column if not abs(value) <= BEYOND * span)
+                self._failure = f"{item.name} gives {strange:g} V at a range of {span:g} V"
+                return
+        behind = self._pace.behind(self._start + (self._number - 1) / self._rate, now)
+        if behind:
+            late = "late" if behind > 0 else "early"
+            self._failure = f"samples come {abs(behind):.2f} s too {late} for {self._rate:g} Hz"
+            return
+        self._heard = monotonic()
+        origin, host = round(self._start * 1e9), round(now * 1e9)
+        for number, values in enumerate(zip(*columns, strict=True), first):
+            self._samples.append(origin + round(number * 1e9 / self._rate), values, host)
+
+    # -- outputs ---------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Set an output [V] once."""
+        self._following.pop(output, None)
+        self._step_failing = None
+        self._put(self._opened(), output, value)
+
+    def read_back(self, output: str) -> float:
+        """What the output was last set to [V]: NI-DAQmx acknowledged it, and cannot be asked what an output gives."""
+        self._known(output)
+        if output not in self._held:
+            message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
+            raise DeviceError(self._device.name, message, output)
+        return self._held[output]
+
+    def rescue(self, output: str, value: float) -> None:
+        """Set an output [V] or a valve line over the second connection."""
+        self._following.pop(output, None)
+        link = self._second or self._opened()
+        if output in self._outputs:
+            self._put(link, output, value)
+        else:
+            self._put_line(link, output, on=value != 0)
+
+    def _put(self, link: Connection, output: str, value: float) -> None:
+        self._known(output)
+        if not math.isfinite(value) or not abs(value) <= 10.0 + 1e-9:
+            raise DeviceError(self._device.name, f"cannot be set to {value:g} V", output)
+        until = monotonic() + CALL
+        turn = self._turn.acquire(timeout=CALL / 2)  # a step may be under way; a call that hangs is not waited for
+        try:
+            self._send(link, output, value, until - monotonic())
+        finally:
+            if turn:
+                self._turn.release()
+
+    def _send(self, link: Connection, output: str, value: float, within: float) -> None:
+        self._held.pop(output, None)
+        try:
+            with link.calls(within, output):
+                link.write(output, value)
+        except Unanswered as error:
+            message = f"{error.message}; whether it took {value:g} V is not known"
+            raise Unanswered(self._device.name, message, output) from None
+        self._held[output] = value
+
+    def _known(self, output: str) -> None:
+        if output not in self._outputs:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+
+    # -- ramps and sines -------------------------------------------------------------------------------------------
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
+        self._known(output)
+        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
+        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
+            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
+        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        reach = abs(segment.origin) + abs(segment.amplitude) if segment.kind == "sine" else abs(segment.target)
+        if not max(reach, abs(segment.origin)) <= 10.0 + 1e-9:
+            raise DeviceError(self._device.name, f"cannot follow to {reach:g} V", output)
+        self._opened()
+        self._step_failing = None
+        self._following[output] = segment
+        if not self._steps.running:
+            self._steps.start(STEPS)
+
+    def _step(self) -> None:
+        """Set the value of this moment of every segment; the last one ends it."""
+        for output, segment in list(self._following.items()):
+            link = self._link
+            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            if value is None or link is None or not self._turn.acquire(blocking=False):
+                continue
+            try:
+                if self._following.get(output) is not segment:
+                    continue  # a command has ended it meanwhile
+                self._send(link, output, value, STEP)
+            except DeviceError as error:
+                since = self._step_failing[0] if self._step_failing else monotonic()
+                self._step_failing = (since, error)
+                continue
+            finally:
+                self._turn.release()
+            self._step_failing = None
+            if over and self._following.get(output) is segment:
+                self._following.pop(output, None)
+
+    # -- lines -----------------------------------------------------------------------------------------------------
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Set a valve's line once; reading it tells whether it was done."""
+        self._put_line(self._opened(), output, on=on)
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve's line is high."""
+        self._valve(output)
+        return self._level(output, CALL)
+
+    def level(self, name: str) -> bool:
+        """Whether an interlock's line is high."""
+        if name not in self._options.levels:
+            raise DeviceError(self._device.name, f'no input "{name}"{did_you_mean(name, self._options.levels)}')
+        return self._level(name, CALL)
+
+    def _put_line(self, link: Connection, line: str, *, on: bool) -> None:
+        self._valve(line)
+        until, lost = monotonic() + CALL, ""
+        try:
+            with link.calls(ANSWER, line):
+                link.write(line, on)
+        except Unanswered as error:
+            lost = f"{error.message}, and "
+        try:
+            with link.calls(until - monotonic(), line):
+                stands = link.level(line)
+        except Unanswered as error:
+            message = f"{lost or 'was commanded, and '}whether it took {int(on)} is not known ({error.message})"
+            raise Unanswered(self._device.name, message, line) from None
+        if stands != on:
+            message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if stands else 'low'}"
+            raise DeviceError(self._device.name, message, line)
+
+    def _valve(self, line: str) -> None:
+        if line not in self._options.valves:
+            raise DeviceError(self._device.name, f'no valve output "{line}"{did_you_mean(line, self._options.valves)}')
+
+    def _level(self, line: str, within: float) -> bool:
+        link = self._opened()
+        with link.calls(within, line):
+            return link.level(line)

@@ -1,0 +1,297 @@
+"""NI's gRPC server, emulated: the calls that the package `nidaqmx` makes for a bench, in front of one board."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pmabench.base.errors import UsageError
+from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, STUCK, Fault, Faults, damaged
+from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import refuse_others
+from pmabench_drivers.ni_daq.emulated_tasks import AI, AO, BITS, DI, DO, FASTEST, SPANS, Board, Refused, Task
+from pmabench_drivers.ni_daq.options import read_options
+from pmabench_drivers.options import Reader
+
+SERVICE = "nidaqmx_grpc.NiDAQmx"
+LINKS = {name: LINK[name] for name in LINK if name not in {"late", "double"}}
+"""An answer of gRPC belongs to its question: none comes twice, or with the next."""
+ATTACH, INITIALIZE = 2, 1
+VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
+"""Attributes of the system: major, minor, update."""
+GIVE_UP = 10.0
+"""Longest wait for a client to give up [s]."""
+
+Answer = dict[str, Any]
+
+
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedServer:
+    """The server that a device of the driver `ni-daqmx` is reached through."""
+    reader = Reader()
+    options = read_options(device, reader)
+    reader.refuse(device.name)
+    if not options.server:
+        why = 'its bench file names no server; an emulator needs "options: {server: 127.0.0.1:PORT}"'
+        raise UsageError(f"cannot serve {device.name}: {why}")
+    refuse_others(device.name, options.server)
+    try:
+        return EmulatedServer(Board(device, plant, log), options.server, log)
+    except ImportError as error:
+        why = f'the Python package of NI is not installed ({error}): pip install "pmabench[ni]"'
+        raise UsageError(f"cannot serve {device.name}: {why}") from None
+
+
+class EmulatedServer:
+    """Listens on `address`; port 0 takes a free one."""
+
+    def __init__(self, board: Board, address: str, log: CommandLog) -> None:
+        from nidaqmx._stubs import nidaqmx_pb2  # noqa: PLC2701  (the messages of the wire; there is no other source)
+
+        self.board, self.faults = board, Faults(LINKS, STUCK, IGNORE, EXCEPTION)
+        self._messages: Any = nidaqmx_pb2
+        self._tap = log.tap(board.device.name)
+        self._peers: dict[str, int] = {}
+        self._before: dict[str, bytes] = {}
+        self._lock = threading.Lock()
+        self.requests: list[str] = []
+        """Names of the calls so far."""
+        self._server: Any = None
+        self.address = address
+        self._listen()
+
+    def _listen(self) -> None:
+        from concurrent.futures import ThreadPoolExecutor
+
+        import grpc
+
+        server = grpc.server(ThreadPoolExecutor(16), options=[("grpc.so_reuseport", 0)])
+        known = {name: self._handler(grpc, name) for name in CALLS}
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, known),))
+        try:
+            port = server.add_insecure_port(self.address)
+        except RuntimeError:
+            port = 0
+        if not port:
+            raise UsageError(f"cannot serve {self.board.device.name} at {self.address}: the port is taken")
+        self.address = f"{self.address.rpartition(':')[0]}:{port}"
+        self._server = server
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._server.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self.board.close()
+        self._server.stop(0.0).wait(2.0)
+
+    def restart(self, *, forget: bool) -> None:
+        """Cut every connection, and listen again; `forget`: as a server that was ended, without its tasks."""
+        with self._lock:
+            self._server.stop(0.0).wait(2.0)
+            if forget:
+                with self.board.lock:
+                    self.board.tasks.clear()
+            self._listen()
+            self._server.start()
+
+    # -- one call ---------------------------------------------------------------------------------------------------
+
+    def _handler(self, grpc: Any, name: str) -> Any:
+        request = getattr(self._messages, f"{name}Request")
+
+        def answer(data: bytes, context: Any) -> bytes:
+            self._tap("received", name.encode() + b" " + data)
+            return self._answer(grpc, name, request.FromString(data), context)
+
+        return grpc.unary_unary_rpc_method_handler(answer)
+
+    def _answer(self, grpc: Any, name: str, request: Any, context: Any) -> bytes:
+        self.requests.append(name)
+        fault = self.faults.next()
+        if fault.kind in {"hang-up", "reset"}:
+            again = threading.Thread(target=self.restart, kwargs={"forget": fault.kind == "reset"}, daemon=True)
+            again.start()
+        if fault.kind in {"hang-up", "reset", "silence"}:
+            return _wait(context)
+        if fault.kind == "exception":
+            _refuse(grpc, context, Refused(int(fault.value), "An error that was asked for."))
+        try:
+            with self.board.lock:
+                fields = CALLS[name](self, request, context, fault)
+        except Refused as refused:
+            _refuse(grpc, context, refused)
+        data = bytes(getattr(self._messages, f"{name}Response")(**fields).SerializeToString())
+        return self._send(name, data, fault, context)
+
+    def _send(self, name: str, data: bytes, fault: Fault, context: Any) -> bytes:
+        before, self._before[name] = self._before.get(name, data), data
+        if fault.kind == "lost":
+            return _wait(context)
+        if fault.kind == "delay":
+            time.sleep(fault.value)
+        data = damaged(before if fault.kind == "stale" else data, fault)
+        self._tap("sent", data)
+        return data
+
+    def connection(self, context: Any) -> int:
+        """A number for each client."""
+        return self._peers.setdefault(context.peer(), len(self._peers))
+
+    # -- what the calls do ------------------------------------------------------------------------------------------
+
+    def create_task(self, request: Any, context: Any) -> Answer:
+        """A new task, or one that is there."""
+        import grpc
+
+        name, way = request.session_name, request.initialization_behavior
+        there = name in self.board.tasks
+        if way == ATTACH and not there:
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, f"Cannot attach to '{name}': there is no such session.")
+        if way == INITIALIZE and there:
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, f"Cannot initialize '{name}': there is such a session.")
+        if not there:
+            self.board.tasks[name] = Task()
+        return {"task": {"name": name}, "new_session_initialized": not there}
+
+    def text(self, request: Any) -> Answer:
+        """An attribute of the device that is a text."""
+        self._refuse_other(request.device_name)
+        known = {0x0631: f"{EMULATED}USB-6215"}
+        known |= {key: self._list(names) for key, names in {0x231E: AI, 0x231F: AO, 0x2320: DI, 0x2322: DO}.items()}
+        return _found(known, request)
+
+    def numbers(self, request: Any) -> Answer:
+        """An attribute of the device that is a list: ranges, low and high in turn."""
+        self._refuse_other(request.device_name)
+        return _found({0x2990: [end for span in SPANS for end in (-span, span)], 0x299B: [-10.0, 10.0]}, request)
+
+    def _list(self, names: tuple[str, ...]) -> str:
+        return ", ".join(f"{self.board.device.address}/{name}" for name in names)
+
+    def _refuse_other(self, name: str) -> None:
+        if name != self.board.device.address:
+            raise Refused(-200220, "Device identifier is invalid.")
+
+    def write(self, request: Any, context: Any, fault: Fault) -> Answer:
+        """Set the output of a task."""
+        task = self.board.task(request.task.name)
+        if fault.kind != "ignore":
+            self.board.set_output(task, request.value, self.connection(context))
+        return {}
+
+    def write_line(self, request: Any, context: Any, fault: Fault) -> Answer:
+        """Set the line of a task."""
+        task = self.board.task(request.task.name)
+        if fault.kind != "ignore":
+            self.board.set_line(task, self.connection(context), high=request.write_array != b"\0")
+        return {"samps_per_chan_written": 1}
+
+    def read(self, request: Any) -> Answer:
+        """Samples of a task."""
+        data = self.board.fetch(self.board.task(request.task.name), request.num_samps_per_chan)
+        return {"read_array": data, "samps_per_chan_read": request.num_samps_per_chan}
+
+    def read_line(self, request: Any) -> Answer:
+        """The level of a line."""
+        high = self.board.level(self.board.task(request.task.name))
+        return {"read_array": bytes([high]), "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
+
+
+def _found(known: dict[int, Any], request: Any) -> Answer:
+    if request.attribute_raw not in known:
+        raise Refused(-200452, "Specified property is not supported by the device or is not applicable to the task.")
+    return {"value": known[request.attribute_raw]}
+
+
+def _refuse(grpc: Any, context: Any, refused: Refused) -> None:
+    """An error of NI-DAQmx as the server tells it: its code stands beside the answer."""
+    context.set_trailing_metadata((("ni-error", str(refused.code)),))
+    context.abort(grpc.StatusCode.UNKNOWN, str(refused))
+
+
+def _wait(context: Any) -> bytes:
+    """No answer, until the client has given up."""
+    until = time.monotonic() + GIVE_UP
+    while context.is_active() and time.monotonic() < until:
+        time.sleep(0.005)
+    return b""
+
+
+def _of_task(act: Callable[[Board, Task, Any], object]) -> Callable[..., Answer]:
+    """A call that acts on a task and answers nothing."""
+
+    def call(server: EmulatedServer, request: Any, _context: Any, _fault: Fault) -> Answer:
+        act(server.board, server.board.task(request.task.name), request)
+        return {}
+
+    return call
+
+
+def _value(get: Callable[[EmulatedServer, Any], Answer]) -> Callable[..., Answer]:
+    return lambda server, request, _context, _fault: get(server, request)
+
+
+def _add(kind: str, known: tuple[str, ...]) -> Callable[..., Answer]:
+    return _of_task(lambda board, task, request: board.channel(task, kind, request.lines, known))
+
+
+def _add_output(board: Board, task: Task, request: Any) -> None:
+    board.channel(task, "ao", request.physical_channel, AO)
+    task.spans.append((request.min_val, request.max_val))
+
+
+def _clear(board: Board, _task: Task, request: Any) -> None:
+    del board.tasks[request.task.name]
+
+
+def _set_state(state: str) -> Callable[[Board, Task, Any], None]:
+    def act(_board: Board, task: Task, _request: Any) -> None:
+        task.state = state if task.state == "running" else task.state
+
+    return act
+
+
+def _of_samples(server: EmulatedServer, request: Any, known: dict[int, Callable[[Board, Task], Any]]) -> Answer:
+    """An attribute of a task that samples."""
+    task = server.board.task(request.task.name)
+    if request.attribute_raw not in known:
+        return _found({}, request)
+    return {"value": known[request.attribute_raw](server.board, task)}
+
+
+CALLS: dict[str, Callable[..., Answer]] = {
+    "GetSystemInfoAttributeUInt32": _value(lambda _server, request: _found(dict(VERSION), request)),
+    "GetSystemInfoAttributeString": _value(lambda s, request: _found({0x193B: s.board.device.address}, request)),
+    "GetDeviceAttributeString": _value(EmulatedServer.text),
+    "GetDeviceAttributeUInt32": _value(lambda _server, request: _found({0x0632: 0}, request)),
+    "GetDeviceAttributeBool": _value(lambda _server, request: _found({0x22CA: False}, request)),
+    "GetDeviceAttributeDouble": _value(lambda _server, request: _found({0x298D: FASTEST}, request)),
+    "GetDeviceAttributeDoubleArray": _value(EmulatedServer.numbers),
+    "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
+    "GetTaskAttributeString": _value(lambda s, r: _of_samples(s, r, {0x1276: lambda _b, _t: r.task.name})),
+    "GetChanAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x182C: lambda _b, _t: float(BITS)})),
+    "ClearTask": _of_task(_clear),
+    "StartTask": _of_task(lambda board, task, _request: board.start(task)),
+    "StopTask": _of_task(_set_state("committed")),
+    "TaskControl": _of_task(lambda board, task, request: board.control(task, request.action_raw)),
+    "CreateAIVoltageChan": _of_task(
+        lambda b, t, r: b.add_input(t, r.physical_channel, r.terminal_config_raw, r.min_val, r.max_val)
+    ),
+    "CreateAOVoltageChan": _of_task(_add_output),
+    "CreateDIChan": _add("di", DI),
+    "CreateDOChan": _add("do", DO),
+    "CfgSampClkTiming": _of_task(lambda board, task, r: board.configure(task, r.rate, r.samps_per_chan)),
+    "GetTimingAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x1344: lambda _b, task: task.rate})),
+    "GetReadAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x1223: lambda b, task: b.waiting(task)})),
+    "GetReadAttributeUInt64": _value(lambda s, r: _of_samples(s, r, {0x1221: lambda _b, task: task.read})),
+    "ReadAnalogF64": _value(EmulatedServer.read),
+    "ReadDigitalLines": _value(EmulatedServer.read_line),
+    "WriteAnalogScalarF64": lambda server, request, context, fault: server.write(request, context, fault),
+    "WriteDigitalLines": lambda server, request, context, fault: server.write_line(request, context, fault),
+}
+"""The calls that there are; any other is told to be unknown."""

@@ -1,0 +1,176 @@
+"""What the driver `ni-daqmx` is told about a device, read strictly; knows no connection. Standard library only."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pmabench.base.errors import did_you_mean
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.options import Place, Reader
+
+HERE = ("options",)
+TERMINALS = ("RSE", "NRSE", "DIFF")
+"""Against the device's ground, against AI SENSE, against the input eight higher."""
+RANGES = {"10 V": 10.0, "5 V": 5.0, "1 V": 1.0, "0.2 V": 0.2}
+"""Range to both sides [V]."""
+PAIR = 8
+"""A differential input takes the one so much higher as its other end (NI-DAQmx, physical channels of M Series)."""
+AI = tuple(f"ai{number}" for number in range(32))
+AO = ("ao0", "ao1")
+LINES = tuple(f"port{port}/line{line}" for port in range(2) for line in range(8))
+PORT = 31763
+"""Where NI's gRPC server listens unless its configuration says otherwise."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+_SERVER = re.compile(r"([A-Za-z0-9][A-Za-z0-9.-]{0,251})(?::(\d{1,5}))?")
+
+
+@dataclass(frozen=True)
+class Input:
+    """One analogue input of the scan."""
+
+    name: str
+    terminal: str = "RSE"
+    span: float = 10.0
+    """Range to both sides [V]."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """One analogue output."""
+
+    low: float
+    high: float
+    """Lowest and highest voltage that is ever commanded [V]."""
+    step: float
+    """What the bench file says of its steps [V]."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything about one device."""
+
+    device: str = ""
+    """What NI-DAQmx calls it."""
+    server: str = ""
+    """`host:port` of NI's gRPC server; empty where NI-DAQmx is on this computer."""
+    inputs: Mapping[str, Input] = field(default_factory=dict)
+    """Channel of the bench -> what is sampled for it."""
+    outputs: Mapping[str, Output] = field(default_factory=dict)
+    valves: tuple[str, ...] = ()
+    """Lines of the valves."""
+    levels: tuple[str, ...] = ()
+    """Lines of the interlocks."""
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    given = reader.keys(device.options, HERE, ("server", "terminals", "ranges"))
+    if not _NAME.fullmatch(device.address):
+        reader.fault(("address",), f'the name in NI-DAQmx is expected, for instance "Dev1", not "{device.address}"')
+    terminals = _of_inputs(given, "terminals", TERMINALS, reader)
+    ranges = _of_inputs(given, "ranges", RANGES, reader)
+    inputs: dict[str, Input] = {}
+    for channel in device.channels:
+        place = ("channels", channel.name, "input")
+        if channel.input not in AI:
+            reader.fault(place, f'no input "{channel.input}"{did_you_mean(channel.input, AI)}; known: ai0 to ai31')
+            continue
+        if channel.raw_unit != "V":
+            reader.fault(place, f'gives V, and the channel has "{channel.raw_unit}": calibrate it in V')
+        span = RANGES[ranges.get(channel.input, "10 V")]
+        inputs[channel.name] = Input(channel.input, terminals.get(channel.input, "RSE"), span)
+    _each_once(device, inputs, reader)
+    for key, chosen in (("terminals", terminals), ("ranges", ranges)):
+        used = [item.name for item in inputs.values()]
+        for name in chosen:
+            if name not in used:
+                reader.fault((*HERE, key, name), f'no channel uses "{name}"{did_you_mean(name, used)}')
+    if device.watchdog:
+        reader.fault(
+            ("watchdog",),
+            "NI-DAQmx has none for the outputs of such a device, which hold their last value when the computer dies: "
+            'give "no_watchdog" with who accepts it, and a normally-open dump valve that needs a live signal',
+        )
+    return Options(
+        device.address,
+        _server(given, reader),
+        inputs,
+        _outputs(device, reader),
+        tuple(valve.output for valve in device.valves),
+        _lines(device, reader),
+    )
+
+
+def _server(given: Mapping[str, object], reader: Reader) -> str:
+    """`host:port`, with the usual port where none is given."""
+    text = reader.text(given, "server", HERE)
+    match = _SERVER.fullmatch(text)
+    if text and (match is None or int(match[2] or PORT) > 65535):
+        reader.fault((*HERE, "server"), f'HOST or HOST:PORT is expected, for instance "192.168.0.30:{PORT}"')
+        return ""
+    return f"{match[1]}:{match[2] or PORT}" if match else ""
+
+
+def _of_inputs(
+    given: Mapping[str, object], key: str, known: Mapping[str, float] | tuple[str, ...], reader: Reader
+) -> dict[str, str]:
+    """Input -> one of the known words."""
+    place = (*HERE, key)
+    items = reader.named(given.get(key, {}), place)
+    words = tuple(known)
+    return {name: reader.choice(items, name, place, words, words[0]) for name in items}
+
+
+def _each_once(device: DeviceRecord, inputs: Mapping[str, Input], reader: Reader) -> None:
+    """No terminal of two channels; a differential input has one that can be its other end."""
+    taken: dict[str, str] = {}
+    for channel, item in inputs.items():
+        place: Place = ("channels", channel, "input")
+        ends = [item.name]
+        if item.terminal == "DIFF":
+            number = AI.index(item.name)
+            if number % (2 * PAIR) >= PAIR:
+                message = f"{item.name} cannot be measured differentially: ai0 to ai7 (and ai16 to ai23) can, each "
+                reader.fault(place, f"{message}against the input eight higher")
+                continue
+            ends.append(AI[number + PAIR])
+        for end in ends:
+            if end in taken:
+                reader.fault(place, f"{end} is in use by {taken[end]}")
+            taken.setdefault(end, channel)
+
+
+def _outputs(device: DeviceRecord, reader: Reader) -> dict[str, Output]:
+    found: dict[str, Output] = {}
+    for output in device.outputs:
+        if output.output not in AO:
+            hint = did_you_mean(output.output, AO)
+            message = f'no analogue output "{output.output}"{hint}; known: ao0, ao1'
+            reader.fault(("outputs", output.name, "output"), message)
+            continue
+        volts = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
+        found[output.output] = Output(min(volts), max(volts), output.resolution)
+        if not all(-10.0 - 1e-9 <= value <= 10.0 + 1e-9 for value in volts):
+            message = f"would need {min(volts):g} V to {max(volts):g} V, and the outputs give -10 V to 10 V"
+            reader.fault(("outputs", output.name, "scale"), message)
+        if not output.resolution:
+            message = 'the step of the output is missing: "0.000306 V" for 16 bits over -10 V to 10 V'
+            reader.fault(("outputs", output.name, "resolution"), message)
+    return found
+
+
+def _lines(device: DeviceRecord, reader: Reader) -> tuple[str, ...]:
+    """Lines of the interlocks, after each line was found to be one, and used once."""
+    places: list[tuple[Place, str]] = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
+    places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
+    seen: dict[str, str] = {}
+    for place, name in places:
+        if name not in LINES:
+            hint = did_you_mean(name, LINES)
+            reader.fault(place, f'no digital line "{name}"{hint}; known: port0/line0 to port1/line7')
+        elif name in seen:
+            reader.fault(place, f"{name} is in use by {seen[name]}")
+        seen.setdefault(name, str(place[1]))
+    return tuple(lock.input for lock in device.interlocks)
