@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.cli.emulated_faults import Faults, Schedule
 
 
 @click.command(name="emulate")
@@ -17,22 +20,39 @@ from pmabench.cli.common import Ui, common
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the noise.")
-@click.option("--log", type=click.Path(dir_okay=False, path_type=Path), help="Append what is commanded, as JSON lines.")
+@click.option("--log", type=click.Path(dir_okay=False, path_type=Path), help="Append every exchange as JSON lines.")
+@click.option(
+    "--faults", type=click.Path(dir_okay=False, path_type=Path), help="YAML file of what goes wrong, and when."
+)
+@click.option("--expose", is_flag=True, help="Serve also at addresses that other machines can reach.")
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
-def command(ui: Ui, bench: str, plant: str, preset: str, seed: int, log: Path | None, control: int) -> int | None:
+def command(
+    ui: Ui,
+    bench: str,
+    plant: str,
+    preset: str,
+    seed: int,
+    log: Path | None,
+    faults: Path | None,
+    control: int,
+    *,
+    expose: bool,
+) -> int | None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
-    Devices stand at the addresses of the bench file: Modbus TCP on 127.0.0.1, serial ports as links to
-    pseudo-terminals. Nothing else is reached. The operator's hands are the lines typed here: "load 6 kg", "load
-    58.86 N", "load 0 kg"; the load is all that hangs on the free end.
+    Devices stand at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
+    serial ports as links to pseudo-terminals. What is typed here happens: "load 6 kg" (all that hangs on the free
+    end), "fault DEVICE delay 300 ms count 5", "fault DEVICE clear", "plant burst for 2 s"; "after 5 s" behind a line
+    lets it happen then.
     """
     import signal
     import threading
     from importlib.metadata import entry_points
 
-    from pmabench.base.errors import UsageError
+    from pmabench.base.errors import RecordError, UsageError
     from pmabench.bench.compile import mount_alone
+    from pmabench.cli.emulated_faults import Faults, Schedule
     from pmabench.files.shipped import find_file
 
     mounted = mount_alone(find_file("bench", bench))
@@ -40,10 +60,12 @@ def command(ui: Ui, bench: str, plant: str, preset: str, seed: int, log: Path | 
     if not found:
         raise UsageError("no emulator is installed")
     served: Any = next(iter(found)).load()(
-        mounted.bench.devices, plant=plant, preset=preset, seed=seed, log=log, control=control
+        mounted.bench.devices, plant=plant, preset=preset, seed=seed, log=log, control=control, expose=expose
     )
     ended = threading.Event()
     try:
+        wrong = Faults(served, mounted.bench.gravity, mounted.bench.carriage)
+        planned = [] if faults is None else wrong.of_file(faults)
         signal.signal(signal.SIGTERM, lambda *_: ended.set())
         ui.result(
             {
@@ -54,35 +76,27 @@ def command(ui: Ui, bench: str, plant: str, preset: str, seed: int, log: Path | 
             lambda: click.echo("\n".join([*served.lines(), f"control: {served.control.address}"])),
         )
         ui.note("serving until Ctrl-C")
-        gravity, carriage = mounted.bench.gravity, mounted.bench.carriage
-        threading.Thread(target=_hands, args=(ui, served, gravity, carriage), daemon=True).start()
+        schedule = Schedule(served.act, ui.note)
+        schedule.add(planned)
+        threading.Thread(target=_typed, args=(ui, wrong, schedule), daemon=True).start()
         ended.wait()
     except KeyboardInterrupt:
         pass
     finally:
         served.close()
+    if served.log.problem:
+        raise RecordError(served.log.problem)
     return None
 
 
-def _hands(ui: Ui, served: Any, gravity: float, carriage: float) -> None:
+def _typed(ui: Ui, wrong: Faults, schedule: Schedule) -> None:
     """Carry out the lines that are typed."""
     import sys
 
-    from pmabench.files.quantity import parse_mass_or_force
-
     for line in sys.stdin:
-        word, _, value = line.strip().partition(" ")
-        if not word:
+        if not line.strip():
             continue
         try:
-            if word != "load":
-                raise ValueError(f'"{word}" is not known here; type for instance "load 6 kg"')
-            kind, number = parse_mass_or_force(value)
-            if not number >= 0:
-                raise ValueError(f'"{value}" is less than nothing')
+            schedule.add(wrong.of_line(line))
         except ValueError as error:
             ui.note(str(error))
-            continue
-        force, mass = (number * gravity, number) if kind == "mass" else (number, number / gravity)
-        served.plant.load(force, mass + carriage)
-        ui.note(f"the free end carries {force:g} N")

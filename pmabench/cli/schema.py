@@ -11,7 +11,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map", "faults")
 
 
 @click.command(name="schema")
@@ -58,6 +58,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
+    from pmabench.bench.files.faults import FaultsFile
     from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
     from pmabench.protocol.compile import kind_class
@@ -76,5 +77,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "calibration": CalibrationFile,
         "campaign": CampaignFile,
         "map": MapFile,
+        "faults": FaultsFile,
     }
     return models[kind].model_json_schema()

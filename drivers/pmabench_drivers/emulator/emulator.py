@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -15,12 +14,12 @@ from pmabench_drivers.emulator.faults import Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
-from pmabench_drivers.mock.options import Faults as PlantFaults
 
 SERVERS = {
     "pmabench_drivers.festo_cmmt:FestoCmmt": "pmabench_drivers.festo_cmmt.emulated",
     "pmabench_drivers.festo_cpx_e:FestoCpxE": "pmabench_drivers.festo_cpx_e.emulated",
     "pmabench_drivers.alicat:AlicatController": "pmabench_drivers.alicat.emulator",
+    "pmabench_drivers.canbus:CanBus": "pmabench_drivers.canbus.emulated",
     "pmabench_drivers.dataq:Dataq": "pmabench_drivers.dataq.emulator",
     "pmabench_drivers.ild1420:Ild1420": "pmabench_drivers.ild1420.emulator",
     "pmabench_drivers.labjack:LabJack": "pmabench_drivers.labjack.emulated",
@@ -34,8 +33,9 @@ SERVERS = {
 It writes what it exchanges to `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by
 `ports.listen`. What has a watchdog has `expire_watchdog()`, which says whether it was armed.
 """
-PLANT = [item.name.removesuffix("_at") for item in fields(PlantFaults)]
+PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """What can go wrong with the plant."""
+
 
 
 class Served(Protocol):
@@ -73,6 +73,7 @@ class Emulator:
                 refuse_others(device.name, device.address)
         driven = any(output.quantity == "length" for device in served for output in device.outputs)
         valve = any(device.valves for device in served)
+        self.plant_faults = PLANT
         self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
         self.log = CommandLog(log)
         self.devices: dict[str, Served] = {}

@@ -76,8 +76,7 @@ class Faults:
     def known(self, kind: str) -> Kind:
         """What a kind means here; ValueError for one that the device does not have."""
         if kind not in self.kinds:
-            hint = did_you_mean(kind, [*self.kinds, "clear"]) or f": it has {', '.join(sorted(self.kinds))}"
-            raise ValueError(f'no fault "{kind}"{hint}')
+            raise ValueError(f'no fault "{kind}"{did_you_mean(kind, [*self.kinds, "clear"])}')
         return self.kinds[kind]
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:

@@ -1,10 +1,12 @@
 """`pmabench emulate` as a process: what it prints, serves and refuses, and that it cleans up."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -77,6 +79,45 @@ def test_a_bench_is_served_where_its_file_says_and_the_drivers_find_it(tmp_path)
     assert [(e["output"], e["raw"]) for e in logged if e["kind"] == "set"] == [("pressure", 1234.0)]
     assert all(a["t"] <= b["t"] for a, b in pairwise(logged))
     assert not list((tmp_path / "ports").iterdir())
+
+
+def until(met, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not met() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert met()
+
+
+def test_a_free_port_is_printed_and_what_was_planned_and_typed_happens_and_is_logged(tmp_path):
+    path, log, plan = own_bench(tmp_path), tmp_path / "log.jsonl", tmp_path / "plan.yaml"
+    path.write_text(re.sub(r"address: 127.0.0.1:\d+", "address: 127.0.0.1:0", path.read_text()))
+    plan.write_text(
+        "schema: pmabench.faults/1\nfaults:\n"
+        "  - {after: 200 ms, device: regulator, fault: exception, value: 6, count: 1}\n"
+        "  - {after: 10 ms, load: 6 kg}\n"
+    )
+
+    def logged(*kinds):
+        return [entry for entry in map(json.loads, log.read_text().splitlines()) if entry["kind"] in kinds]
+
+    with emulate(path, "--log", str(log), "--faults", str(plan)) as (process, said):
+        host, port = said["devices"]["regulator"].split(":")
+        assert int(port) > 0
+        until(lambda: logged("load") and [e for e in logged("fault") if e["fault"] == "exception"])
+        with socket.create_connection((host, int(port)), timeout=5) as link:
+            link.settimeout(5)
+            asked = bytes.fromhex("123400000006010400000001")
+            link.sendall(asked)
+            assert link.recv(100) == bytes.fromhex("123400000003018406")
+            process.stdin.write("fault regulator corrupted 2 count 1\n")
+            until(lambda: [e for e in logged("fault") if e["fault"] == "corrupted"])
+            link.sendall(asked)
+            assert link.recv(100)[:4] == bytes.fromhex("1234ff00")
+    assert logged("load")[0]["force"] == pytest.approx(58.86)
+    exchanged = [e for e in logged("received", "sent") if e["device"] == "regulator"]
+    assert [e["kind"] for e in exchanged] == ["received", "sent"] * 2
+    assert [e["data"] for e in exchanged[:3]] == [asked.hex(), "123400000003018406", asked.hex()]
+    assert exchanged[3]["data"].startswith("1234ff00")
 
 
 def refused(*arguments):
