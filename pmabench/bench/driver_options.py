@@ -4,6 +4,9 @@ A driver may have a class method `check(device: DeviceRecord)` that yields (plac
 place starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
 by name). It must touch no device and import nothing heavy.
 
+Another one, `fastest(device: DeviceRecord)`, may tell the highest rate at which it samples with these options [Hz], so
+that a protocol that asks for more is warned of; it is asked only where nothing is wrong with the options.
+
 The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place.
 """
 
@@ -41,9 +44,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     if _lacks_a_capability(c, device, driver):
         return device
     check = getattr(driver, "check", None)
-    if check is None:
-        return device
-    for place, message in check(device):
+    wrong = list(check(device)) if check is not None else []
+    for place, message in wrong:
         if map_document is not None and place[:2] == ("options", MAP):
             c.problems.append(map_document.problem(place[2:], message))
         elif place and place[0] in {"channels", "outputs"}:
@@ -53,7 +55,11 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
             c.fault(("interlocks", index, "input", "input"), message)
         else:
             c.fault((*at, *place), message)
-    return device
+    fastest = getattr(driver, "fastest", None)
+    if fastest is None or wrong:
+        return device
+    source = map_document.where(("rate",)) if map_document is not None else c.place(*at, "options", "rate")
+    return replace(device, fastest=fastest(device), fastest_from=source)
 
 
 def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> bool:

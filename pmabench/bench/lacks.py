@@ -64,6 +64,19 @@ def _calibrations(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iter
             )
 
 
+def _pressure_elsewhere(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+    """A line where the guard, which outlives the program, cannot read the pressure by itself."""
+    guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
+    guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
+    channel = channels.get("pressure")
+    if channel is not None and channel.device not in guarded:
+        yield (
+            f"its pressure on {channel.device}, which only measures ({c.place('channels', 'pressure', 'device')}): the "
+            "guard holds no link to it, so that after the program died no vent is confirmed; remedy: the pressure on a "
+            "device that carries an output, valve, interlock or watchdog, too"
+        )
+
+
 def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
     pressurising = {file.device for name, file in c.bench.outputs.items() if name in {"pressure", "dump_valve"}}
     accepted = c.bench.no_watchdog
@@ -80,6 +93,7 @@ def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> I
             )
     if "pressure" not in c.bench.set_points:
         return
+    yield from _pressure_elsewhere(c, channels)
     if not c.bench.interlocks:
         yield 'no interlock: the program does not see the emergency stop; remedy: "interlocks" with a contact of it'
     watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}

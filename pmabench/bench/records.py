@@ -192,6 +192,10 @@ class DeviceRecord:
     """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
     verified_firmware: str = ""
     """The firmware for which the bench file says so; empty: any."""
+    fastest: float = 0.0
+    """Highest rate at which it samples with these options [Hz]; 0: its driver does not tell."""
+    fastest_from: str = ""
+    """Where that stands, as `path:line:column`."""
 
     @property
     def guarded(self) -> bool:

@@ -78,7 +78,7 @@ def run_campaign(
             title += f", going on after {folder.name}"
             continues = continue_run(folder, run.plan, mounted, run.protocol_text)
         ui.note(title)
-        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources)
+        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
         outcome = execute(
             ui,

@@ -11,7 +11,7 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
 from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
-from pmabench.protocol.compile import compile_protocol, read_protocol
+from pmabench.protocol.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan
 
 
@@ -26,11 +26,13 @@ class Prepared:
     """What was changed in the protocol for this run, in words."""
     sources: dict[str, Any] = field(default_factory=dict)
     """Which files it was made from, as absolute paths, and what was `set`: for going on later."""
+    slower: tuple[str, ...] = ()
+    """Devices that cannot sample at the plan's rate, a line each."""
 
     def warnings(self) -> list[str]:
         """What people must know before anything moves, a line each."""
         hazards = [f"HAZARD: {hazard}" for hazard in self.plan.hazards]
-        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks)]
+        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks), *self.slower]
 
 
 def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
@@ -60,7 +62,8 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
     text = document_text(document)
     sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
     sources["set"] = [list(pair) for pair in settings]
-    return Prepared(plan, mounted, text, tuple(f"{name} set to {value}" for name, value in settings), sources)
+    deviations = tuple(f"{name} set to {value}" for name, value in settings)
+    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted))
 
 
 def seeded(mounted: Mounted, seed: int) -> Mounted:

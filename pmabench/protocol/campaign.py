@@ -12,7 +12,7 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
 from pmabench.files.document import Document, Location, Strict, document_text, read_document, validate
 from pmabench.files.shipped import find_file
-from pmabench.protocol.compile import compile_protocol, read_protocol
+from pmabench.protocol.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan
 
 
@@ -45,6 +45,8 @@ class PlannedRun:
     """What the campaign changes in the protocol, in words."""
     sources: dict[str, Any] = field(default_factory=dict)
     """Absolute paths of protocol, bench and specimen, and what was `set`."""
+    slower: tuple[str, ...] = ()
+    """Devices that cannot sample at the plan's rate, a line each."""
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:
@@ -90,7 +92,8 @@ def _plan(
     }
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
-    return PlannedRun(plan, mounted[bench], text, deviations, sources)
+    late = slower(plan, protocol_document, mounted[bench])
+    return PlannedRun(plan, mounted[bench], text, deviations, sources, late)
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:

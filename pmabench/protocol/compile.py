@@ -91,6 +91,21 @@ def _times(data: Any, at: Location = ()) -> Iterator[tuple[float, Location]]:
             yield parse_quantity(data, "time"), at
 
 
+def slower(plan: Plan, document: Document, mounted: Mounted) -> tuple[str, ...]:
+    """A line for each device that cannot sample at the plan's rate, with the places of both rates."""
+    lines = []
+    for device in mounted.bench.devices:
+        names = [channel.name for channel in device.channels if channel.name in plan.record]
+        if names and 0 < device.fastest < plan.rate * (1 - 1e-9):
+            most = f"{device.fastest:g} Hz"
+            lines.append(
+                f"{document.where(('sample_rate',))}  {plan.rate:g} Hz is more than {device.name} gives, {most} "
+                f"({device.fastest_from}): {', '.join(names)} {'is' if len(names) == 1 else 'are'} recorded at {most}; "
+                "ask for less, or raise its rate where the device can"
+            )
+    return tuple(lines)
+
+
 def make_plan(path: Path, mounted: Mounted, settings: Sequence[tuple[str, str]] = ()) -> tuple[Plan, Document]:
     """Read and compile; the document goes into the run's snapshot."""
     document, protocol = read_protocol(path, settings)

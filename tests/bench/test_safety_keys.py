@@ -277,6 +277,14 @@ def test_each_lack_is_said_alone_with_its_remedy(tmp_path, old, new, says):
     assert "remedy" in lack
 
 
+def test_a_pressure_that_the_guard_cannot_read_is_said_with_its_place(tmp_path):
+    path = rig(tmp_path, "devices: {only: {driver: mock-realtime}}\nchannels: {pressure: {device: only}}\n")
+    (lack,) = mount(path, SPECIMEN).lacks
+    assert lack.startswith("its pressure on only, which only measures (")
+    assert "bench.yaml:3:31)" in lack
+    assert "remedy" in lack
+
+
 def test_a_missing_watchdog_that_is_accepted_says_by_whom(tmp_path):
     path = rig(
         tmp_path,

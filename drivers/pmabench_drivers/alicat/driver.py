@@ -86,6 +86,11 @@ class AlicatController:
         read_options(device, reader)
         return reader.problems
 
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate at which it is polled [Hz]; the line may allow less."""
+        return read_options(device, Reader()).rate
+
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:

@@ -61,6 +61,11 @@ class Ild1420:
         read_options(device, reader)
         return reader.problems
 
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """The rate at which it measures [Hz]."""
+        return read_options(device, Reader()).rate
+
     def open(self) -> Identity:
         """Quiet the sensor, see that it is the right one, and set what a true record needs; nothing is saved in it."""
         self.close()

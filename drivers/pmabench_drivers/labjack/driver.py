@@ -55,6 +55,11 @@ class LabJack(ModbusDevice):
         read_options(device, reader)
         return reader.problems
 
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate of its stream over all channels [Hz]."""
+        return r.FASTEST / max(1, len(device.channels))
+
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:

@@ -61,6 +61,11 @@ class ModbusDevice:
         return reader.problems
 
     @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate at which it is polled [Hz]."""
+        return cls.read_options(device, Reader()).map.rate
+
+    @classmethod
     def read_options(cls, device: DeviceRecord, reader: Reader) -> Options:
         """The options, strictly; drivers for one kind of device make the register map from options of their own."""
         return read_options(device, reader)

@@ -58,6 +58,11 @@ class SerialIndicator:
         read_options(device, reader)
         return reader.problems
 
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate at which it is polled, or the one at which it sends by itself [Hz]."""
+        return read_options(device, Reader()).rate
+
     def open(self) -> Identity:
         """Open the port for this program alone and wait for one line that can be read."""
         self.close()
