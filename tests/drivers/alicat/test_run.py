@@ -1,108 +1,65 @@
-"""A whole protocol through an emulated controller, over both protocols, and who vents when processes are killed."""
+"""Whole runs through an emulated controller, over both protocols, in real time.
 
-import os
-import signal
-import sys
-import time
+The controller has no watchdog: a relay with one holds the dump valve shut.
+"""
 
-import pandas as pd
 import pytest
 
-from pmabench.files.shipped import shipped_folder
-from tests.drivers.wires.test_emulate import ask, emulate, free_port
-from tests.drivers.wires.test_run import PROTOCOL, begin, entries, guards_of, until
+from tests.drivers.judged import (
+    B_OF_POLLED,
+    POLLED,
+    assert_coefficients,
+    assert_dies,
+    assert_vented,
+    assert_vents,
+    e_stop,
+    lost,
+    whoever_dies,
+)
+from tests.drivers.whole_run import WholeRun, coefficients
 
-pytestmark = [pytest.mark.realtime, pytest.mark.slow]
-
-
-@pytest.fixture(params=["ascii", "modbus"])
-def rig(tmp_path, request):
-    """The shipped bench at free addresses with its emulator, and the command that runs the protocol on it."""
-    folder, path, protocol = shipped_folder("bench"), tmp_path / "bench.yaml", tmp_path / "protocol.yaml"
-    (tmp_path / "calibrations").symlink_to(folder / "calibrations")
-    text = (folder / "alicat.yaml").read_text().replace("/tmp/pmabench-alicat", str(tmp_path / "ports"))
-    text = text.replace("127.0.0.1:15040", f"127.0.0.1:{free_port()}")
-    if request.param == "modbus":
-        text = text.replace("protocol: ascii", "protocol: modbus\n      unit: kPa")
-    path.write_text(text)
-    protocol.write_text(PROTOCOL)
-    arguments = ["run", str(protocol), "--bench", str(path), "--specimen", "mas-20-250-paper0", "--yes"]
-    command = [sys.executable, "-m", "pmabench", *arguments, "--out", str(tmp_path / "runs"), "--no-color"]
-    environment = {**os.environ, "PMABENCH_STATE": str(tmp_path / "state")}
-    with emulate(path, "--preset", "ideal") as (_process, said):
-        ask(said["control"], load={"force": 58.86, "mass": 8.0})
-        yield said["control"], command, environment
+pytestmark = pytest.mark.realtime
+PROTOCOLS = {"ascii": [], "modbus": [("protocol: ascii", "protocol: modbus\n      unit: kPa")]}
+both_protocols = pytest.mark.parametrize("changes", PROTOCOLS.values(), ids=PROTOCOLS)
 
 
-def pressurised(control):
-    return until(lambda: any(entry["si"] >= 200e3 for entry in entries(control, "set")), 60)
+@pytest.mark.parametrize(
+    "changes", [PROTOCOLS["ascii"], pytest.param(PROTOCOLS["modbus"], marks=pytest.mark.slow)], ids=PROTOCOLS
+)
+def test_coefficients_come_back(tmp_path, changes):
+    with WholeRun(tmp_path, "alicat", *changes, preset="bench") as run:
+        run.carried_out(coefficients(50, repeats=2))
+        assert_vented(run)
+        assert max(run.commanded()) == pytest.approx(400e3)
+        assert {entry["setting"] for entry in run.entries("valves")} <= {"", "EXH"}
+        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
-def dump_valve(control):
-    return entries(control, "switch")[-1]
+def test_all_killed_the_controller_keeps_its_set_point_and_the_relay_vents(tmp_path):
+    with WholeRun(tmp_path, "alicat") as run:
+        entry = assert_dies(run, "all killed", watchdog=0.5)
+        assert entry["device"] == "relay"
+        assert run.commanded()[-1] >= 100e3
 
 
-def test_a_protocol_runs_and_vents(rig, tmp_path):
-    control, process = begin(rig)
-    said, _ = process.communicate(timeout=120)
-    assert process.returncode in {0, 6}, said  # one trial has no repeats: its verdict may be withheld
-    assert "SIMULATED" in said
-    assert "vent confirmed" in said
-    commanded = [entry["si"] for entry in entries(control, "set")]
-    assert max(commanded) == pytest.approx(300e3)
-    assert min(commanded) == commanded[-1] == 0.0
-    assert {entry["setting"] for entry in entries(control, "valves")} <= {"", "EXH"}
-    [folder] = [path for path in (tmp_path / "runs").iterdir() if path.is_dir() and not path.name.startswith(".")]
-    streams = {name: pd.read_parquet(folder / "streams" / f"{name}.parquet") for name in ("controller", "gauge")}
-    assert streams["controller"]["pressure"].max() == pytest.approx(300.0, abs=0.5)
-    assert streams["gauge"]["displacement"].max() == pytest.approx(31.91, abs=0.2)  # the plant's own example
+@pytest.mark.slow
+@both_protocols
+@whoever_dies
+def test_whoever_dies(tmp_path, changes, who):
+    with WholeRun(tmp_path, "alicat", *changes) as run:
+        assert_dies(run, who, watchdog=0.5)
 
 
-def test_with_the_guard_killed_the_engine_vents(rig):
-    control, process = begin(rig)
-    try:
-        assert pressurised(control)
-        [guard] = guards_of(process.pid)
-        os.kill(guard, signal.SIGKILL)
-        killed = time.monotonic()
-        assert until(lambda: entries(control, "set")[-1]["si"] == 0.0 and not dump_valve(control)["on"], 5)
-        assert entries(control, "set")[-1]["t"] - killed < 2.0
-        said, _ = process.communicate(timeout=60)
-        assert process.returncode not in {0, None}, said
-        assert "Traceback" not in said
-    finally:
-        process.kill()
-        process.wait()
+@pytest.mark.slow
+def test_emergency_stop(tmp_path):
+    with WholeRun(tmp_path, "alicat") as run:
+        said, _ = assert_vents(run, e_stop, 0.2, code=5)
+        assert "e-stop" in said
 
 
-def test_with_everything_killed_the_controller_keeps_its_set_point_and_the_relay_vents(rig):
-    """What the page says of a computer that dies: the controller does nothing, the dump valve's watchdog does it."""
-    control, process = begin(rig)
-    try:
-        assert pressurised(control)
-        for pid in (process.pid, *guards_of(process.pid)):
-            os.kill(pid, signal.SIGKILL)
-        killed = time.monotonic()
-        assert until(lambda: entries(control, "watchdog"), 3)
-        assert entries(control, "watchdog")[0]["device"] == "relay"
-        assert entries(control, "watchdog")[0]["t"] - killed < 1.0
-        assert entries(control, "set")[-1]["si"] >= 100e3
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def test_a_controller_that_goes_silent_under_pressure_is_vented_by_the_dump_valve(rig):
-    control, process = begin(rig)
-    try:
-        assert pressurised(control)
-        ask(control, device="controller", fault="silence")
-        cut = time.monotonic()
-        assert until(lambda: not dump_valve(control)["on"], 10)
-        assert dump_valve(control)["t"] - cut < 2.0
-        said, _ = process.communicate(timeout=60)
-        assert process.returncode not in {0, None}, said
-        assert "Traceback" not in said
-    finally:
-        process.kill()
-        process.wait()
+@pytest.mark.slow
+@both_protocols
+def test_a_controller_that_goes_silent_is_vented_by_the_dump_valve(tmp_path, changes):
+    with WholeRun(tmp_path, "alicat", *changes) as run:
+        _, entry = assert_vents(run, lost("controller", "silence"), 0.5)
+        assert entry["device"] == "relay"

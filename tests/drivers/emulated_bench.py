@@ -1,0 +1,65 @@
+"""A shipped bench on ports of its own, `pmabench emulate` as a process, and its control socket."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+
+from pmabench.files.shipped import shipped_folder
+from tests.realtime import free_port
+
+
+def own_bench(tmp_path, name, *changes):
+    """A shipped bench with ports and links of its own and without its session, after `changes` (old, new) to its text.
+
+    Every port on 127.0.0.1 and every link in a folder /tmp/pmabench-... is another one.
+    """
+    folder, path = shipped_folder("bench"), tmp_path / f"{name}.yaml"
+    text = (folder / path.name).read_text()
+    for old, new in changes:
+        assert old in text, f"{path.name} has no {old!r}"
+        text = text.replace(old, new)
+    ports: dict[str, str] = {}
+    for found in re.findall(r"(?:127\.0\.0\.1:|_port: )(\d+)", text):
+        ports.setdefault(found, str(free_port()))
+    for old, new in ports.items():
+        text = re.sub(rf"(127\.0\.0\.1:|_port: ){old}\b", rf"\g<1>{new}", text)
+    text = re.sub(r"/tmp/pmabench-[\w-]+/", f"{tmp_path / 'ports'}/", text)
+    path.write_text(re.sub(r"\nsession:.*(\n[ #].*)*", "", text))
+    for beside in ("calibrations", "registers"):
+        if not (tmp_path / beside).exists():
+            (tmp_path / beside).symlink_to(folder / beside)
+    return path
+
+
+@contextmanager
+def emulate(path, *options):
+    """`pmabench emulate` as a process: the process, and what it says of itself."""
+    command = [sys.executable, "-m", "pmabench", "emulate", str(path), "--json", "-q", *options]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        text = ""
+        while not text.endswith("\n}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            text += line
+        yield process, json.loads(text)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ask(address, **wanted):
+    """One object over the control socket of an emulator, and its answer."""
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as link, link.makefile("rw") as stream:
+        stream.write(json.dumps(wanted) + "\n")
+        stream.flush()
+        return json.loads(stream.readline())
