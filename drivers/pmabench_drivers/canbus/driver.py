@@ -1,0 +1,379 @@
+"""The device interface in front of a bus: one thread sends SYNC and targets, the link's thread takes what comes in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from functools import partial
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench_drivers.canbus import frames as f
+from pmabench_drivers.canbus.cia402 import State
+from pmabench_drivers.canbus.drive import Drive
+from pmabench_drivers.canbus.link import Link, open_adapter
+from pmabench_drivers.canbus.node import Node
+from pmabench_drivers.canbus.options import READY, read_options
+from pmabench_drivers.canbus.rows import Rows
+from pmabench_drivers.canbus.signals import Signals
+from pmabench_drivers.canbus.transducer import Transducer
+from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.polling import JOIN, Cycle, Samples
+
+CALL = 0.18
+"""Longest time that a call takes [s]."""
+OPEN = 1.9
+PATIENCE = 0.25
+"""So long [s] SYNCs may go unanswered before `collect` says so; what is lost till then is a gap in the samples."""
+EMULATED_ADAPTER = "SIM0"
+"""Serial number of an emulated adapter: what comes over it is never taken for a real muscle."""
+ROOM = 0.02
+"""A cyclic motion begins at most as far from the drive as it goes in this time at its highest speed [s]."""
+
+
+class CanBus:
+    """Drives, transducers and DBC-described sensors on one bus, which belongs to one program.
+
+    Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count), `NODE.velocity`
+    (transducer, mm/s) and `MESSAGE.SIGNAL` (in the unit of the DBC file); outputs `NODE.position` of drives (count).
+    """
+
+    verified = "emulator and the canopen library, no device"
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        reader = Reader()
+        self._options = read_options(device, reader)
+        reader.refuse(device.name)
+        self._device, self._clock = device, clock
+        self._outputs = {output.output: output for output in device.outputs}
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._cycle = Cycle(f"sync {device.name}", self._tick, clock)
+        self._nodes: dict[str, Node] = {}
+        self._signals = Signals(self._options, [channel.input for channel in device.channels])
+        self._takers: dict[int, Callable[[bytes, float], None]] = {}
+        self._following: dict[str, Segment] = {}
+        self._rows = Rows((), self._row)
+        self._every, self._count = 0, 0
+        self._armed = False
+        self._tick_failing: tuple[float, DeviceError] | None = None
+        self._link: Link | None = None
+        for name, node in self._options.nodes.items():
+            made = (Drive if node.profile == 402 else Transducer)(device.name, name, node.number, self._send)
+            self._nodes[name] = made
+            if isinstance(made, Drive):
+                made.wants_demand = any(channel.input == f"{name}.demand" for channel in device.channels)
+                made.period = self._options.sync
+        self._reads = [self._reading(channel.input) for channel in device.channels]
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    def _reading(self, name: str) -> Callable[[], float]:
+        """What gives the newest value of an input."""
+        node_name, _, what = name.partition(".")
+        node = self._nodes.get(node_name)
+        if node is None:
+            return lambda: self._signals.value(name)
+        return lambda: float(getattr(node, what))
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Open the adapter, find every node, set up its PDOs and let it send; nothing moves, and no power is on."""
+        self.close()
+        deadline = monotonic() + OPEN
+        self._takers = {}
+        for node in self._nodes.values():
+            self._takers[f.SDO_ANSWER + node.number] = _untimed(node.objects.take)
+            self._takers[f.HEARTBEAT + node.number] = _untimed(node.take_heartbeat)
+            self._takers[f.EMCY + node.number] = _untimed(node.take_emergency)
+        device, bitrate = self._device, self._options.bitrate
+        ask = not self._nodes  # sensors that only send tell nothing of themselves
+        adapter = partial(open_adapter, device.address, bitrate, ask=ask)
+        self._link = Link(device.name, device.address, adapter, self._clock, self._take)
+        try:
+            wanted: set[int] = set()
+            for node in self._nodes.values():
+                node.open(deadline)
+                for identifier, take in node.mapped.items():
+                    self._takers[identifier] = self._pdo(identifier, take)
+                wanted |= set(node.mapped)
+            self._rows = Rows(wanted, self._row)
+            self._refuse_narrow_limits(deadline)
+            self._refuse_missing_velocity()
+            return self._identity()
+        except DeviceError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Send no SYNC any more and let go of the adapter; drives stay in their state."""
+        self._following.clear()
+        self._every, self._armed = 0, False
+        self._cycle.stop(JOIN)
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _identity(self) -> Identity:
+        nodes = list(self._nodes.values())
+        models = [node.model for node in nodes]
+        if nodes:
+            simulated = any(model.startswith(EMULATED) for model in models)
+        else:
+            simulated = self._opened().serial == EMULATED_ADAPTER
+            models = ["CAN adapter"]
+        told = ", ".join(model.removeprefix(EMULATED) for model in models)
+        serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
+        return Identity("CAN", f"{EMULATED if simulated else ''}{told}", serial, firmware, simulated=simulated)
+
+    def _refuse_narrow_limits(self, deadline: float) -> None:
+        """A drive whose own limits are inside of the bench's would not go where it is sent."""
+        for output in self._outputs.values():
+            drive = self._drive(output.output)
+            limits = drive.limits(deadline)
+            ends = sorted(float(output.scale.to_raw(value)) for value in (output.low, output.high))
+            if limits is not None and (ends[0] < limits[0] or ends[1] > limits[1]):
+                message = (
+                    f"its software limits (607Dh) are {limits[0]} to {limits[1]} counts, and the bench may send it to"
+                )
+                raise drive.error(f"{message} {ends[0]:g} to {ends[1]:g}: change one of them")
+
+    def _refuse_missing_velocity(self) -> None:
+        for channel in self._device.channels:
+            name, _, what = channel.input.partition(".")
+            node = self._nodes.get(name)
+            if isinstance(node, Transducer) and what == "velocity" and not node.has_velocity:
+                raise node.error("sends no velocity (60300110h) in its first PDO")
+
+    # -- what comes in --------------------------------------------------------------------------------------------
+
+    def _take(self, frame: f.Frame, when: float) -> None:
+        """One frame, in the link's thread."""
+        if not frame.extended and (take := self._takers.get(frame.identifier)) is not None:
+            take(frame.data, when)
+        self._signals.take(frame)
+
+    def _pdo(self, identifier: int, take: Callable[[bytes], bool]) -> Callable[[bytes, float], None]:
+        def taken(data: bytes, when: float) -> None:
+            if take(data):
+                self._rows.arrived(identifier, round(when * 1e9))
+
+        return taken
+
+    def _row(self, time: int, host: int) -> None:
+        """Everything has answered to a SYNC."""
+        if not self._every:
+            return
+        self._count += 1
+        if self._count % self._every == 0 and self._signals.fresh():
+            self._samples.append(time, [read() for read in self._reads], host)
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """A sample of everything at each SYNC, or each n-th; the rate that comes out [Hz]."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._opened()
+        syncs = 1 / self._options.sync
+        self._samples.take()
+        self._count, self._tick_failing = 0, None
+        self._every = max(1, math.floor(syncs / rate + 1e-6))
+        self._signals.begin()
+        if not self._cycle.running:
+            self._cycle.start(syncs)
+        return syncs / self._every
+
+    def collect(self) -> Block:
+        """What came since the last call; an error where a node is in trouble, or silent for 0.25 s."""
+        self._refuse_trouble()
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """Take no samples; a sine under way goes on."""
+        self._every = 0
+        if not self._following:
+            self._cycle.stop()
+
+    @property
+    def missed(self) -> int:
+        """SYNCs that were not answered, or not sent because the machine was late."""
+        return self._rows.lost + self._cycle.missed
+
+    def _refuse_trouble(self) -> None:
+        """Raise what is wrong, once something is."""
+        name = self._device.name
+        if self._cycle.broken is not None:
+            raise DeviceError(name, f"sending broke off: {self._cycle.broken}")
+        if (link := self._link) is None or link.gone:
+            raise DeviceError(name, link.gone if link else "is not open")
+        for node in self._nodes.values():
+            if trouble := node.trouble():
+                raise DeviceError(name, trouble, node.name)
+        failing = self._tick_failing
+        if failing is not None and monotonic() - failing[0] > PATIENCE:
+            raise failing[1]
+        if self._rows.in_a_row * self._options.sync * 3 > PATIENCE:
+            silent = [node.name for node in self._nodes.values() if self._rows.missing() & set(node.mapped)]
+            raise DeviceError(name, f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
+        if self._every and (stale := self._signals.stale()):
+            raise DeviceError(name, f"{stale} did not come for {self._options.slowest:g} s; is its sensor on?", stale)
+
+    # -- the thread that sends ------------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        """The next targets, then SYNC; neither while an answer to the last one may still come."""
+        try:
+            if self._rows.may_sync():
+                self._lead()
+                before = self._clock.now()
+                self._rows.begin(round(before * 1e9))
+                self._send(f.SYNC)
+            self._tick_failing = None
+        except DeviceError as error:
+            since = self._tick_failing[0] if self._tick_failing else monotonic()
+            self._tick_failing = since, error
+
+    def _lead(self) -> None:
+        """Send every drive under way where it should be at the SYNC after this one; until then it interpolates."""
+        for name, segment in list(self._following.items()):
+            ahead = self._clock.now() + self._options.sync
+            value, over = stepped(segment, ahead)
+            output, drive = self._outputs[name], self._drive(name)
+            if value is None:
+                continue
+            drive.lead_to(value, self._fastest(output) * self._options.sync)
+            if over and round(drive.lead) == round(value) and self._following.get(name) is segment:
+                self._following.pop(name, None)
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Go there at the speed `approach` of the drive; operation is enabled first where it is not."""
+        record, drive = self._output(output), self._drive(output)
+        self._refuse_nonsense(output, value)
+        self._following.pop(output, None)
+        self._refuse_trouble_of(drive)
+        speed = self._options.nodes[drive.name].approach / abs(record.scale.slope)
+        drive.go(round(value), round(speed), monotonic() + CALL)
+
+    def read_back(self, output: str) -> float:
+        """The target that the drive holds."""
+        self._output(output)
+        return float(self._drive(output).target(monotonic() + CALL))
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """A ramp in profile position, by the drive itself; a sine in cyclic synchronous position, target by target."""
+        record, drive = self._output(output), self._drive(output)
+        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
+        self._refuse_nonsense(output, *ends)
+        if segment.kind not in {"ramp", "sine"}:
+            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
+        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        deadline = monotonic() + CALL
+        self._following.pop(output, None)
+        self._refuse_trouble_of(drive)
+        if segment.kind == "ramp":
+            drive.go(round(segment.target), round(segment.rate), deadline)
+            return
+        room = max(1, math.ceil(self._fastest(record) * ROOM))
+        drive.begin_cyclic(round(segment.origin), room, deadline)
+        self._following[output] = segment
+        if not self._cycle.running:
+            self._cycle.start(1 / self._options.sync)
+
+    def halt(self, output: str) -> None:
+        """Quick stop, and hold there."""
+        self._output(output)
+        self._following.pop(output, None)
+        self._drive(output).halt(monotonic() + CALL)
+
+    def level(self, name: str) -> bool:
+        """`NODE.ready`: whether the drive is alive, without fault and without emergency."""
+        drive_name, _, what = name.partition(".")
+        drive = self._nodes.get(drive_name)
+        if not isinstance(drive, Drive) or what != READY:
+            known = [f"{n}.{READY}" for n, node in self._nodes.items() if isinstance(node, Drive)]
+            raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, known)}')
+        if drive.trouble():
+            return False
+        return drive.state(monotonic() + CALL) not in {State.FAULT, State.REACTING, State.NOT_READY}
+
+    # -- the drives' own watchdog ---------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Each drive stops by itself without this program's heartbeat; the longest time that one holds [s]."""
+        deadline = monotonic() + CALL
+        if not 0.001 <= seconds <= 65:
+            raise DeviceError(self._device.name, f"a watchdog of {seconds:g} s cannot be set", "watchdog")
+        held = 0.0
+        for output in self._outputs:
+            drive = self._drive(output)
+            held = max(held, drive.arm(self._options.own_node, seconds, deadline))
+            drive.prepare(deadline)
+        self._armed = True
+        self._beat()  # a drive waits for the first one before it misses any
+        return held
+
+    def feed_watchdog(self) -> None:
+        """Send the program's heartbeat; an error where a node is in trouble."""
+        self._beat()
+        self._refuse_trouble()
+
+    def disarm_watchdog(self) -> None:
+        """Drives wait for no heartbeat any more, and stay where they are."""
+        self._armed = False
+        for output in self._outputs:
+            self._drive(output).disarm(monotonic() + CALL)
+
+    def _beat(self) -> None:
+        self._send(f.HEARTBEAT + self._options.own_node, bytes([f.OPERATIONAL]))
+
+    # -- helpers --------------------------------------------------------------------------------------------------
+
+    def _opened(self) -> Link:
+        if self._link is None:
+            raise DeviceError(self._device.name, "is not open")
+        return self._link
+
+    def _send(self, identifier: int, data: bytes = b"") -> None:
+        self._opened().send(identifier, data)
+
+    def _output(self, output: str) -> OutputRecord:
+        record = self._outputs.get(output)
+        if record is None:
+            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        self._opened()
+        return record
+
+    def _drive(self, output: str) -> Drive:
+        node = self._nodes[output.partition(".")[0]]
+        assert isinstance(node, Drive)  # noqa: S101  (the options were checked)
+        return node
+
+    @staticmethod
+    def _fastest(record: OutputRecord) -> float:
+        """Highest speed [count/s]."""
+        return record.rate / abs(record.scale.slope)
+
+    def _refuse_nonsense(self, output: str, *values: float) -> None:
+        for value in values:
+            if not math.isfinite(value):
+                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
+
+    def _refuse_trouble_of(self, drive: Drive) -> None:
+        if trouble := drive.trouble():
+            raise DeviceError(self._device.name, f"{trouble}; it is not moved", drive.name)
+
+
+def _untimed(take: Callable[[bytes], None]) -> Callable[[bytes, float], None]:
+    return lambda data, _when: take(data)

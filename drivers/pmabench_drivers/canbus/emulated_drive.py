@@ -1,0 +1,233 @@
+"""An emulated CiA 402 drive that moves the free end of the plant: states, profile and cyclic position, limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from pmabench.bench.interface import Scale
+from pmabench_drivers.canbus import cia402 as c
+from pmabench_drivers.canbus.cia402 import State
+from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, STATE, VALUE, Abort, EmulatedNode, Entry
+from pmabench_drivers.canbus.frames import Frame
+from pmabench_drivers.emulator.plant import RealPlant
+
+WORDS = {state: value for _mask, value, state in c.STATES}
+FOLLOWING_ERROR = 0x8611
+OPTION_STAYS = 5
+"""From this quick stop option code on a drive stays in quick stop active."""
+
+
+class EmulatedDrive(EmulatedNode):
+    """A drive whose counts are those of the bench's output `scale`; `note` gets what it does."""
+
+    def __init__(
+        self,
+        number: int,
+        model: str,
+        send: Callable[[Frame], None],
+        plant: RealPlant,
+        scale: Scale,
+        stroke: Sequence[int],
+        note: Callable[..., Any],
+    ) -> None:
+        super().__init__(number, 402, model, send)
+        self._plant, self._scale, self._note = plant, scale, note
+        self.drive_state = State.DISABLED
+        self.obeys = True
+        """Whether it goes on from state to state, as one whose enable input is on does."""
+        self._word = 0
+        self._acknowledged = self._limited = False
+        self._late_since = 0.0
+        self._last = 0.0
+        """Where it was sent last [m of contraction]."""
+        self._target_at = 0.0
+        """When it will have reached its target [s, monotonic]."""
+        self.objects |= {
+            (c.CONTROLWORD, 0): Entry("H", 0, writable=True, written=self._control),
+            (c.STATUSWORD, 0): Entry("H", read=self._status),
+            (c.MODE, 0): Entry("b", 0, writable=True, written=self._change_mode),
+            (c.MODE_SHOWN, 0): Entry("b", 0),
+            (c.TARGET, 0): Entry("i", self._actual(), writable=True),
+            (c.ACTUAL, 0): Entry("i", read=self._actual),
+            (c.DEMAND, 0): Entry("i", read=self._demand),
+            (c.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
+            (c.LIMITS, 0): Entry("B", 2),
+            (c.LIMITS, 1): Entry("i", stroke[0], writable=True),
+            (c.LIMITS, 2): Entry("i", stroke[1], writable=True),
+            (c.SUPPORTED, 0): Entry("I", 1 << (c.PROFILE - 1) | 1 << (c.CYCLIC - 1)),
+            (c.ABORT_OPTION, 0): Entry("h", 1, writable=True, written=self._option(0, 3)),
+            (c.QUICK_STOP_OPTION, 0): Entry("h", 2, writable=True, written=self._option(0, 8)),
+            (c.ERROR_CODE, 0): Entry("H", 0),
+            (c.PERIOD, 0): Entry("B", 2),
+            (c.PERIOD, 1): Entry("B", 10, writable=True),
+            (c.PERIOD, 2): Entry("b", -3, writable=True),
+            (c.WINDOW, 0): Entry("I", 0xFFFFFFFF, writable=True),
+            (c.WINDOW_TIME, 0): Entry("H", 100, writable=True),
+        }
+
+    # -- where it is --------------------------------------------------------------------------------------------------
+
+    def _actual(self) -> int:
+        return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement"])))
+
+    def _demand(self) -> int:
+        return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement_command"])))
+
+    def _status(self) -> int:
+        word = WORDS[self.drive_state] | 1 << 9
+        if self.drive_state in {State.READY, State.ON, State.ENABLED, State.STOPPED}:
+            word |= 1 << 4
+        if self.now >= self._target_at:
+            word |= c.TARGET_REACHED
+        if self._limited:
+            word |= c.INTERNAL_LIMIT
+        if self._acknowledged:
+            word |= c.ACKNOWLEDGE
+        return word
+
+    # -- state machine ------------------------------------------------------------------------------------------------
+
+    def _control(self, word: int) -> None:
+        before, self._word = self._word, word
+        if word & ~before & 0x80 and self.drive_state is State.FAULT:
+            self._reset_fault()
+            return
+        if self.drive_state is State.FAULT:
+            return
+        follows = _follows(self.drive_state, word, stays=self.get(c.QUICK_STOP_OPTION) >= OPTION_STAYS)
+        going_on = follows in {State.READY, State.ON, State.ENABLED}
+        if follows is not self.drive_state and (self.obeys or not going_on):
+            self._enter(follows)
+        if self.drive_state is State.ENABLED and self.get(c.MODE_SHOWN) == c.PROFILE:
+            self._set_point(before, word)
+
+    def _enter(self, state: State) -> None:
+        before, self.drive_state = self.drive_state, state
+        self._note("state", state=state.value)
+        if before is State.ENABLED and state is not State.ENABLED:
+            place = self._plant.stop_drive()
+            self._target_at, self._acknowledged = self.now, False
+            self._note("halt", si=place)
+        if state is State.ENABLED:
+            self._last = self._plant.quantities()["displacement_command"]
+
+    def _reset_fault(self) -> None:
+        if self._late_since:
+            return
+        self.objects[c.ERROR_CODE, 0].value = 0
+        self.emergency(0, 0)
+        self._enter(State.DISABLED)
+
+    def fault(self, code: int) -> None:
+        """Stop and say why."""
+        self.objects[c.ERROR_CODE, 0].value = code
+        self.emergency(code, 0x21)
+        self._enter(State.FAULT)
+
+    def lost_heartbeat(self) -> None:
+        """As object 6007h says."""
+        option = self.get(c.ABORT_OPTION)
+        self._note("watchdog", option=option)
+        if option == 1:
+            self.fault(LOST_HEARTBEAT)
+        elif option == 2:
+            self._enter(State.DISABLED)
+        elif option == c.QUICK_STOP_ON_LOSS and self.drive_state is State.ENABLED:
+            stays = self.get(c.QUICK_STOP_OPTION) >= OPTION_STAYS
+            self._enter(State.STOPPED if stays else State.DISABLED)
+
+    def left(self) -> None:
+        """Not operational any more: as with a lost connection."""
+        self.lost_heartbeat()
+
+    def _option(self, low: int, high: int) -> Callable[[int], None]:
+        def check(value: int) -> None:
+            if not low <= value <= high:
+                raise Abort(VALUE)
+
+        return check
+
+    # -- motion -------------------------------------------------------------------------------------------------------
+
+    def _change_mode(self, mode: int) -> None:
+        if mode not in c.MODES:
+            raise Abort(VALUE)
+        if mode != self.get(c.MODE_SHOWN) and self.drive_state is State.ENABLED and self.now < self._target_at:
+            raise Abort(STATE)
+        self.objects[c.MODE_SHOWN, 0].value = mode
+        self._acknowledged = False
+
+    def _inside(self, target: int) -> float:
+        """The target within its software limits, as a place [m of contraction]."""
+        low, high = self.get(c.LIMITS, 1), self.get(c.LIMITS, 2)
+        held = min(max(target, low), high) if low < high else target
+        self._limited = held != target
+        return float(self._scale.to_si(held))
+
+    def _set_point(self, before: int, word: int) -> None:
+        """Profile position: a rising edge of `new set-point` takes the target."""
+        if not word & c.NEW_SET_POINT:
+            self._acknowledged = False
+            return
+        if before & c.NEW_SET_POINT:
+            return
+        place = self._inside(self.get(c.TARGET))
+        speed = self.get(c.PROFILE_VELOCITY) * abs(self._scale.slope)
+        stands = self._plant.stop_drive() if self.now < self._target_at else self._last
+        self._plant.drive(place, speed)
+        self._target_at = self.now + abs(place - stands) / speed if speed else float("inf")
+        self._acknowledged, self._last = True, place
+        self._note("move", raw=self.get(c.TARGET), si=place, speed=speed)
+
+    def synchronised(self) -> None:
+        """Cyclic synchronous position: be at the target one period from now."""
+        if self.drive_state is not State.ENABLED or self.get(c.MODE_SHOWN) != c.CYCLIC:
+            return
+        place = self._inside(self.get(c.TARGET))
+        if place == self._last:
+            return
+        period = self.get(c.PERIOD, 1) * 10.0 ** self.get(c.PERIOD, 2)
+        self._plant.drive(place, abs(place - self._last) / period)
+        self._last = place
+        self._note("move", raw=self.get(c.TARGET), si=place)
+
+    def turn(self, now: float) -> None:
+        """Look at the following error, too."""
+        super().turn(now)
+        window = self.get(c.WINDOW)
+        if window == 0xFFFFFFFF or self.drive_state is not State.ENABLED:
+            self._late_since = 0.0
+            return
+        if abs(self._demand() - self._actual()) <= window:
+            self._late_since = 0.0
+        elif not self._late_since:
+            self._late_since = now
+        elif now - self._late_since > self.get(c.WINDOW_TIME) * 1e-3:
+            self._late_since = 0.0
+            self.fault(FOLLOWING_ERROR)
+
+    def boot(self) -> None:
+        """Start over: without power."""
+        if self.drive_state is not State.DISABLED:
+            self._enter(State.DISABLED)
+        super().boot()
+
+
+def _follows(state: State, word: int, *, stays: bool) -> State:
+    """The state that follows on a controlword (CiA 402-2, transitions 2 to 12 and 16)."""
+    if not word & 0x02:
+        return State.DISABLED
+    if not word & 0x04:
+        if state is State.ENABLED:
+            return State.STOPPED if stays else State.DISABLED
+        return state if state is State.STOPPED else State.DISABLED
+    if state is State.STOPPED:
+        return State.ENABLED if word & 0x0F == 0x0F and stays else state
+    if not word & 0x01:
+        return State.READY
+    if state is State.DISABLED:
+        return state
+    if state is State.READY:
+        return State.ON
+    return State.ENABLED if word & 0x08 else State.ON

@@ -1,0 +1,323 @@
+"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; knows no profile."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic
+
+from pmabench_drivers.canbus import frames as f
+from pmabench_drivers.canbus.frames import Frame
+
+NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, VALUE, STATE = (
+    0x06020000,
+    0x06090011,
+    0x06010002,
+    0x06070010,
+    0x06090030,
+    0x08000022,
+)
+LOST_HEARTBEAT = 0x8130
+SEGMENT = 7
+PDOS = 2
+
+
+class Abort(Exception):
+    """The node refuses a transfer, with this code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"{code:08X}")
+        self.code = code
+
+
+@dataclass
+class Entry:
+    """One object: its `kind` is that of `struct`, or `s` for text."""
+
+    kind: str
+    value: int | bytes = 0
+    writable: bool = False
+    read: Callable[[], int] | None = None
+    """Where its value comes from at each look, if it is no stored one."""
+    written: Callable[[int], None] | None = None
+    """Called with a new value before it is stored; raises Abort."""
+
+    def bytes(self) -> bytes:
+        """The value as it goes over the wire."""
+        value = self.read() if self.read is not None else self.value
+        if isinstance(value, bytes):
+            return value
+        return struct.pack(f"<{self.kind}", value)
+
+
+@dataclass
+class _Consumer:
+    node: int = 0
+    time: float = 0.0
+    heard: float = 0.0
+    """Last heartbeat [s, monotonic]; 0: none yet, and so none is missed."""
+
+
+class EmulatedNode:
+    """One node. A kind of node adds objects, and says what happens on SYNC, on stop and when a heartbeat is lost."""
+
+    def __init__(self, number: int, profile: int, model: str, send: Callable[[Frame], None]) -> None:
+        self.number, self.state = number, f.PREOP
+        self._send = send
+        self._consumer = _Consumer()
+        self._beat_due, self.now = 0.0, monotonic()
+        self._segments = b""
+        self._toggle = 0
+        self._waiting: dict[int, bytes] = {}
+        self.objects: dict[tuple[int, int], Entry] = {
+            (f.DEVICE_TYPE, 0): Entry("I", profile),
+            (f.ERROR_REGISTER, 0): Entry("B", 0),
+            (f.DEVICE_NAME, 0): Entry("s", model.encode()),
+            (f.SOFTWARE, 0): Entry("s", b"1"),
+            (f.CONSUMER, 0): Entry("B", 1),
+            (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
+            (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
+            (f.IDENTITY, 0): Entry("B", 4),
+            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, 1), 1)},
+        }
+        for index in range(PDOS):
+            for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
+                self._add_pdo(parameter + index, identifier[index] + number)
+
+    def _add_pdo(self, parameter: int, identifier: int) -> None:
+        at = parameter + 0x200
+        used = f.INVALID | identifier | (f.NO_REMOTE if parameter >= f.TPDO_PARAMETER else 0)
+        self.objects |= {
+            (parameter, 0): Entry("B", 5),
+            (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
+            (parameter, 2): Entry("B", 254, writable=True),
+            (parameter, 5): Entry("H", 0, writable=True),
+            (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
+        }
+        for sub in range(1, 9):
+            self.objects[at, sub] = Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
+
+    def boot(self) -> None:
+        """Start: pre-operational, and say so."""
+        self.state = f.PREOP
+        self._consumer.heard = 0.0
+        self._send(Frame(f.HEARTBEAT + self.number, bytes([f.BOOT])))
+
+    def expire_heartbeat(self) -> bool:
+        """Let the wait for a heartbeat be over; whether there was one."""
+        consumer = self._consumer
+        waited, consumer.heard = bool(consumer.time and consumer.heard), consumer.heard and 1e-9
+        return waited
+
+    # -- what a kind of node does -------------------------------------------------------------------------------------
+
+    def synchronised(self) -> None:
+        """SYNC has come, and what was received before it is in force."""
+
+    def lost_heartbeat(self) -> None:
+        """The heartbeat that it waits for is missing."""
+
+    def left(self) -> None:
+        """It is not operational any more."""
+
+    # -- values -------------------------------------------------------------------------------------------------------
+
+    def get(self, index: int, sub: int = 0) -> int:
+        """The value of a number."""
+        entry = self.objects[index, sub]
+        value = entry.read() if entry.read is not None else entry.value
+        assert isinstance(value, int)  # noqa: S101  (texts are read as bytes only)
+        return value
+
+    def put(self, index: int, sub: int, data: bytes) -> None:
+        """Write an object as it came over the wire; raises Abort."""
+        entry = self.objects.get((index, sub))
+        if entry is None:
+            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
+        if not entry.writable:
+            raise Abort(READ_ONLY)
+        if len(data) != struct.calcsize(f"<{entry.kind}"):
+            raise Abort(LENGTH)
+        [value] = struct.unpack(f"<{entry.kind}", data)
+        if entry.written is not None:
+            entry.written(value)
+        entry.value = value
+
+    def emergency(self, code: int, register: int = 1) -> None:
+        """Send an emergency; code 0 says that it is over."""
+        self.objects[f.ERROR_REGISTER, 0].value = register
+        data = code.to_bytes(2, "little") + bytes([register]) + bytes(5)
+        self._send(Frame(f.EMCY + self.number, data))
+
+    # -- frames -------------------------------------------------------------------------------------------------------
+
+    def take(self, frame: Frame) -> None:
+        """A frame of the bus."""
+        if frame.extended:
+            return
+        self.now = monotonic()
+        identifier, data = frame.identifier, frame.data
+        if identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
+            self._manage(data[0])
+        elif identifier == f.SYNC:
+            self._synchronise()
+        elif identifier == f.SDO_QUESTION + self.number and len(data) == 8 and self.state != f.STOPPED:
+            self._send(Frame(f.SDO_ANSWER + self.number, self._answer(data)))
+        elif identifier == f.HEARTBEAT + self._consumer.node and self._consumer.time:
+            self._consumer.heard = self.now
+        elif self.state == f.OPERATIONAL:
+            self._receive(identifier, data)
+
+    def turn(self, now: float) -> None:
+        """Time passes [s, monotonic]."""
+        self.now = now
+        period = self.get(f.PRODUCER) * 1e-3
+        if period and now >= self._beat_due:
+            self._beat_due = now + period
+            self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state])))
+        consumer = self._consumer
+        if consumer.time and consumer.heard and now - consumer.heard > consumer.time:
+            consumer.heard = 0.0
+            self.emergency(LOST_HEARTBEAT, 0x11)
+            self.lost_heartbeat()
+        for index in range(PDOS):
+            self._on_event(index)
+
+    def _manage(self, command: int) -> None:
+        before = self.state
+        if command in {f.RESET_NODE, f.RESET_COMMUNICATION}:
+            self.boot()
+        else:
+            known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
+            self.state = known.get(command, self.state)
+        if before == f.OPERATIONAL and self.state != f.OPERATIONAL:
+            self.left()
+        self._beat_due = 0.0
+
+    # -- SDO ----------------------------------------------------------------------------------------------------------
+
+    def _answer(self, data: bytes) -> bytes:
+        command, index, sub = struct.unpack_from("<BHB", data)
+        kind = command >> 5
+        try:
+            if kind == 1:
+                size = 4 - (command >> 2 & 3) if command & 1 else self._size(index, sub)
+                if not command & 2:
+                    raise Abort(0x05040001)  # no object here is longer than 4 bytes and writable
+                self.put(index, sub, data[4 : 4 + size])
+                return struct.pack("<BHB4x", 0x60, index, sub)
+            if kind == 2:
+                return self._upload(index, sub)
+            if kind == 3:
+                return self._segment(command >> 4 & 1)
+        except Abort as error:
+            return f.abort(index, sub, error.code)
+        return f.abort(index, sub, 0x05040001)
+
+    def _size(self, index: int, sub: int) -> int:
+        entry = self.objects.get((index, sub))
+        return struct.calcsize(f"<{entry.kind}") if entry is not None and entry.kind != "s" else 4
+
+    def _upload(self, index: int, sub: int) -> bytes:
+        entry = self.objects.get((index, sub))
+        if entry is None:
+            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
+        data = entry.bytes()
+        if entry.kind != "s":
+            return struct.pack("<BHB", 0x43 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
+        self._segments, self._toggle = data, 0
+        return struct.pack("<BHBI", 0x41, index, sub, len(data))
+
+    def _segment(self, toggle: int) -> bytes:
+        if toggle != self._toggle:
+            raise Abort(0x05030000)
+        piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
+        self._toggle ^= 1
+        head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
+        return bytes([head]) + piece.ljust(SEGMENT, b"\0")
+
+    # -- PDO ----------------------------------------------------------------------------------------------------------
+
+    def _identify(self, mapping: int, value: int) -> None:
+        if not value & f.INVALID and not self.get(mapping):
+            raise Abort(STATE)
+
+    def _may_map(self, parameter: int) -> None:
+        if not self.get(parameter, 1) & f.INVALID:
+            raise Abort(STATE)
+
+    def _map(self, parameter: int, count: int) -> None:
+        self._may_map(parameter)
+        if count > 8:
+            raise Abort(VALUE)
+        entries = [self.get(parameter + 0x200, sub) for sub in range(1, count + 1)]
+        for entry in entries:
+            target = self.objects.get((entry >> 16, entry >> 8 & 0xFF))
+            if target is None or target.kind == "s" or 8 * struct.calcsize(f"<{target.kind}") != entry & 0xFF:
+                raise Abort(0x06040041)
+        if sum(entry & 0xFF for entry in entries) > 64:
+            raise Abort(0x06040042)
+
+    def _entries(self, mapping: int) -> list[tuple[int, int]]:
+        values = (self.get(mapping, sub) for sub in range(1, self.get(mapping) + 1))
+        return [(value >> 16, value >> 8 & 0xFF) for value in values]
+
+    def _synchronise(self) -> None:
+        if self.state != f.OPERATIONAL:
+            return
+        for index, data in sorted(self._waiting.items()):
+            self._apply(index, data)
+        self._waiting.clear()
+        self.synchronised()
+        for index in range(PDOS):
+            kind = self.get(f.TPDO_PARAMETER + index, 2)
+            if 1 <= kind <= 240:
+                self._transmit(index)
+
+    def _on_event(self, index: int) -> None:
+        """Event timer of an asynchronous TPDO."""
+        parameter = f.TPDO_PARAMETER + index
+        period = self.get(parameter, 5) * 1e-3
+        if self.state != f.OPERATIONAL or not period or self.get(parameter, 2) < 254:
+            return
+        if int(self.now / period) != int((self.now - 1e-3) / period):
+            self._transmit(index)
+
+    def _transmit(self, index: int) -> None:
+        identifier = self.get(f.TPDO_PARAMETER + index, 1)
+        if identifier & f.INVALID:
+            return
+        data = b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
+        self._send(Frame(identifier & 0x7FF, data))
+
+    def _receive(self, identifier: int, data: bytes) -> None:
+        for index in range(PDOS):
+            held = self.get(f.RPDO_PARAMETER + index, 1)
+            if held & f.INVALID or held & 0x7FF != identifier:
+                continue
+            if self.get(f.RPDO_PARAMETER + index, 2) <= 240:
+                self._waiting[index] = data
+            else:
+                self._apply(index, data)
+
+    def _apply(self, index: int, data: bytes) -> None:
+        at = 0
+        for key in self._entries(f.RPDO_MAPPING + index):
+            size = struct.calcsize(f"<{self.objects[key].kind}")
+            if at + size > len(data):
+                self.emergency(0x8210)
+                return
+            try:
+                self.put(*key, data[at : at + size])
+            except Abort:
+                self.emergency(0x8200)
+            at += size
+
+    # -- heartbeats ---------------------------------------------------------------------------------------------------
+
+    def _consume(self, value: int) -> None:
+        self._consumer = _Consumer(value >> 16 & 0x7F, (value & 0xFFFF) * 1e-3)
+
+    def _produce(self, _value: int) -> None:
+        self._beat_due = 0.0

@@ -1,0 +1,190 @@
+"""What a bench file says about a CAN bus, read strictly. Standard library only."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pmabench.base.errors import did_you_mean
+from pmabench.bench.interface import DeviceRecord, OutputRecord
+from pmabench_drivers.canbus.dbc import Message, NoDatabase, Signal, read_dbc
+from pmabench_drivers.canbus.link import INTERFACES, NUMBERED
+from pmabench_drivers.canbus.slcan import RATES
+from pmabench_drivers.options import Place, Reader
+
+PROFILES = (402, 406)
+OWN_NODE = 127
+"""Node number under which the program itself sends its heartbeat."""
+DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
+"""Inputs of a drive and of a transducer, after its name and a point."""
+READY = "ready"
+"""Digital input of a drive: high while it is alive, without fault and without emergency."""
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """One CANopen node."""
+
+    profile: int
+    number: int
+    approach: float = 0.0
+    """Speed at which a drive goes to a plain set-point [m/s]."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything about one bus."""
+
+    bitrate: int = 500_000
+    sync: float = 0.01
+    """Time between two SYNCs [s]."""
+    own_node: int = OWN_NODE
+    slowest: float = 0.1
+    """A signal may be so old [s]."""
+    nodes: Mapping[str, NodeOptions] = field(default_factory=dict)
+    messages: Mapping[str, Message] = field(default_factory=dict)
+
+    def signal(self, name: str) -> tuple[Message, Signal] | None:
+        """The signal `message.signal`."""
+        message_name, _, signal_name = name.partition(".")
+        message = self.messages.get(message_name)
+        signal = message.signals.get(signal_name) if message is not None else None
+        return None if message is None or signal is None else (message, signal)
+
+    def inputs(self) -> list[str]:
+        """Every input that a channel may use."""
+        known = [
+            f"{name}.{what}"
+            for name, node in self.nodes.items()
+            for what in (DRIVE if node.profile == 402 else TRANSDUCER)
+        ]
+        return known + [f"{m.name}.{signal}" for m in self.messages.values() for signal in m.signals]
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device and the names that its channels, outputs and interlocks use."""
+    here: Place = ("options",)
+    given = reader.keys(device.options, here, ("bitrate", "sync", "own_node", "slowest", "nodes", "dbc"))
+    _address(device.address, reader)
+    bitrate = reader.whole(given, "bitrate", here, 10_000, 1_000_000, 500_000)
+    if bitrate not in RATES:
+        reader.fault((*here, "bitrate"), f"{bitrate} is no usual rate; known: {', '.join(map(str, RATES))}")
+    sync = reader.quantity(given, "sync", here, "time", 0.01, 0.002, 0.1)
+    if abs(sync * 1e4 - round(sync * 1e4)) > 1e-6 or (round(sync * 1e4) > 255 and round(sync * 1e4) % 10):
+        reader.fault((*here, "sync"), "whole tenths of a millisecond, and above 25.5 ms whole milliseconds, are needed")
+    own = reader.whole(given, "own_node", here, 1, 127, OWN_NODE)
+    options = Options(
+        bitrate,
+        sync,
+        own,
+        reader.quantity(given, "slowest", here, "time", 0.1, 0.005, 10.0),
+        _nodes(given, own, reader),
+        _messages(given, reader),
+    )
+    if not options.nodes and not options.messages and not reader.problems:
+        reader.fault(here, '"nodes" or "dbc" is needed: a bus without either has nothing to tell')
+    _names(device, options, reader)
+    return options
+
+
+def _address(address: str, reader: Reader) -> None:
+    interface, colon, channel = address.partition(":")
+    wanted = (
+        'INTERFACE:CHANNEL is expected, for instance "socketcan:can0" or "slcan:/dev/ttyACM0"; '
+        f"interfaces: {', '.join(INTERFACES)}"
+    )
+    if interface not in INTERFACES or not colon or not channel:
+        reader.fault(("address",), f'{wanted}; not "{address}"')
+    elif interface in NUMBERED and not channel.isdecimal():
+        reader.fault(("address",), f'{interface} needs the number of its channel, for instance "{interface}:0"')
+    elif "://" in channel and not re.fullmatch(r"socket://[A-Za-z0-9.-]+:\d{1,5}", channel):
+        reader.fault(("address",), f'a serial adapter behind TCP is "slcan:socket://HOST:PORT", not "{address}"')
+
+
+def _nodes(given: Mapping[str, Any], own: int, reader: Reader) -> dict[str, NodeOptions]:
+    place: Place = ("options", "nodes")
+    found: dict[str, NodeOptions] = {}
+    for name, item in reader.named(given.get("nodes", {}), place).items():
+        at = (*place, name)
+        data = reader.keys(item, at, ("profile", "node", "approach"), ("profile", "node"))
+        profile = data.get("profile")
+        if profile not in PROFILES:
+            reader.fault((*at, "profile"), f"402 (drive) or 406 (transducer) is expected, not {profile}")
+            continue
+        number = reader.whole(data, "node", at, 1, 127, 1)
+        if number == own:
+            reader.fault((*at, "node"), f"{number} is the number of the program itself: change it, or own_node")
+        if any(node.number == number for node in found.values()):
+            reader.fault((*at, "node"), f"{number} is the number of two nodes")
+        found[str(name)] = NodeOptions(profile, number, _approach(data, at, profile, reader))
+    return found
+
+
+def _approach(data: Mapping[str, Any], at: Place, profile: int, reader: Reader) -> float:
+    if profile != 402:
+        if "approach" in data:
+            reader.fault((*at, "approach"), "only a drive (profile 402) moves")
+        return 0.0
+    if "approach" not in data:
+        reader.fault(at, '"approach" is missing: the speed at which the drive goes to a set-point, such as "20 mm/s"')
+        return 0.0
+    return reader.quantity(data, "approach", at, "speed", 0.0, 1e-5, 10.0)
+
+
+def _messages(given: Mapping[str, Any], reader: Reader) -> dict[str, Message]:
+    if "dbc" not in given:
+        return {}
+    text = given["dbc"]
+    if not isinstance(text, str):
+        reader.fault(("options", "dbc"), "the name of a .dbc file beside the bench file is expected")
+        return {}
+    try:
+        return read_dbc(text)
+    except NoDatabase as error:
+        reader.fault(("options", "dbc"), f"the DBC file {error}")
+        return {}
+
+
+def _names(device: DeviceRecord, options: Options, reader: Reader) -> None:
+    known = options.inputs()
+    for channel in device.channels:
+        place: Place = ("channels", channel.name, "input")
+        if channel.input not in known:
+            hint = did_you_mean(channel.input, known)
+            reader.fault(place, f'no input "{channel.input}"{hint}; known: {", ".join(known[:20]) or "none"}')
+    drives = {f"{name}.position": node for name, node in options.nodes.items() if node.profile == 402}
+    for output in device.outputs:
+        node = drives.get(output.output)
+        if node is None:
+            hint = did_you_mean(output.output, drives)
+            known_outputs = ", ".join(drives) or "none"
+            message = f'no output "{output.output}"{hint}; known: {known_outputs}'
+            reader.fault(("outputs", output.name, "output"), message)
+        else:
+            _drive_output(output, node, reader)
+    for valve in device.valves:
+        reader.fault(("outputs", valve.name, "output"), "nothing on this bus switches a valve")
+    ready = [f"{name}.{READY}" for name, node in options.nodes.items() if node.profile == 402]
+    for lock in device.interlocks:
+        if lock.input not in ready:
+            message = f'no digital input "{lock.input}"{did_you_mean(lock.input, ready)}; known: {", ".join(ready)}'
+            reader.fault(("interlocks", lock.name, "input"), message)
+    if device.watchdog and not device.outputs:
+        reader.fault(("watchdog",), "only a drive stops by itself, and no output of this bus is one")
+    if device.outputs and device.watchdog and not 0.05 <= device.watchdog <= 60:
+        reader.fault(("watchdog",), "50 ms to 60 s are possible")
+
+
+def _drive_output(output: OutputRecord, node: NodeOptions, reader: Reader) -> None:
+    if output.quantity != "length":
+        reader.fault(("outputs", output.name, "output"), "a drive is sent to a length, for instance of displacement")
+    if not output.rate:
+        message = "a drive needs the highest speed of the bench: actuator: {speed: 200 mm/s}"
+        reader.fault(("outputs", output.name, "output"), message)
+    elif node.approach > output.rate:
+        shown = f"{1e3 * node.approach:g} mm/s"
+        reader.fault(("options", "nodes"), f"approach: {shown} is above the bench's {1e3 * output.rate:g} mm/s")
+    if output.resolution < 1 or output.resolution % 1:
+        reader.fault(("outputs", output.name, "resolution"), "a drive counts in whole steps: 1 count")

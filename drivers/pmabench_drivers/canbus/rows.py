@@ -1,0 +1,59 @@
+"""What answers to one SYNC, put together to one sample of all channels. Standard library only."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection
+
+PATIENCE = 2
+"""So many periods an answer is waited for; no SYNC is sent in that time, so that it cannot belong to a later one."""
+
+
+class Rows:
+    """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come."""
+
+    def __init__(self, wanted: Collection[int], done: Callable[[int, int], None]) -> None:
+        self._wanted, self._done = frozenset(wanted), done
+        self._lock = threading.Lock()
+        self._open: set[int] = set()
+        self._time = self._waited = 0
+        self.lost = 0
+        """SYNCs that were not answered wholly; each is a gap."""
+        self.in_a_row = 0
+        """How many of them follow each other."""
+
+    def may_sync(self) -> bool:
+        """Whether the last SYNC was answered, or has been waited for long enough."""
+        with self._lock:
+            if not self._open:
+                return True
+            self._waited += 1
+            if self._waited <= PATIENCE:
+                return False
+            self.lost += 1
+            self.in_a_row += 1
+            self._open.clear()
+            return True
+
+    def missing(self) -> frozenset[int]:
+        """What has not answered to the last SYNC yet."""
+        with self._lock:
+            return frozenset(self._open)
+
+    def begin(self, time: int) -> None:
+        """A SYNC is about to be sent, at `time` [ns, bench time]."""
+        with self._lock:
+            self._open, self._time, self._waited = set(self._wanted), time, 0
+        if not self._wanted:
+            self._done(time, time)
+
+    def arrived(self, identifier: int, host: int) -> None:
+        """A PDO of `wanted` has come at `host` [ns, bench time]; one that answers to no SYNC is passed over."""
+        with self._lock:
+            if identifier not in self._open:
+                return
+            self._open.discard(identifier)
+            if self._open:
+                return
+            time, self.in_a_row = self._time, 0
+        self._done(time, host)
