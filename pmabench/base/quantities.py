@@ -48,6 +48,12 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("damping per pressure", "N.s/m/Pa", "N.s/mm/kPa", 1.0),
         Quantity("damping per pressure squared", "N.s/m/Pa2", "N.s/mm/kPa2", 1e-3),
         Quantity("force rate", "N/s", "N/s", 1.0),
+        Quantity("volume", "m3", "cm3", 1e-6),
+        Quantity("impulse", "N.s", "N.s", 1.0),
+        Quantity("rate", "1/s", "1/s", 1.0),
+        Quantity("mass flow", "kg/s", "g/s", 1e-3),
+        Quantity("conductance", "kg/s/Pa", "g/s/bar", 1e-8),
+        Quantity("temperature", "K", "K", 1.0),
         Quantity("count", "1", "", 1.0),
     )
 }

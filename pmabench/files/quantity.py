@@ -40,6 +40,12 @@ EXAMPLES = {
     "force rate": "2000 N/s",
     "force per pressure": "1.08 N/kPa",
     "angle": "30 deg",
+    "volume": "60 cm3",
+    "impulse": "420 N.s",
+    "rate": "0.5 Hz",
+    "mass flow": "2 g/s",
+    "conductance": "10 g/s/bar",
+    "temperature": "293 K",
 }
 _REFERENCE = {
     "pressure": "Pa",
@@ -60,6 +66,12 @@ _REFERENCE = {
     "force rate": "N/s",
     "force per pressure": "N/Pa",
     "angle": "dimensionless",
+    "volume": "m**3",
+    "impulse": "N*s",
+    "rate": "1/s",
+    "mass flow": "kg/s",
+    "conductance": "kg/s/Pa",
+    "temperature": "K",
 }
 
 
@@ -81,6 +93,8 @@ def unit_factor(unit: str, quantity: str) -> float:
         if unit in {"count", "counts", "1"}:
             return 1.0
         raise ValueError(f'"{unit}" is no count')
+    if quantity == "temperature" and unit != "K":
+        raise ValueError(f'"{unit}" is no unit of temperature here, {_hint(quantity)}')
     if "**" in unit or re.search(r"\d\d", unit):
         raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}')
     registry = _units()

@@ -1,0 +1,218 @@
+"""Published coefficients over pressure, each refused outside the pressures that it was fitted on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmabench.model.curve import Array
+from pmabench.model.library.braid import BAR, BRAID_ANGLE, DEG, MM, braid_force
+from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.library.three_element import FAMILY, LOAD
+from pmabench.model.muscle import Muscle
+from pmabench.model.presets import paper0, serres2009
+
+KPA, N_MM = 1e3, 1e3
+OUTPUTS = (
+    Output("force_ce", "F_ce", "force", "contractile force at x = 0"),
+    Output("stiffness", "K", "stiffness", "stiffness"),
+    Output("damping_contract", "B_c", "damping", "damping while it contracts"),
+    Output("damping_relax", "B_r", "damping", "damping while it relaxes"),
+    Output("displacement", "x", "length", "contraction at rest under the load"),
+    Output("tau_contract", "tau_c", "time", "B_c / K"),
+    Output("tau_relax", "tau_r", "time", "B_r / K"),
+)
+
+
+def _coefficients(muscle: Muscle, pressure: Array, load: Array) -> Values:
+    F_ce, K = muscle.F_ce.values(pressure), muscle.K.values(pressure)
+    B_c, B_r = muscle.B_c.values(pressure), muscle.B_r.values(pressure)
+    x = np.maximum(F_ce - load, 0) / K
+    return {
+        "force_ce": F_ce, "stiffness": K, "damping_contract": B_c, "damping_relax": B_r,
+        "displacement": x, "tau_contract": B_c / K, "tau_relax": B_r / K,
+    }  # fmt: skip
+
+
+@described(
+    "mas-20-250-paper0", FAMILY, "MAS-20-250 with coefficients that give the ranges of paper 0: the simulated bench",
+    equation=(
+        "P in kPa: F_ce = 1.08 P - 49.0 >= 0 N;  K = 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm",
+        "B_c = 1.2 + 1.6e-3 P;  B_r = 1.1 + 3.4e-3 P N.s/mm;  x = (F_ce - F_L) / K",
+    ),
+    source="assumed, because paper 0 prints no coefficients: 10 to 60 mm on 100 to 550 kPa, 59 to 545 N of F_ce",
+    parameters=(
+        Parameter(
+            "pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0.0, 600 * KPA,
+            "the muscle's limit is 600 kPa",
+        ),
+        LOAD,
+    ),
+    outputs=OUTPUTS,
+    references=(
+        Reference("force_ce", "275", "N", 1.0, "by hand from the coefficients"),
+        Reference("stiffness", "6.773", "N/mm", N_MM, "the same"),
+        Reference("displacement", "40.60", "mm", MM, "the same"),
+        Reference("tau_contract", "0.248", "s", 1.0, "the same"),
+        Reference("tau_relax", "0.313", "s", 1.0, "the same"),
+        Reference("displacement", "59.99", "mm", MM, "the same", {"pressure": 550 * KPA}),
+    ),
+    notes=("Invented, and consistent with what paper 0 prints; not a measured muscle.",),
+)  # fmt: skip
+def mas_20_250_paper0(pressure: Array, load: Array) -> Values:
+    """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau_c and tau_r [s] from P [Pa gauge], F_L [N]."""
+    return _coefficients(paper0(), pressure, load)
+
+
+@described(
+    "mas-20-250-serres2009", FAMILY, "MAS-20-250 as Serres and others fitted it in 2009",
+    equation=(
+        "P in kPa: F_ce = 2.91 P + 44.6 N;  B_c = 2.90 N.s/mm",
+        "K = 32.7 - 0.0321 P to 314 kPa, 17 + 0.0179 P above, N/mm",
+        "B_r = 1.57 to 372 kPa, 0.311 + 0.00338 P above, N.s/mm;  x = (F_ce - F_L) / K",
+    ),
+    source="Serres and others 2009, abstract",
+    parameters=(
+        Parameter(
+            "pressure", "P", "pressure", 550 * KPA, "gauge pressure", 150 * KPA, 550 * KPA,
+            "fitted on 150 to 550 kPa; F_ce would be 44.6 N without pressure",
+        ),
+        LOAD,
+    ),
+    outputs=OUTPUTS,
+    references=(
+        Reference("displacement", "61.3", "mm", MM, "by hand from the coefficients"),
+        Reference("displacement", "17.3", "mm", MM, "the same", {"pressure": 150 * KPA}),
+        Reference("force_ce", "1645.1", "N", 1.0, "the same"),
+    ),
+    notes=("It relaxes faster than it contracts, unlike the muscle of paper 1.",),
+)  # fmt: skip
+def mas_20_250_serres2009(pressure: Array, load: Array) -> Values:
+    """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau_c and tau_r [s] from P [Pa gauge], F_L [N]."""
+    return _coefficients(serres2009(), pressure, load)
+
+
+CENTRE, SCALE = 3.5e5, 1.6583e5
+POLYNOMIALS = {
+    "S": (340.0, -490.0, -460.0, 340.0, 660.0, 16000.0, 45000.0),
+    "D_c": (220.0, -350.0, -530.0, 770.0, 1400.0, 2500.0, 18000.0),
+    "D_r": (-860.0, 1500.0, 3800.0, -5300.0, 380.0, 37000.0, 49000.0),
+}
+"""Paper 1 eqs. 17-19, highest power of z = (P - CENTRE) / SCALE first; N/m and N.s/m."""
+LINES = {"S": (0.09069, 14133.0), "D_c": (0.01608, 13481.0), "D_r": (0.19929, -17225.0)}
+"""Straight lines through the polynomials at 1.0, 1.5 .. 6.0 bar: slope per Pa, value at 0."""
+DMSP_PRESSURE = Parameter(
+    "pressure", "P", "pressure", 6 * BAR, "gauge pressure", 1 * BAR, 6 * BAR,
+    "fitted on 1 to 6 bar; below 0.594 bar the damping of relaxation would be negative",
+)  # fmt: skip
+FIT = Parameter("fit", "fit", "", "polynomial", "sixth order, or the straight lines", choices=("polynomial", "line"))
+
+
+def dmsp_coefficients(pressure: Array, fit: str) -> tuple[Array, Array, Array]:
+    """S [N/m], D_c and D_r [N.s/m] of paper 1 at P [Pa gauge], 1 to 6 bar."""
+    if fit == "line":
+        return tuple(np.polyval(LINES[name], pressure) for name in POLYNOMIALS)  # type: ignore[return-value]
+    z = (pressure - CENTRE) / SCALE
+    return tuple(np.polyval(POLYNOMIALS[name], z) for name in POLYNOMIALS)  # type: ignore[return-value]
+
+
+@described(
+    "dmsp-40-305", FAMILY, "Stiffness and damping of a DMSP-40-305 over pressure",
+    equation=(
+        "z = (P - 3.5e5) / 1.6583e5, P in Pa;  S, D_c, D_r: polynomials of sixth order in z, highest power first",
+        *("  " + name + ": " + ", ".join(f"{value:g}" for value in row) for name, row in POLYNOMIALS.items()),
+        *(f"  {name} as a line: {line[1]:g} + {line[0]:g} P" for name, line in LINES.items()),
+    ),
+    source="paper 1 eqs. 17-20",
+    parameters=(DMSP_PRESSURE, FIT),
+    outputs=(
+        Output("stiffness", "S", "stiffness", "stiffness"),
+        Output("damping_contract", "D_c", "damping", "damping of contraction"),
+        Output("damping_relax", "D_r", "damping", "damping of relaxation, by the pressure before the release"),
+        Output("tau_contract", "tau_c", "time", "D_c / S"),
+        Output("tau_relax", "tau_r", "time", "D_r / S"),
+    ),
+    references=(
+        Reference("stiffness", "69.59", "N/mm", 1e3, "computed from the printed coefficients"),
+        Reference("damping_contract", "24.71", "N.s/mm", 1e3, "the same"),
+        Reference("damping_relax", "108.70", "N.s/mm", 1e3, "the same"),
+        Reference("tau_contract", "0.355", "s", 1.0, "the same"),
+        Reference("tau_relax", "1.562", "s", 1.0, "the same"),
+        Reference("damping_relax", "10.09", "N.s/mm", 1e3, "the same", {"pressure": 1 * BAR}),
+        Reference("tau_relax", "0.379", "s", 1.0, "the same", {"pressure": 1 * BAR}),
+    ),
+    notes=(
+        "The captions of paper 1 start at 0.5 and 0 bar; the fit does not, and is refused there.",
+        "Printed with two digits: worth 21 % of D_r at 1 bar, 9 % at 1.5 bar, 1 to 5 % elsewhere.",
+    ),
+)  # fmt: skip
+def dmsp_40_305(pressure: Array, fit: str) -> Values:
+    """S [N/m], D_c and D_r [N.s/m], tau_c and tau_r [s] from P [Pa gauge] and the name of the fit."""
+    S, D_c, D_r = dmsp_coefficients(pressure, fit)
+    return {
+        "stiffness": S, "damping_contract": D_c, "damping_relax": D_r, "tau_contract": D_c / S, "tau_relax": D_r / S
+    }  # fmt: skip
+
+
+@described(
+    "dmsp-40-305-contraction", FAMILY, "Contraction of a DMSP-40-305 with F_ce at x = 0 or at x_max",
+    equation=(
+        "S(P) x = F_ce - L;  F_ce = F(eps) of tondu-lopez with k = 1, S(P) of dmsp-40-305",
+        "eps = 0 (fce_at x0) or eps = x / L0, solved with the balance (fce_at xmax)",
+    ),
+    source="paper 1 eqs. 10 and 17 (xmax); paper 0's meaning of F_ce (x0); theta0, r0 and L assumed, not printed",
+    parameters=(
+        DMSP_PRESSURE,
+        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0, 1e4, "", "assumed"),
+        Parameter("radius", "r0", "length", 20 * MM, "radius at eps = 0", 0.0, 1.0, "", "nominal", above=True),
+        Parameter("nominal_length", "L0", "length", 305 * MM, "nominal length", 0.0, 10.0, "", "nominal", above=True),
+        Parameter(
+            "braid_angle", "theta0", "angle", 26.5 * DEG, "angle of the braid to the axis at eps = 0", 0.0,
+            BRAID_ANGLE.high, BRAID_ANGLE.reason, "assumed", above=True,
+        ),
+        Parameter("fce_at", "", "", "x0", "where F_ce is taken", choices=("x0", "xmax")),
+    ),
+    outputs=(
+        Output("force_ce", "F_ce", "force", "contractile force in this convention"),
+        Output("displacement", "x", "length", "contraction at rest"),
+        Output("contraction", "eps", "ratio", "x / L0"),
+        Output("stiffness", "S", "stiffness", "stiffness"),
+    ),
+    references=(
+        Reference("force_ce", "5312", "N", 1.0, "885.4 N/bar at 6 bar"),
+        Reference("displacement", "76.3", "mm", MM, "computed from the printed polynomial"),
+        Reference("displacement", "33.0", "mm", MM, "the same", {"pressure": 1 * BAR}),
+        Reference("displacement", "42.4", "mm", MM, "the same", {"fce_at": "xmax"}),
+        Reference("displacement", "24.3", "mm", MM, "the same", {"fce_at": "xmax", "pressure": 1 * BAR}),
+    ),
+    notes=(
+        "One convention in plant and fit: a plant whose F_ce follows x has a time constant other than D / S (0.20 s "
+        "for "
+        "0.355 s at 6 bar).",
+    ),
+)  # fmt: skip
+def dmsp_40_305_contraction(
+    pressure: Array, load: Array, radius: Array, nominal_length: Array, braid_angle: Array, fce_at: str
+) -> Values:
+    """F_ce [N], x [m], eps [1], S [N/m] from P [Pa gauge], L [N], r0 and L0 [m], theta0 [rad]."""
+    arrays = np.broadcast_arrays(pressure, load, radius, nominal_length, braid_angle)
+    shape = arrays[0].shape
+    S = dmsp_coefficients(arrays[0], "polynomial")[0]
+    force0, most = braid_force(arrays[0], np.zeros(shape), arrays[2], arrays[4], np.ones(shape))
+    refuse("load", "it is more than the muscle lifts at this pressure", arrays[1] > force0)
+    force = force0
+    if fce_at == "xmax":
+        columns = [np.atleast_1d(array).ravel() for array in (*arrays, S, most)]
+        force = np.array([_at_rest(*map(float, row)) for row in zip(*columns, strict=True)]).reshape(shape)
+    x = (force - arrays[1]) / S
+    return {"force_ce": force, "displacement": x, "contraction": x / arrays[3], "stiffness": S}
+
+
+def _at_rest(P: float, load: float, radius: float, length: float, angle: float, S: float, most: float) -> float:
+    """F_ce [N] at the contraction at which it balances S x + load."""
+
+    def force(eps: float) -> float:
+        one = np.asarray(1.0)
+        return float(braid_force(one * P, one * eps, one * radius, one * angle, one)[0])
+
+    return force(brentq(lambda eps: force(eps) - load - S * eps * length, 0.0, most, xtol=1e-15))

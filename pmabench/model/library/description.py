@@ -1,0 +1,217 @@
+"""What the library says of each model: inputs, outputs, domain, source, reference values; knows no model and no units.
+
+A model is a pure function of named values, all SI, arrays broadcast against each other, decorated with `described`:
+every call is checked against the domain before anything is computed, and refused with the reason.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import wraps
+from typing import Any, ParamSpec
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmabench.model.curve import Array
+
+Values = dict[str, Array]
+"""The outputs of a model by name [SI]."""
+P = ParamSpec("P")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An input of a model. `quantity` is the name of a physical quantity, `count` for a pure number."""
+
+    name: str
+    symbol: str
+    quantity: str
+    value: float | str
+    """Reference value [SI], taken where nothing else is given; where it is from stands in `origin`."""
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    reason: str = ""
+    """Why it ends there, as half a sentence."""
+    origin: str = "example"
+    above: bool = False
+    """Whether `low` itself is outside."""
+    choices: tuple[str, ...] = ()
+    """The names to choose from; then `quantity` is empty and `value` one of them."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What a model gives: SI values of the quantity."""
+
+    name: str
+    symbol: str
+    quantity: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A number that was printed or computed independently, and the inputs that lead to it (others as by default)."""
+
+    output: str
+    printed: str
+    """As it is printed, for instance "0.3856": the last digit counts as rounded."""
+    unit: str
+    """Unit of `printed`, in words."""
+    scale: float
+    """SI value of that unit."""
+    source: str
+    at: Mapping[str, float | str] = field(default_factory=dict)
+
+    @property
+    def value(self) -> float:
+        """The printed value [SI]."""
+        return float(self.printed) * self.scale
+
+    @property
+    def rounding(self) -> float:
+        """Half a unit of the last printed digit [SI]."""
+        mantissa, _, power = self.printed.lower().partition("e")
+        decimals = len(mantissa.partition(".")[2])
+        return 0.5 * 10.0 ** (int(power or 0) - decimals) * self.scale
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of the library."""
+
+    name: str
+    family: str
+    title: str
+    equation: tuple[str, ...]
+    source: str
+    parameters: tuple[Parameter, ...]
+    outputs: tuple[Output, ...]
+    references: tuple[Reference, ...]
+    notes: tuple[str, ...]
+    """What one should know: where the print is wrong, what is not refused and why."""
+    function: Callable[..., Values]
+
+    def evaluate(self, values: Mapping[str, ArrayLike | str] | None = None) -> Values:
+        """The outputs [SI] for `values` [SI] by parameter name, the others at their reference values.
+
+        Raises
+        ------
+        OutsideDomain
+            Where the model does not hold.
+        KeyError
+            For a name that is no parameter.
+        """
+        given = dict(values or {})
+        unknown = [name for name in given if name not in {p.name for p in self.parameters}]
+        if unknown:
+            raise KeyError(unknown[0])
+        return self.function(**{p.name: given.get(p.name, p.value) for p in self.parameters})
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a value is refused: `value`, `low` and `high` are SI; NaN where a relation between inputs is broken."""
+
+    name: str
+    reason: str
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    above: bool = False
+
+    def __str__(self) -> str:
+        """The sentence, in SI."""
+        if math.isnan(self.low):
+            return f"{self.name}: {self.reason}"
+        ends = f"{'above ' if self.above else ''}{self.low:.6g} to {self.high:.6g}"
+        return f"{self.name} = {self.value:.6g} (SI) is outside {ends}" + (f": {self.reason}" if self.reason else "")
+
+
+class OutsideDomain(ValueError):
+    """Inputs for which a model does not hold; all refusals at once."""
+
+    def __init__(self, *refusals: Refusal) -> None:
+        self.refusals = refusals
+        super().__init__("; ".join(map(str, refusals)))
+
+
+def refuse(name: str, reason: str, broken: ArrayLike = True) -> None:
+    """Refuse input `name` where `broken` is true anywhere."""
+    if np.any(broken):
+        raise OutsideDomain(Refusal(name, reason))
+
+
+MODELS: dict[str, Model] = {}
+"""Every model by name, in the order of the families' modules."""
+
+
+def described(
+    name: str,
+    family: str,
+    title: str,
+    *,
+    equation: tuple[str, ...],
+    source: str,
+    parameters: tuple[Parameter, ...],
+    outputs: tuple[Output, ...],
+    references: tuple[Reference, ...],
+    notes: tuple[str, ...] = (),
+) -> Callable[[Callable[P, Values]], Callable[P, Values]]:
+    """Put a function into the library: its calls are checked against the domains of `parameters`."""
+
+    def enter(function: Callable[P, Values]) -> Callable[P, Values]:
+        signature = inspect.signature(function)
+        if list(signature.parameters) != [p.name for p in parameters] or name in MODELS:
+            raise TypeError(f"{name}: known already, or described with other parameters than its function has")
+
+        @wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> Values:
+            bound = signature.bind(*args, **kwargs)
+            bound.apply_defaults()
+            _check(parameters, bound.arguments)
+            inputs = {p.name: _number(p, bound.arguments[p.name]) for p in parameters}
+            with np.errstate(all="ignore"):
+                found = function(**inputs)  # type: ignore[call-arg]
+            return {key: np.asarray(value, dtype=np.float64) for key, value in found.items()}
+
+        MODELS[name] = Model(name, family, title, equation, source, parameters, outputs, references, notes, checked)
+        return checked
+
+    return enter
+
+
+def _number(parameter: Parameter, value: Any) -> Any:
+    return value if parameter.choices else np.asarray(value, dtype=np.float64)
+
+
+def _check(parameters: tuple[Parameter, ...], values: Mapping[str, Any]) -> None:
+    """Raise OutsideDomain with every input that is not finite, not among the choices or out of its range."""
+    refusals = []
+    for p in parameters:
+        value = values[p.name]
+        if p.choices:
+            if value not in p.choices:
+                refusals.append(Refusal(p.name, f'"{value}" is none of {", ".join(p.choices)}'))
+            continue
+        array = np.asarray(value, dtype=np.float64)
+        if not np.isfinite(array).all():
+            refusals.append(Refusal(p.name, "a finite number is expected"))
+            continue
+        low, high = _widened(p.low, -1), _widened(p.high, 1)
+        outside = (array <= p.low if p.above else array < low) | (array > high)
+        if outside.any():
+            first = float(array[outside].flat[0]) if array.ndim else float(array)
+            refusals.append(Refusal(p.name, p.reason, first, p.low, p.high, p.above))
+    if refusals:
+        raise OutsideDomain(*refusals)
+
+
+def _widened(end: float, way: int) -> float:
+    """An end of a domain with room for rounding of units."""
+    return end + way * 1e-12 * abs(end) if math.isfinite(end) else end
