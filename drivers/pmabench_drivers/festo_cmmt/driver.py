@@ -21,13 +21,13 @@ from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, Se
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
 from pmabench_drivers.festo_cmmt.path import Path
-from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters, decode, encode
+from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cpx_e.line import NamedLine
+    from pmabench_drivers.festo_cmmt.link import DriveLink
 
 CALL = 0.19
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
@@ -58,10 +58,9 @@ class FestoCmmt:
         self._watchdog = DeviceWatchdog(
             device.name, RegisterMap(watchdog=WatchdogRegisters(t.TIMEOUT, 1e-3)), self._get, self._put
         )
-        self._line: NamedLine | None = None
+        self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
-        self._mailbox = threading.Lock()
         self._path = Path(clock.now)
         self._forget()
 
@@ -87,19 +86,19 @@ class FestoCmmt:
 
     def open(self) -> Identity:
         """Connect, read who it is, and compare telegram and units with the bench file; takes no control."""
-        from pmabench_drivers.festo_cpx_e.line import NamedLine
+        from pmabench_drivers.festo_cmmt.link import DriveLink
 
         self.close()
-        line = self._line = NamedLine(self._device.name, self._device.address, ANSWER)
+        line = self._line = DriveLink(self._device.name, self._device.address)
         until = monotonic() + OPEN
         try:
             told = line.identification(until)
-            selected = self._parameter(t.TELEGRAM, "uint16", until)
+            selected = self._opened().parameter(t.TELEGRAM, "uint16", until)
             if selected != t.TELEGRAM_111:
                 message = f"has telegram {selected:g} selected, and this driver speaks 111: select it in the drive"
                 raise DeviceError(self._device.name, message, "P0.3030101")
             self._compare_units(until)
-            self._found = self._get(t.TIMEOUT, until)
+            self._found = line.get(t.TIMEOUT, until)
             status = self._look(until)
         except DeviceError:
             self.close()
@@ -115,7 +114,7 @@ class FestoCmmt:
         line = self._line
         if line is not None and self._release and self._command is not None:
             with suppress(DeviceError):
-                line.write(16, t.PROCESS_OUT, t.NOTHING, monotonic() + ANSWER / 2, "switching off")
+                line.send(t.NOTHING, monotonic() + ANSWER / 2)
         self._line = None
         self._watchdog.forget()
         self._forget()
@@ -125,7 +124,7 @@ class FestoCmmt:
     def _compare_units(self, until: float) -> None:
         """The drive's decimal exponents of position and velocity, in metres, against the bench's scale."""
         position, velocity = (
-            self._parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
+            self._opened().parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
         )
         self._per_second = 10.0 ** (position - velocity)
         scales = [output.scale for output in self._device.outputs]
@@ -223,7 +222,7 @@ class FestoCmmt:
     def read_back(self, output: str) -> float:
         """The target that the drive itself holds [user units]."""
         self._scale(output)
-        return self._parameter(t.TARGET, "int32", monotonic() + CALL)
+        return self._held(monotonic() + CALL)
 
     def follow(self, output: str, segment: Segment) -> None:
         """A ramp as one task of the drive, a sine streamed in its cycle; from now on if the start has passed."""
@@ -246,13 +245,16 @@ class FestoCmmt:
 
     def halt(self, output: str) -> None:
         """Give up the motion: the drive brakes as hard as it may and holds the place; looked at until it stands."""
+        from pmabench_drivers.modbus.adapter import Unanswered
+
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
             self._path.end()
             before = self._command
         on = before.on if before is not None else self._look(until).has(t.ENABLED)
-        self._replace(t.Command(on=on, stop=True), until)
+        with suppress(Unanswered):  # the cycle goes on telling it; the drive's word decides
+            self._replace(t.Command(on=on, stop=True), until)
         while not (status := self._look(until)).has(t.STOPPED):
             if monotonic() > until - LOOK:
                 message = f"was told to stop and still moves (status word 0x{status.word:04x})"
@@ -263,24 +265,33 @@ class FestoCmmt:
 
     def _task(self, target: int, velocity: float, output: str) -> None:
         """Send the drive to `target` at `velocity` [user units, 1/s], and see that it takes that."""
-        until = monotonic() + CALL
+        from pmabench_drivers.modbus.adapter import Unanswered
+
+        until, lost = monotonic() + CALL, False
         self._switch_on(until)
         with self._turn:
             before = self._command or t.Command()
             self._path.go(target, velocity)
             command = self._command = self._moving(before, target, velocity)
-        self._send(command, until)
+        try:
+            self._send(command, until)
+        except Unanswered:  # the cycle goes on sending it; what the drive holds decides
+            lost = True
         while True:
             status = self._look(until)
             reason = status.refusal() or ("" if status.has(t.ENABLED) else self._off(status))
             if reason:
                 raise DeviceError(self._device.name, reason, output)
-            if before.task or status.has(t.TAKEN):
+            if (before.task or status.has(t.TAKEN)) and not (lost and self._held(until) != target):
                 return
             if monotonic() > until - LOOK:
-                message = f"did not take the motion to {target} (status word 0x{status.word:04x})"
+                what = "did not answer to" if lost else "did not take"
+                message = f"{what} the motion to {target} (status word 0x{status.word:04x})"
                 raise DeviceError(self._device.name, message, output)
             sleep(LOOK)
+
+    def _held(self, until: float) -> float:
+        return self._opened().parameter(t.TARGET, "int32", until)
 
     def _moving(self, before: t.Command, target: float, velocity: float) -> t.Command:
         units, override = t.speed(max(velocity * self._per_second, 1e-6))
@@ -331,17 +342,10 @@ class FestoCmmt:
 
     def _send(self, command: t.Command, until: float = 0.0) -> None:
         """Write the process data, unless something newer is commanded by the time the line is free."""
-        self._opened().write(
-            16,
-            t.PROCESS_OUT,
-            command.words(),
-            until or monotonic() + ANSWER,
-            "process data",
-            lambda: self._command is command,
-        )
+        self._opened().send(command.words(), until or monotonic() + ANSWER, lambda: self._command is command)
 
     def _look(self, until: float) -> t.Status:
-        return t.Status.of(self._opened().read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
+        return self._opened().look(until)
 
     # -- the drive's watchdog -------------------------------------------------------------------------------------
 
@@ -361,11 +365,11 @@ class FestoCmmt:
         """Give the drive back the time-out that it had when it was opened; `close` switches it off then."""
         self._watchdog.forget()
         self._release = True
-        self._put(t.TIMEOUT, self._found, monotonic() + CALL)
+        self._opened().put(t.TIMEOUT, self._found, monotonic() + CALL)
 
-    # -- registers and parameters ---------------------------------------------------------------------------------
+    # -- small things ---------------------------------------------------------------------------------------------
 
-    def _opened(self) -> NamedLine:
+    def _opened(self) -> DriveLink:
         line = self._line
         if line is None:
             raise DeviceError(self._device.name, "is not open")
@@ -383,32 +387,7 @@ class FestoCmmt:
         return round(value)
 
     def _get(self, register: Register, deadline: float) -> float:
-        words = self._opened().read(register.table, register.address, register.count, deadline, register.name)
-        return decode(register, words)
+        return self._opened().get(register, deadline)
 
     def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
-        """Write once; then what the drive holds decides, also where the answer was lost."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
-        with suppress(Unanswered):
-            self._opened().write(16, register.address, encode(register, value), deadline, register.name)
-        held = self._get(register, deadline)
-        if checked and held != value:
-            raise DeviceError(self._device.name, f"was given {value:g} and holds {held:g}", register.name)
-
-    def _parameter(self, number: int, kind: str, until: float) -> float:
-        """The value of a parameter, through the drive's mailbox; `kind` is a type of registers, or `int8`."""
-        line, what = self._opened(), f"parameter {number}"
-        with self._mailbox:
-            for address, word in ((t.NUMBER, number), (t.SUBINDEX, 0), (t.ELEMENTS, 1), (t.EXECUTE, t.READ)):
-                line.write(6, address, [word], until, what)
-            while (state := line.read("holding", t.EXECUTE, 1, until, what)[0]) != t.DONE:
-                if state == t.FAILED or monotonic() > until - LOOK:
-                    raise DeviceError(self._device.name, f"does not tell it (mailbox state {state})", what)
-                sleep(LOOK)
-            register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
-            [size] = line.read("holding", t.LENGTH, 1, until, what)
-            if size != (1 if kind == "int8" else 2 * register.count):
-                raise DeviceError(self._device.name, f"has {size} bytes, where {kind} was expected", what)
-            value = decode(register, line.read("holding", t.DATA, register.count, until, what))
-        return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
+        self._opened().put(register, value, deadline, checked=checked)

@@ -32,8 +32,8 @@ STROKE = (-0.01, 0.09)
 """Software limits [m of contraction]."""
 BEHIND, SO_LONG = 0.003, 0.1
 """A place that is so far from the profile [m] for so long [s] is a following error."""
-TIMED_OUT, OUT_OF_STROKE, FOLLOWING = 1001, 1002, 1003
-"""The emulator's own fault codes; a drive has others."""
+TIMED_OUT, OUT_OF_STROKE, FOLLOWING = 299, 110, 126
+"""Fault codes; which one a drive has for a time-out of Modbus is the emulator's guess."""
 MILLI = -3
 """Decimal exponent of its velocity unit [m/s]."""
 
@@ -64,7 +64,7 @@ class EmulatedDrive:
         self.control, self.homed, self.supplied, self.fault = True, True, True, 0
         self.timeout = FACTORY
         """Without communication for so long it stops [ms]; 0: never."""
-        self._out = [0] * t.SIZE
+        self._out = [0] * t.SENT
         self._mail = dict.fromkeys((t.NUMBER, t.SUBINDEX, t.ELEMENTS, t.EXECUTE, t.LENGTH), 0)
         self._data: list[int] = []
         self._powered = float("inf")
@@ -73,7 +73,7 @@ class EmulatedDrive:
         self._taken = False
         self._from = self._to = 0.0
         self._begun, self._pace = 0.0, 0.0
-        self._behind_since: float | None = None
+        self._behind_since = 0.0
         self._heard, self._expire = monotonic(), False
 
     # -- requests -------------------------------------------------------------------------------------------------
@@ -108,9 +108,9 @@ class EmulatedDrive:
 
     def _write(self, request: frames.Request, *, ignore: bool) -> None:
         shape = request.function, request.address, request.count
-        if shape == (16, t.PROCESS_OUT, t.SIZE):
+        if shape in {(16, t.PROCESS_OUT, t.SENT), (16, t.PROCESS_OUT, t.SIZE)}:
             if not ignore:
-                self._obey(list(request.values))
+                self._obey(list(request.values[: t.SENT]))
         elif shape == (16, t.TIMEOUT.address, 2):
             if request.values[1] or 0 < request.values[0] < 100:
                 raise frames.Refused(frames.VALUE)
@@ -151,7 +151,7 @@ class EmulatedDrive:
             self._off("no control")
             return
         if rising & t.ACKNOWLEDGE and self.fault:
-            self.fault, self._behind_since = 0, None
+            self.fault = 0
         free = control & t.NO_COAST_STOP and control & t.NO_QUICK_STOP
         if not control & t.ON and free and not self.fault:
             self._inhibited = False
@@ -218,7 +218,12 @@ class EmulatedDrive:
         """The input process data."""
         place = self._plant.quantities()["displacement"]
         raw = min(max(round(float(self._scale.to_raw(place))), -(2**31)), 2**31 - 1)
-        at_rest = self._profile(monotonic()) == self._to
+        now = monotonic()
+        at_rest = self._profile(now) == self._to
+        if self._powered > now or abs(place - self._profile(now)) <= BEHIND:
+            self._behind_since = now
+        elif now - self._behind_since > SO_LONG:
+            self._fail(FOLLOWING)
         bits = {
             t.READY: self._can,
             t.ENABLED: self.enabled,
@@ -243,7 +248,7 @@ class EmulatedDrive:
         return self._expire
 
     def look_at_watchdog(self) -> None:
-        """Stop where nothing was heard for the time-out, or where the place is not where the profile is."""
+        """Stop where nothing was heard for the time-out."""
         with self._lock:
             if self._powered == float("inf"):
                 return
@@ -252,13 +257,6 @@ class EmulatedDrive:
                 self._expire = False
                 self._log.note("watchdog", self.device.name, silent=now - self._heard)
                 self._fail(TIMED_OUT)
-                return
-            if abs(self._plant.quantities()["displacement"] - self._profile(now)) <= BEHIND:
-                self._behind_since = None
-            elif self._behind_since is None:
-                self._behind_since = now
-            elif now - self._behind_since > SO_LONG:
-                self._fail(FOLLOWING)
 
 
 class CmmtDevice(NamedDevice):

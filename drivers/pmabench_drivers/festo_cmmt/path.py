@@ -2,8 +2,8 @@
 
 In each cycle the drive gets the velocity that brings it to the sine's value at the end of the cycle, and a target
 beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly where a cycle comes
-late. The target is never outside the sine's own crests. What the drive loses against that by its acceleration is seen in
-where it is, and made up slowly. Standard library only.
+late. The target is never outside the sine's own crests. What the drive loses by its acceleration is seen in where it
+is, and made up slowly. Standard library only.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 from pmabench.bench.interface import Segment
 from pmabench_drivers.modbus.segments import stepped
-
 
 CATCH_UP = 0.02
 """Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""

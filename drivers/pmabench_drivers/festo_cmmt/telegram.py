@@ -15,8 +15,8 @@ from pmabench_drivers.modbus.registers import Register, decode, encode
 
 PROCESS_OUT, PROCESS_IN = 0, 100
 """First register of what is sent to the drive, and of what it tells."""
-SIZE = 28
-"""Registers of each of them; telegram 111 takes the first 11 and 12."""
+SIZE, SENT = 28, 11
+"""Registers of each of them, and those that telegram 111 takes of what is sent."""
 TIMEOUT = Register("watchdog time", "holding", 400, "uint32", low_word_first=True)
 """Milliseconds without communication after which the drive acts by itself."""
 SHORTEST, LONGEST = 0.1, 65.535
@@ -43,6 +43,15 @@ FULL = 0x4000
 """100 % of override, acceleration and deceleration."""
 
 
+FAULTS = {
+    109: "it came to its negative software limit",
+    110: "it came to its positive software limit",
+    126: "it could not follow: the load is too heavy, or something is in its way",
+    294: "it is not controlled over the network",
+}
+"""Codes of the drive that a motion under load is likely to meet; its manual has them all."""
+
+
 @dataclass(frozen=True)
 class Command:
     """What is sent to the drive in each cycle: bits, target [user units], velocity [user units] times override."""
@@ -63,11 +72,10 @@ class Command:
         control |= self.on * ON | self.task * TASK | self.acknowledge * ACKNOWLEDGE | (not self.stop) * KEEP_TASK
         target = encode(Register("", "holding", 0, "int32", low_word_first=True), self.target)
         velocity = encode(Register("", "holding", 0, "uint32", low_word_first=True), self.velocity)
-        words = [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *target, *velocity, FULL, FULL]
-        return words + [0] * (SIZE - len(words))
+        return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *target, *velocity, FULL, FULL]
 
 
-NOTHING = [0] * SIZE
+NOTHING = [0] * SENT
 """What is sent at last: switched off, no control."""
 
 
@@ -95,7 +103,9 @@ class Status:
     def refusal(self) -> str:
         """Why it cannot be switched on or moved, in words; empty where nothing is known to forbid it."""
         if self.has(FAULT):
-            return f"reports fault {self.fault}: its display and its manual say what that is"
+            return (
+                f"reports fault {self.fault}: {FAULTS.get(self.fault, 'its display and its manual say what that is')}"
+            )
         if not self.has(CONTROL):
             return "gives no control to the network: another program holds it, or it is operated by hand"
         if not self.has(HOMED):
