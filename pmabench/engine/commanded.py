@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,7 +15,7 @@ from pmabench.base.clock import Clock
 from pmabench.guard import course
 
 SETTLES = 2.0
-"""After the command went down, a pressure that falls may still follow it for so long [s]."""
+"""After the command went down, a pressure that falls may still follow it for so long [s], and no deeper."""
 
 
 class Commands(Protocol):
@@ -46,27 +47,51 @@ class _Course:
 
 
 @dataclass
+class _Lows:
+    """The lowest values of the commands that still count, rising, and until when each does [s]: the last for ever."""
+
+    until: list[float] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+
+    def add(self, t: float, low: float) -> None:
+        """From `t` [s] on the command is nowhere below `low` [SI]; the one before counts for `SETTLES` more."""
+        if self.until:
+            self.until[-1] = t + SETTLES
+        gone = bisect_right(self.until, t)
+        del self.until[:gone], self.values[:gone]
+        while self.values and self.values[-1] >= low:
+            self.until.pop()
+            self.values.pop()
+        self.until.append(math.inf)
+        self.values.append(low)
+
+
+@dataclass
 class Commanded:
     """The course of each output [SI over s of bench time], noted when it is commanded."""
 
     _courses: dict[str, _Course] = field(default_factory=dict)
     _falls: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     """How fast each output was told to go down [SI/s], and until when a pressure may still follow that [s]."""
+    _lows: dict[str, _Lows] = field(default_factory=dict)
 
     def set(self, output: str, t: float, value: float) -> None:
         """A step at `t` [s]."""
         before = self.at(output, t)
-        self._note(output, course.step(value), t, t, math.inf if before is not None and value < before else 0.0)
+        falls = math.inf if before is not None and value < before else 0.0
+        self._note(output, course.step(value), t, t, falls, value)
 
     def ramp(self, output: str, t: float, origin: float, target: float, rate: float) -> None:
         """A ramp that begins at `t` [s]; `rate` [SI/s] is above zero."""
         ends = t + abs(target - origin) / rate
-        self._note(output, course.ramp(t, origin, target, rate), t, ends, rate if target < origin else 0.0)
+        falls = rate if target < origin else 0.0
+        self._note(output, course.ramp(t, origin, target, rate), t, ends, falls, min(origin, target))
 
     def sine(self, output: str, t: float, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """A sine that begins at `t` [s]; frequency in Hz."""
         fastest = 2 * math.pi * frequency * abs(amplitude)
-        self._note(output, course.sine(t, mean, amplitude, frequency, cycles), t, t + cycles / frequency, fastest)
+        at, ends = course.sine(t, mean, amplitude, frequency, cycles), t + cycles / frequency
+        self._note(output, at, t, ends, fastest, mean - abs(amplitude))
 
     def at(self, output: str, t: float) -> float | None:
         """The commanded value [SI] at `t` [s], or None before the first command."""
@@ -81,11 +106,22 @@ class Commanded:
             allowed = np.where(t < until, np.maximum(allowed, rate), allowed)
         return allowed
 
-    def _note(self, output: str, at: course.Course, t: float, ends: float, falls: float) -> None:
+    def lowest(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The lowest value [SI] that was commanded up to `SETTLES` before `t` [s], of shape (n,) as `t`.
+
+        Infinite before the first command: nothing explains a fall then.
+        """
+        known = self._lows.get(output)
+        if known is None:
+            return np.full(len(t), math.inf)
+        return np.array([known.values[bisect_right(known.until, moment)] for moment in t.tolist()])
+
+    def _note(self, output: str, at: course.Course, t: float, ends: float, falls: float, low: float) -> None:
         before = self._courses.get(output)
         self._courses[output] = _Course(at, t, before.at if before is not None else None)
         still = [fall for fall in self._falls.get(output, ()) if fall[0] > t and fall[1] > falls]
         self._falls[output] = [*still, (ends + SETTLES, falls)] if falls else still
+        self._lows.setdefault(output, _Lows()).add(t, low)
 
 
 class Commander:

@@ -221,7 +221,11 @@ class Watch:
         if limit.kind == "rate":
             rate = np.abs(change) / np.maximum(times[first:] - times[before], 1e-9)
             return enough & (rate > (limit.high or 0.0)), rate
+        # What commands explain: a fall as fast as they were, and no deeper than the lowest of them.
         allowed = self._commanded.falling(limit.channel, t) * window
+        if allowed.any():
+            deep = np.maximum(0.0, values[before] - self._commanded.lowest(limit.channel, t))
+            allowed = np.minimum(allowed, deep)
         return -change - allowed > (limit.high or 0.0), -change
 
     @staticmethod

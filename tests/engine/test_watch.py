@@ -138,11 +138,46 @@ def test_a_warning_comes_and_goes_at_the_same_samples_however_it_is_cut(cuts, pe
 
 def test_a_fall_that_settles_is_no_burst_and_one_afterwards_is():
     fall = np.interp(T, [3.2, 3.3], [3.03e5, 0.0])
-    early, late = commands((0.0, 4e5), (3.2 - SETTLES + 0.3, 3e5)), commands((0.0, 4e5), (3.2 - SETTLES - 0.1, 3e5))
+    early, late = commands((0.0, 4e5), (3.2 - SETTLES + 0.3, 0.0)), commands((0.0, 4e5), (3.2 - SETTLES - 0.1, 0.0))
     trip = limit("burst", high=60e3, window=0.05)
     for cuts in ([], [700], [1610], list(range(0, 2000, 25))):
         assert look(trip, fall, cuts=cuts, commanded=early) == []
         assert [item[0] for item in look(trip, fall, cuts=cuts, commanded=late)] == [3.22]
+
+
+@given(cuts=st.lists(st.integers(0, len(T)), max_size=12))
+def test_a_fall_deeper_than_any_command_is_a_burst_right_after_a_step_down(cuts):
+    """3.03 bar to nothing in 0.1 s, from 3.2 s on; 3 bar is the lowest command: found 63 kPa later, at 3.2208 s."""
+    fall = np.interp(T, [3.2, 3.3], [3.03e5, 0.0])
+    trip = limit("burst", high=60e3, window=0.05)
+    (found,) = look(trip, fall, cuts=cuts, commanded=commands((0.0, 4e5), (3.1, 3e5)))
+    assert found[0] == pytest.approx(3.222, abs=1e-9)
+    assert look(trip, fall, cuts=cuts, commanded=commands((0.0, 4e5), (2.5, 1e3), (3.1, 3e5))) == []
+    assert look(
+        trip, fall, cuts=cuts, commanded=commands((0.0, 4e5), (3.0 - SETTLES, 1e3), (3.1 - SETTLES, 3e5), (3.15, 2.9e5))
+    )
+
+
+def test_a_burst_in_a_loop_that_commands_at_every_sample_is_found():
+    """A loop steps between 2.8 and 3.2 bar each 2 ms, half of the steps down; the pressure follows their mean."""
+    loop = Commanded()
+    trip = limit("burst", high=60e3, window=0.05)
+    watch = Watch([trip], [CHANNEL], loop)
+    for k, t in enumerate(T):
+        loop.set("pressure", float(t), 3e5 + (2e4 if k % 2 else -2e4))
+        value = 3e5 if t < 3.0 else 3e5 * math.exp(-(t - 3.0) / 0.1)
+        found = watch.look_once(float(t), {"pressure": value})
+        if found:
+            break
+    # e-fold 0.1 s: the fall over 50 ms beyond the 20 kPa down to the lowest command is above 60 kPa from 32 ms on
+    assert found[0].t == pytest.approx(3.0 - 0.1 * math.log(1 - 80e3 / 3e5), abs=0.003)
+
+
+def test_the_lowest_command_counts_for_as_long_as_a_pressure_may_follow_it():
+    told = commands((0.0, 4e5), (1.0, 1e5), (2.0, 3e5), (2.5, 2e5), (5.0, 3e5))
+    at = np.array([0.5, 1.5, 2.0 + SETTLES - 0.01, 2.0 + SETTLES + 0.01, 5.0 + SETTLES - 0.01, 5.0 + SETTLES + 0.01])
+    assert told.lowest("pressure", at[3:]).tolist() == [2e5, 2e5, 3e5]
+    assert Commanded().lowest("pressure", at[:1]).tolist() == [math.inf]
 
 
 @given(cuts=st.lists(st.integers(0, len(T)), max_size=6))
