@@ -1,6 +1,6 @@
 """`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench.
 
-`read` and `set` are in `pmabench.cli.devices_values`.
+`read` and `set` are in `pmabench.cli.devices_values`, `conformance` in `pmabench.cli.devices_conformance`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.cli import devices_values
+from pmabench.cli import devices_conformance, devices_values
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def command() -> None:
 
 command.add_command(devices_values.read)
 command.add_command(devices_values.set_)
+command.add_command(devices_conformance.conformance)
 
 
 @command.command(name="list")

@@ -154,7 +154,8 @@ def test_the_specimen_s_contraction_binds_a_driven_end(tmp_path):
     path = rig(
         tmp_path,
         "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
-        "outputs:\n  displacement: {device: daq, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
+        "devices: {daq: {options: {free_end: actuator}}}\n"
+        "outputs:\n  displacement: {device: daq, output: displacement, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
         "limits:\n  displacement: {command: 50 mm}\n"
         "safe_state:\n  - {drive_quick_stop: displacement, within: 200 ms}\n"
         "  - {set: pressure, to: 0 kPa, within: 1 s}\n  - {open: dump_valve, within: 1 s}\n"

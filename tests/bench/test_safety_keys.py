@@ -148,7 +148,7 @@ def test_wrong_valves_and_interlocks_are_refused(tmp_path, changes, says):
 def test_a_supply_valve_is_left_closed_and_stands_open_in_a_run(tmp_path):
     path = rig(
         tmp_path,
-        "outputs: {supply_valve: {device: daq, output: air, energised: open}}\n"
+        "outputs: {supply_valve: {device: daq, output: isolation_valve, energised: open}}\n"
         f"safe_state:\n  - {{close: supply_valve, within: 1 s}}\n{VENT}{DUMP}{END}",
     )
     found = {valve.name: valve.safe for valve in mount(path, SPECIMEN).bench.valves}

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import read_options, split_service
+from pmabench_drivers.mock.options import problems, read_options, split_service
 from pmabench_drivers.mock.wire import Link, Message, parse_address
 
 Answer = TypeVar("Answer")
@@ -39,6 +39,15 @@ class MockClient:
     """
 
     verified = "a simulation"
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
+        """What is wrong with the options, each with its place; starts nothing."""
+        try:
+            _service, plant = split_service(device.name, device.options)
+        except DeviceError as error:
+            return [(("options",), error.message)]
+        return problems(device, plant)
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         if not isinstance(clock, RealClock):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import E_STOP, VALVES, Options, read_options
+from pmabench_drivers.mock.options import E_STOP, VALVES, Options, problems, read_options
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import Simulation
@@ -37,6 +38,11 @@ class MockBench:
         self._outputs = {output.output: output for output in device.outputs}
         self._opened: Simulation | None = None
         self._closed = threading.Event()
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
+        """What is wrong with the options, each with its place; builds no plant."""
+        return problems(device, device.options)
 
     def _read_options(self) -> Options:
         options, name = read_options(self._device.name, self._device.options), self._device.name

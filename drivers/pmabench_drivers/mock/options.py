@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import DeviceRecord
 from pmabench.model.overrides import Overrides
 
 SENSORS = ("pressure", "displacement", "force")
@@ -161,6 +162,32 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     if options.dump_lag < 0 or not options.slow_vent > 0:
         raise DeviceError(device, "option dump_lag needs a lag of at least 0 s, option slow_vent a factor above 0")
     return options
+
+
+def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """What is wrong with the plant's options `own` and with the names of inputs and outputs, each with its place."""
+    driven = own.get("free_end") == "actuator"
+    try:
+        read_options(device.name, own)
+    except DeviceError as error:
+        yield ("options",), error.message
+    known = INPUTS if driven else INPUTS[:-1]
+    for channel in device.channels:
+        if channel.input not in known:
+            yield ("channels", channel.name, "input"), f'no input "{channel.input}"{did_you_mean(channel.input, known)}'
+    places = ("pressure", "displacement") if driven else ("pressure",)
+    for output in device.outputs:
+        if output.output not in places:
+            yield (
+                ("outputs", output.name, "output"),
+                f'no output "{output.output}"{did_you_mean(output.output, places)}',
+            )
+    for valve in device.valves:
+        if valve.output not in VALVES:
+            yield ("outputs", valve.name, "output"), f'no valve "{valve.output}"{did_you_mean(valve.output, VALVES)}'
+    for lock in device.interlocks:
+        if lock.input != E_STOP:
+            yield ("interlocks", lock.name, "input"), f'no digital input "{lock.input}"; there is "{E_STOP}"'
 
 
 def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:

@@ -1,0 +1,180 @@
+"""Checks of what a driver does on a silent, slow or broken wire; and that it leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import OutputRecord
+from pmabench.conformance.behaviour import RATE, near, raw, times_sent
+from pmabench.conformance.damage import late, silence
+from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.conformance.verdict import Failed, NotApplicable
+
+LATE = 0.35
+"""Answers that come after every time-out of a call [s]."""
+SETTLES = 3.0
+"""How long threads and connections are given to end [s]."""
+RECOVERS = 5
+"""How often a question may fail after the wire is well again."""
+
+
+def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
+    """Everything that a guard or an engine calls while it runs: name, call, longest time [s]."""
+    found: list[tuple[str, Callable[[], Any], float]] = []
+    for output in rig.record.outputs:
+        value = _fifth(output)
+        found.append((f"write({value:g})", partial(device.write, output.output, value), CALLS_WITHIN))
+        found.append(("read_back()", partial(device.read_back, output.output), CALLS_WITHIN))
+    for valve in rig.record.valves:
+        found.append(("switch(on=False)", partial(device.switch, valve.output, on=False), CALLS_WITHIN))
+        found.append(("is_on()", partial(device.is_on, valve.output), CALLS_WITHIN))
+    for lock in rig.record.interlocks:
+        found.append(("level()", partial(device.level, lock.input), CALLS_WITHIN))
+    if rig.streams():
+        found.append(("collect()", device.collect, COLLECTS_WITHIN))
+    return found
+
+
+def _fifth(output: OutputRecord) -> float:
+    """A value a fifth above the safe one [device units]."""
+    return raw(output, output.safe + 0.2 * (output.high - output.safe))
+
+
+def silent(rig: Rig) -> str:
+    """When the device falls silent, every call is back in time, and a write is sent once."""
+    rig.need_wire()
+    told: list[str] = []
+    with rig.opened() as device:
+        if rig.streams():
+            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        rig.damage(silence)
+        for what, act, within in calls(rig, device):
+            before = len(rig.logged("set"))
+            answer = rig.call(f"{what} in silence", act).judged(within)
+            if isinstance(answer, DeviceError):
+                told.append(str(answer))
+            time.sleep(0.05)
+            for output in rig.record.outputs if what.startswith("write") else ():
+                sent = times_sent(rig, output, _fifth(output), before)
+                if sent > 1:
+                    raise Failed(f"{what} in silence was carried out {sent} times; a write is never repeated")
+            if what.startswith(("read_back", "is_on", "level")) and not isinstance(answer, DeviceError):
+                told.append(f"{what} gives what came last")
+        if rig.streams():
+            told.append(_says_that_samples_stay_away(rig, device))
+        rig.shut()  # in silence, too, within its time
+    return f"{len(told)} calls are back in time; the last says: {told[-1]}"
+
+
+def _says_that_samples_stay_away(rig: Rig, device: Any) -> str:
+    """A silent stream is an error, or gives no samples: then pmabench says so after its own time."""
+    for _ in range(15):
+        rig.pass_time(0.1)
+        block = rig.call("collect() in silence", device.collect).judged(COLLECTS_WITHIN)
+        if isinstance(block, DeviceError):
+            return str(block)
+    if len(block.time):
+        raise Failed("samples keep coming 1.5 s after the device has fallen silent: they are made up")
+    return "collect() gives no samples"
+
+
+def late_answers(rig: Rig) -> str:
+    """An answer that comes too late is never taken for the answer to the next question."""
+    rig.need_wire()
+    if not rig.record.outputs:
+        raise NotApplicable("it has no output whose value could be mixed up")
+    output = rig.record.outputs[0]
+    with rig.opened() as device:
+        refused = 0
+        for share in (0.3, 0.1, 0.2):
+            value = raw(output, output.safe + share * (output.high - output.safe))
+            rig.damage(late(LATE))
+            rig.call("read_back() with a late answer", device.read_back, output.output).judged(CALLS_WITHIN)
+            rig.well()
+            rig.call("write() after a late answer", device.write, output.output, value).judged(CALLS_WITHIN)
+            for _ in range(RECOVERS):
+                held = rig.call("read_back() after a late answer", device.read_back, output.output).judged(CALLS_WITHIN)
+                if not isinstance(held, DeviceError):
+                    break
+                refused += 1
+                time.sleep(0.1)
+            else:
+                rig.shut()
+                rig.open()
+                device = rig.device
+                continue
+            sent = [entry for entry in rig.logged("set") if entry.get("output") == output.name]
+            stands = [value, *(entry["raw"] for entry in sent[-1:] if isinstance(entry.get("raw"), float | int))]
+            stands += [raw(output, output.safe)] if rig.logged("watchdog") else []  # it was silent for that long
+            if not any(near(output, held, one) for one in stands):
+                raise Failed(
+                    f"read_back() gave {held!r} where the device holds {stands[-1]:g}: the answer to an older question "
+                    "was taken; drain the line after a time-out"
+                )
+    return f"three late answers, no value mixed up ({refused} questions refused meanwhile)"
+
+
+def hang_up(rig: Rig) -> str:
+    """When the line is cut, calls say so in time, and after a new open() all is well."""
+    rig.need_wire()
+    with rig.opened() as device:
+        if rig.streams():
+            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        for relay in rig.relays:
+            relay.hang_up()
+        told: list[str] = []
+        until = time.monotonic() + 2.0
+        while time.monotonic() < until and not told:
+            for what, act, within in calls(rig, device):
+                answer = rig.call(f"{what} on a cut line", act).judged(within)
+                if isinstance(answer, DeviceError):
+                    told.append(str(answer))
+            time.sleep(0.1)
+        if not told and all(relay.address.startswith("/") for relay in rig.relays):
+            raise Failed("2 s after the plug was pulled no call has said so")
+        rig.shut()
+        rig.renew_wire()
+        rig.open()
+    return f"says: {told[0]}" if told else "connects again by itself"
+
+
+def nothing_left(rig: Rig) -> str:
+    """After close() no thread, no file and no connection is left, whether all was well or the wire silent."""
+    rig.need_wire()
+    for wire in ("good", "silent"):
+        before = _left()
+        rig.open()
+        device: Any = rig.device
+        if rig.streams():
+            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        if wire == "silent":
+            rig.damage(silence)
+        rig.shut()
+        rig.well()
+        until = time.monotonic() + SETTLES
+        while (left := _left())[1] > before[1] or left[0] - before[0]:
+            if time.monotonic() > until:
+                threads = ", ".join(sorted(left[0] - before[0])) or "none"
+                raise Failed(
+                    f"{SETTLES:g} s after close() on a {wire} wire there are {left[1] - before[1]} more open files or "
+                    f"connections than before, and threads: {threads}"
+                )
+            time.sleep(0.05)
+    return "no thread, no file and no connection"
+
+
+def _left() -> tuple[frozenset[str], int]:
+    """Names of the threads that live, and how many files are open."""
+    names = frozenset(
+        f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
+    )
+    try:
+        return names, len(os.listdir("/proc/self/fd"))  # noqa: PTH208
+    except OSError:
+        return names, 0

@@ -1,0 +1,171 @@
+"""Stands between a driver and its emulator, on TCP or on a pseudo-terminal, and damages what the device sends."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+import time
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from pathlib import Path
+
+from pmabench.conformance.damage import Damage
+
+PIECE = 4096
+WAIT = 0.05
+"""Longest wait for bytes on a serial line [s]."""
+
+
+class Relay(ABC):
+    """Passes everything on. What the driver sends is passed on as it is; `damage` is done to what the device sends."""
+
+    def __init__(self) -> None:
+        self.damage: Damage | None = None
+        self.address = ""
+        """What the driver connects to."""
+
+    @abstractmethod
+    def hang_up(self) -> None:
+        """End the connections that there are."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End."""
+
+    def arriving(self, data: bytes) -> list[bytes]:
+        """What arrives of a piece from the device, after the waits that its damage asks for."""
+        damage = self.damage
+        if damage is None:
+            return [data]
+        pieces = []
+        for seconds, piece in damage(data):
+            if seconds:
+                time.sleep(seconds)
+            pieces.append(piece)
+        return pieces
+
+
+class TcpRelay(Relay):
+    """Listens on 127.0.0.1 (`port` 0: a free one) and connects to `far`, as HOST:PORT, for each connection."""
+
+    def __init__(self, far: str) -> None:
+        super().__init__()
+        host, _, port = far.rpartition(":")
+        self._far = (host.strip("[]"), int(port))
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._open: set[socket.socket] = set()
+        threading.Thread(target=self._accept, name="conformance relay", daemon=True).start()
+
+    def hang_up(self) -> None:
+        """Shut every connection."""
+        for end in list(self._open):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Listen no more."""
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.hang_up()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listener.accept()
+            except OSError:
+                return
+            try:
+                far = socket.create_connection(self._far, timeout=5.0)
+            except OSError:
+                near.close()
+                continue
+            far.settimeout(None)
+            for end in (near, far):
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._open.add(end)
+            pair = _Pair(near, far, self._open)
+            for source, target in ((near, far), (far, near)):
+                threading.Thread(
+                    target=self._pump, args=(pair, source, target), name="conformance relay", daemon=True
+                ).start()
+
+    def _pump(self, pair: _Pair, source: socket.socket, target: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(PIECE):
+                for piece in [data] if source is pair.near else self.arriving(data):
+                    target.sendall(piece)
+        pair.ended()
+
+
+class _Pair:
+    """Two ends that are closed when both directions have ended."""
+
+    def __init__(self, near: socket.socket, far: socket.socket, known: set[socket.socket]) -> None:
+        self.near, self.far, self._known = near, far, known
+        self._lock = threading.Lock()
+        self._ended = 0
+
+    def ended(self) -> None:
+        """One direction has ended: the other one does too."""
+        for end in (self.near, self.far):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+        with self._lock:
+            self._ended += 1
+            if self._ended == 2:
+                for end in (self.near, self.far):
+                    self._known.discard(end)
+                    end.close()
+
+
+class SerialRelay(Relay):
+    """A pseudo-terminal reached by the link `path`, in front of the port `far`."""
+
+    def __init__(self, path: Path, far: str) -> None:
+        super().__init__()
+        import tty
+
+        self.address, self._link = str(path), path
+        self._near, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self._far = os.open(far, os.O_RDWR | os.O_NOCTTY)
+        path.unlink(missing_ok=True)
+        path.symlink_to(os.ttyname(self._slave))
+        self._ended = threading.Event()
+        self._threads = [
+            threading.Thread(target=self._pump, args=ends, name="conformance relay", daemon=True)
+            for ends in ((self._near, self._far), (self._far, self._near))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def hang_up(self) -> None:
+        """As when the plug is pulled: the port is gone."""
+        self.close()
+
+    def close(self) -> None:
+        """End, and take the link away; harmless when repeated."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(1.0)
+        with suppress(OSError):
+            self._link.unlink()
+        for end in (self._slave, self._near, self._far):
+            with suppress(OSError):
+                os.close(end)
+
+    def _pump(self, source: int, target: int) -> None:
+        with suppress(OSError):
+            while not self._ended.is_set():
+                if not select.select([source], [], [], WAIT)[0]:
+                    continue
+                data = os.read(source, PIECE)
+                for piece in [data] if source == self._near else self.arriving(data):
+                    if piece and select.select([], [target], [], 0)[1]:  # what finds no room is lost
+                        os.write(target, piece)

@@ -1,0 +1,289 @@
+"""One device of a driver for the checks: its emulator, the relays before it, the driver, and how long calls take."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.clock import Clock, RealClock, VirtualClock
+from pmabench.base.errors import DeviceError, UsageError
+from pmabench.bench.interface import Device, DeviceRecord, Identity, Stream, Watchdog
+from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
+from pmabench.conformance.verdict import Failed, NotApplicable
+from pmabench.guard.owner import PATIENCE, Call, Owner
+
+OPENS_WITHIN = 2.0
+"""Longest time that `open` may take [s]."""
+COLLECTS_WITHIN = 0.5
+"""Longest time that `start`, `collect` and `stop` may take [s]."""
+HUNG = 8.0
+"""A call that is not back after so long counts as hanging [s]."""
+CALLS_WITHIN = PATIENCE
+"""Longest time that a command or a question may take [s]."""
+SLACK = 0.1
+"""What every call is given besides [s], and three times what this computer was late meanwhile."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a call."""
+
+    what: str
+    value: Any
+    error: BaseException | None
+    seconds: float
+    lag: float
+    """By how much this computer was late meanwhile [s]: other programs want it too."""
+
+    def judged(self, within: float) -> Any:
+        """Its value, or the DeviceError; raises Failed where it took too long or raised anything else."""
+        if self.seconds > within + SLACK + 3 * self.lag:
+            raise Failed(f"{self.what} took {self.seconds:.2f} s; at most {within:g} s is allowed")
+        if self.error is not None and not isinstance(self.error, DeviceError):
+            kind = type(self.error).__name__
+            raise Failed(f"{self.what} raised {kind}: {self.error}; a DeviceError with a sentence is expected")
+        return self.value if self.error is None else self.error
+
+    def good(self, within: float) -> Any:
+        """Its value; raises Failed also where it is a DeviceError."""
+        value = self.judged(within)
+        if isinstance(value, DeviceError):
+            raise Failed(f"{self.what} failed on a good wire: {value}")
+        return value
+
+
+class _Lag:
+    """Notes by how much a thread that sleeps is woken too late: what the computer takes, not the driver."""
+
+    def __init__(self) -> None:
+        self.worst = 0.0
+        self._ended = threading.Event()
+        threading.Thread(target=self._watch, name="conformance lag", daemon=True).start()
+
+    def close(self) -> None:
+        """End."""
+        self._ended.set()
+
+    def _watch(self) -> None:
+        before = time.monotonic()
+        while not self._ended.wait(0.01):
+            now = time.monotonic()
+            self.worst = max(self.worst, now - before - 0.01)
+            before = now
+
+
+class Rig:
+    """The device of one record. `emulated`: whether an emulator stands behind it; `relays`: where bytes can be damaged.
+
+    Without an emulator a driver is tried only where it is a simulation itself.
+    """
+
+    def __init__(self, record: DeviceRecord, folder: Path, *, realtime: bool = True) -> None:
+        self._folder, self._realtime = folder, realtime
+        self.asked = record
+        self.relays: list[Relay] = []
+        self._lag = _Lag()
+        self._owner = Owner(record.name)
+        self.device: Any = None
+        self._armed = False
+        served = _served(record, folder)
+        try:
+            self.emulator: Any = _emulator(served)
+        except UsageError:
+            self.emulator, served = None, record
+        self.server: Any = None if self.emulator is None else self.emulator.devices[record.name]
+        try:
+            self.record = record if self.server is None else self._behind_relays(served)
+            if self.server is None and ":" in record.address:
+                self.record = replace(record, address=f"127.0.0.1:{free_port()}")
+        except BaseException:
+            self.close()
+            raise
+
+    # -- standing up ----------------------------------------------------------------------------------------------
+
+    def _behind_relays(self, served: DeviceRecord) -> DeviceRecord:
+        """The record as the driver gets it: every address is that of a relay."""
+        address = self.server.address
+        options = dict(served.options)
+        if served.address.startswith("/"):
+            near = self._folder / served.name
+            self.relays.append(SerialRelay(near, served.address))
+            return replace(served, address=str(near))
+        if not _is_tcp(served.address):
+            return replace(served, address=address)
+        for name, value in served.options.items():
+            if _is_port(name, value):
+                relay = TcpRelay(f"127.0.0.1:{value}")
+                self.relays.append(relay)
+                options[name] = int(relay.address.rpartition(":")[2])
+        self.relays.insert(0, TcpRelay(address))
+        return replace(served, address=self.relays[0].address, options=options)
+
+    def renew_wire(self) -> None:
+        """Put a serial line that was pulled back in place."""
+        for index, relay in enumerate(self.relays):
+            if isinstance(relay, SerialRelay):
+                relay.close()
+                self.relays[index] = SerialRelay(Path(relay.address), _far(self._folder, self.asked.name))
+
+    def close(self) -> None:
+        """End everything."""
+        with suppress(Exception):
+            self.shut()
+        for relay in self.relays:
+            relay.close()
+        if self.emulator is not None:
+            self.emulator.close()
+        self._lag.close()
+
+    def need_wire(self) -> None:
+        """Raise NotApplicable where there is no wire whose bytes could be damaged."""
+        if not self.relays:
+            raise NotApplicable("there is no emulator on a TCP or serial wire that could be damaged")
+
+    # -- the driver -----------------------------------------------------------------------------------------------
+
+    def clock(self) -> Clock:
+        """A clock as the bench of this device has it."""
+        return RealClock() if self._realtime else VirtualClock()
+
+    def driver(self) -> type:
+        """The class; raises Failed where it cannot be loaded."""
+        module, _, name = self.record.driver.partition(":")
+        try:
+            found = getattr(import_module(module), name)
+        except (ImportError, AttributeError) as error:
+            raise Failed(f"{self.record.driver} cannot be loaded: {error}") from error
+        if not isinstance(found, type):
+            raise Failed(f"{self.record.driver} is no class")
+        return found
+
+    def open(self, *, armed: bool = True) -> Identity:
+        """A new driver, open on a good wire, its watchdog armed as the guard arms it before it commands anything.
+
+        Raises Failed, also where no emulator and no simulation answers.
+        """
+        self.well()
+        self.bench_clock = self.clock()
+        self.device = self.driver()(self.record, self.bench_clock)
+        identity = self.call("open()", self.device.open, hung=HUNG).good(OPENS_WITHIN)
+        if not isinstance(identity, Identity):
+            raise Failed(f"open() gave {identity!r}; an Identity is expected")
+        if not identity.simulated and self.emulator is None:
+            raise Failed(
+                f"{identity.maker} {identity.model} answers as hardware, and nothing is tried on hardware: give the "
+                "driver an emulator (docs/drivers.md)"
+            )
+        if armed and self.record.watchdog and isinstance(self.device, Watchdog):
+            self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good(CALLS_WITHIN)
+            self._armed = True
+        return identity
+
+    def shut(self) -> None:
+        """Close the driver, if there is one."""
+        device: Device | None = self.device
+        self.device = None
+        if device is not None:
+            if self._armed and isinstance(device, Watchdog):
+                self._armed = False
+                self.call("disarm_watchdog()", device.disarm_watchdog).judged(CALLS_WITHIN)
+            self.call("close()", device.close).judged(COLLECTS_WITHIN)
+
+    @contextmanager
+    def opened(self, *, armed: bool = True) -> Iterator[Any]:
+        """The driver open, closed at the end."""
+        self.open(armed=armed)
+        try:
+            yield self.device
+        finally:
+            self.well()
+            self.shut()
+
+    def call(self, what: str, act: Callable[..., Any], *arguments: Any, hung: float = HUNG, **keywords: Any) -> Outcome:
+        """Make a call from the device's one thread; raises Failed where it hangs."""
+        self._lag.worst = 0.0
+        began = time.monotonic()
+        call: Call = self._owner.submit(partial(act, *arguments, **keywords))
+        if not call.done.wait(hung):
+            self._owner = Owner(self.record.name)
+            raise Failed(f"{what} hangs: it is not back after {hung:g} s; give every wait of the driver a time-out")
+        return Outcome(what, call.result, call.error, time.monotonic() - began, self._lag.worst)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let bench time pass, the watchdog fed."""
+        end = self.bench_clock.now() + seconds
+        while (left := end - self.bench_clock.now()) > 1e-9:
+            self.feed()
+            self.bench_clock.wait_until(self.bench_clock.now() + min(left, 0.1))
+
+    def feed(self) -> None:
+        """Feed the watchdog where it is armed."""
+        if self._armed and self.device is not None:
+            self.call("feed_watchdog()", self.device.feed_watchdog).judged(CALLS_WITHIN)
+
+    # -- the wire -------------------------------------------------------------------------------------------------
+
+    def damage(self, how: Any) -> None:
+        """Do this to what the device sends from now on."""
+        for relay in self.relays:
+            relay.damage = how
+
+    def well(self) -> None:
+        """No damage any more."""
+        self.damage(None)
+
+    def logged(self, kind: str) -> list[dict[str, Any]]:
+        """What the emulator says was commanded."""
+        return [] if self.emulator is None else list(self.emulator.log.of(kind, self.record.name))
+
+    def streams(self) -> bool:
+        """Whether the device has channels that it samples."""
+        return bool(self.record.channels) and issubclass(self.driver(), Stream)
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens at now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _emulator(record: DeviceRecord) -> Any:
+    """The emulator of the project with this device in it; UsageError where there is none."""
+    found = [point for point in entry_points(group="pmabench.emulators") if point.name == "plant"]
+    if not found:
+        raise UsageError("no emulator is installed")
+    return found[0].load()([record], preset="ideal")
+
+
+def _served(record: DeviceRecord, folder: Path) -> DeviceRecord:
+    """The record as the emulator gets it: on this machine, at places that nobody else uses."""
+    if record.address.startswith("/"):
+        return replace(record, address=_far(folder, record.name))
+    if not _is_tcp(record.address):
+        return record
+    options = {name: free_port() if _is_port(name, value) else value for name, value in record.options.items()}
+    return replace(record, address="127.0.0.1:0", options=options)
+
+
+def _far(folder: Path, name: str) -> str:
+    return str(folder / f"{name}-far")
+
+
+def _is_tcp(address: str) -> bool:
+    host, colon, port = address.rpartition(":")
+    return bool(colon and host and port.isdecimal())
+
+
+def _is_port(name: str, value: Any) -> bool:
+    return name.endswith("port") and isinstance(value, int) and not isinstance(value, bool)

@@ -1,0 +1,63 @@
+"""The table of checks, and the runs of them: one line each with its verdict and why."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from pmabench.bench.interface import DeviceRecord
+from pmabench.conformance import behaviour, broken_wire, unopened
+from pmabench.conformance.hostile import Battle
+from pmabench.conformance.rig import Rig
+from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Failed, NotApplicable, Result
+
+CHECKS: dict[str, Callable[[Rig], str]] = {
+    "interface": unopened.interfaces,
+    "imports": unopened.light,
+    "declares": unopened.declared,
+    "options": unopened.options,
+    "nobody there": unopened.nobody,
+    "life": behaviour.life,
+    "samples": behaviour.samples,
+    "set-points": behaviour.set_points,
+    "valves": behaviour.valves,
+    "inputs": behaviour.inputs,
+    "ramps": behaviour.ramps,
+    "watchdog": behaviour.watchdog,
+    "safe state": behaviour.safe_state,
+    "second way": behaviour.second_way,
+    "silence": broken_wire.silent,
+    "late answers": broken_wire.late_answers,
+    "line cut": broken_wire.hang_up,
+    "nothing left": broken_wire.nothing_left,
+}
+"""Name -> check; what it promises is the first line of its docstring."""
+HOSTILE = "hostile answers"
+
+
+def run(record: DeviceRecord, *, hostile: int = 300, seed: int = 1, realtime: bool = True) -> Iterator[Result]:
+    """Every check of one device, each with an emulator of its own; `hostile` is how many pieces are damaged."""
+
+    def battle(rig: Rig) -> str:
+        """Damaged answers end in a sentence or a number, in time; no write is repeated."""
+        rig.need_wire()
+        return Battle(rig, hostile, seed).fight()
+
+    checks = {**CHECKS, **({HOSTILE: battle} if hostile else {})}
+    for name, check in checks.items():
+        promise = (check.__doc__ or "").strip().splitlines()[0]
+        yield Result(name, promise, *_verdict(record, check, realtime=realtime))
+
+
+def _verdict(record: DeviceRecord, check: Callable[[Rig], str], *, realtime: bool) -> tuple[str, str]:
+    with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
+        rig = Rig(record, Path(folder), realtime=realtime)
+        try:
+            return PASSED, check(rig)
+        except NotApplicable as reason:
+            return NOT_APPLICABLE, str(reason)
+        except Failed as failure:
+            return FAILED, str(failure)
+        finally:
+            rig.close()
