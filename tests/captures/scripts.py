@@ -1,0 +1,110 @@
+"""What is done to each kind of device while its exchange is captured, and again while it is replayed."""
+
+import random
+import time
+from dataclasses import replace
+
+from pmabench_drivers.alicat import AlicatController
+from pmabench_drivers.dataq import Dataq
+from pmabench_drivers.festo_cpx_e import FestoCpxE
+from pmabench_drivers.ild1420 import Ild1420
+from pmabench_drivers.labjack import LabJack
+from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.serial_ascii import SerialIndicator
+from pmabench_drivers.serial_line_daq import SerialLineDaq
+
+from pmabench.base.clock import RealClock
+from tests.drivers.alicat.rigs import controller
+from tests.drivers.dataq.rigs import daq
+from tests.drivers.festo.rigs import terminal
+from tests.drivers.ild1420.rigs import laser
+from tests.drivers.labjack.rigs import t7
+from tests.drivers.serial_line_daq.rigs import board
+from tests.drivers.wires.rigs import cell, regulator
+
+
+def outputs(device, output, valve, interlock, value, watchdog=0.5):
+    """A whole use of a device with outputs: armed, energised, commanded, read, disarmed."""
+    yield device.arm_watchdog(watchdog)
+    device.feed_watchdog()
+    device.switch(valve, on=True)
+    yield device.is_on(valve)
+    device.write(output, value)
+    yield device.read_back(output)
+    yield device.level(interlock)
+    if isinstance(device, ModbusDevice) and not isinstance(device, LabJack):
+        yield from sampled(device)
+    device.write(output, 0.0)
+    device.switch(valve, on=False)
+    yield device.is_on(valve)
+    device.disarm_watchdog()
+
+
+def sampled(device):
+    """One sample of a device that is asked for its samples."""
+    if isinstance(device, ModbusDevice):
+        device._streaming = True  # as while its thread asks
+    device._poll()
+    if isinstance(device, ModbusDevice):
+        device._streaming = False
+    for name, column in sorted(device.collect().columns.items()):
+        yield name, [round(value, 4) for value in column]
+
+
+def regulated(device):
+    """A regulator without a watchdog."""
+    device.write("pressure", 200.0)
+    yield device.read_back("pressure")
+    device.write("pressure", 0.0)
+    yield device.read_back("pressure")
+
+
+def streamed(rate):
+    """A device that sends by itself, for a moment."""
+
+    def use(device):
+        yield device.start(rate)
+        time.sleep(0.1)
+        device.stop()
+        for name, column in sorted(device.collect().columns.items()):
+            yield name, len(column) > 5, {round(value, 2) for value in column}
+
+    return use
+
+
+SCRIPTS = {
+    "modbus-tcp": (ModbusDevice, regulator, False, lambda d: outputs(d, "pressure", "dump", "e_stop", 250.0)),
+    "modbus-rtu": (
+        ModbusDevice,
+        lambda path: regulator(str(path), {"baud": 115200}, identity={}, words="low-first"),
+        True,
+        lambda d: outputs(d, "pressure", "dump", "e_stop", 250.0),
+    ),
+    "festo-cpx-e": (FestoCpxE, terminal, False, lambda d: outputs(d, "ao4.0", "do2.0", "di1.0", 8000.0)),
+    "labjack": (LabJack, t7, False, lambda d: outputs(d, "DAC0", "FIO0", "FIO1", 1.5, 1.0)),
+    "serial-line-daq": (SerialLineDaq, board, True, lambda d: outputs(d, "o0", "v0", "d0", 250.0)),
+    "serial-ascii": (SerialIndicator, cell, True, sampled),
+    "alicat-ascii": (AlicatController, controller, True, regulated),
+    "alicat-modbus": (AlicatController, lambda path: controller(path, "modbus"), True, regulated),
+    "dataq": (Dataq, daq, True, streamed(500.0)),
+    "ild1420": (Ild1420, laser, True, streamed(1000.0)),
+}
+"""Name -> the driver, its device, whether it has a serial port, and what is done."""
+
+
+def device_of(name, path):
+    """The device of a script, at the port `path` where it has a serial one."""
+    _driver, record, serial, _use = SCRIPTS[name]
+    return record(path) if serial else record()
+
+
+def use(name, record):
+    """Open the driver, do what the script says, close it; who answered, and what the script gave."""
+    driver, _record, _serial, script = SCRIPTS[name]
+    device = driver(record, RealClock())
+    random.seed(1)
+    try:
+        identity = device.open()
+        return replace(identity), list(script(device))
+    finally:
+        device.close()
