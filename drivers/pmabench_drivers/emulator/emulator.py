@@ -37,6 +37,16 @@ PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """What can go wrong with the plant."""
 
 
+def server_of(driver: str) -> str:
+    """The module with the `serve` of a driver, of the table or named by the class's `emulator`; empty: it has none."""
+    module, _, name = driver.partition(":")
+    if driver in SERVERS or not name:
+        return SERVERS.get(driver, "")
+    try:
+        return str(getattr(getattr(import_module(module), name), "emulator", ""))
+    except (ImportError, AttributeError):
+        return ""
+
 
 class Served(Protocol):
     """One emulated device at its address."""
@@ -65,7 +75,7 @@ class Emulator:
         control: int = 0,
         expose: bool = False,
     ) -> None:
-        served = [device for device in devices if device.driver in SERVERS]
+        served = [device for device in devices if server_of(device.driver)]
         if not served:
             raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
         if not expose:
@@ -103,7 +113,7 @@ class Emulator:
 
     def _serve(self, device: DeviceRecord) -> Served:
         seen = self.plant.seen()
-        served = cast(Served, import_module(SERVERS[device.driver]).serve(device, seen, self.log))
+        served = cast(Served, import_module(server_of(device.driver)).serve(device, seen, self.log))
         seen.faults = served.faults
         return served
 
