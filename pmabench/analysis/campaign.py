@@ -71,10 +71,19 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             cells=np.array([numbers[key] for key in keys], dtype=np.intp),
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
-            noise=noise_seen(samples, [_settled(trial) for _, trial in members]),
+            noise=noise_seen(samples, [_settled(trial) for _, trial in members], _every(runs)),
         ),
         dropped,
     )
+
+
+def _every(runs: Sequence[RunData]) -> dict[str, int]:
+    """Field of `Samples` -> how many rows lie between two samples of a slower stream that it comes from."""
+    found: dict[str, int] = {}
+    for field, channel in (("P", "pressure"), ("x", "displacement"), ("force", "force")):
+        infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
+        found[field] = max((round(rate / own) for rate, own in infos if own > 0), default=1) or 1
+    return found
 
 
 def _unusable(run: RunData, trial: TrialData, rate: float) -> str:

@@ -6,7 +6,7 @@ flagged sample. Averages over it stand for the equation of motion in weak form (
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -214,18 +214,21 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
     return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], force, mass
 
 
-def noise_seen(stretches: Sequence[Samples], still: Sequence[slice]) -> Noise:
+def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
     """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
 
     Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
+    `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
+    rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
 
     def typical(name: str) -> float:
-        values = []
+        values, k = [], (every or {}).get(name, 1)
         for samples, rows in zip(stretches, still, strict=True):
             column = getattr(samples, name)
             if column is not None and samples.ok[rows].all():
-                values.append(max(noise_of(column[rows]), _step(column[samples.ok]) / np.sqrt(12.0)))
+                seen = max(noise_of(column[rows][first::k]) for first in range(k))
+                values.append(np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0)))
         return float(np.median(values)) if values else 0.0
 
     return Noise(typical("P"), typical("x"), typical("force"))

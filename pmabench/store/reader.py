@@ -247,14 +247,15 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
     columns = {name: table.column(name).combine_chunks().to_numpy() for name in table.column_names}
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
-    infos = {column["name"]: _info(column, about["stream"]) for column in about["columns"]}
+    rate = float(about.get("rate") or 0.0)
+    infos = {column["name"]: _info(column, about["stream"], rate) for column in about["columns"]}
     with np.errstate(all="ignore"):  # an imported file may hold any bits
         channels = {name: values * infos[name].slope for name, values in columns.items()}
         for name, values in channels.items():
             values += infos[name].offset
     return Samples(
         name=str(about["stream"]),
-        rate=float(about.get("rate") or 0.0),
+        rate=rate,
         time_ns=time_ns,
         t=clock.time(time_ns),
         raw=columns,
@@ -267,7 +268,7 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
     )
 
 
-def _info(column: Mapping[str, Any], stream: str) -> ChannelInfo:
+def _info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
     return ChannelInfo(
@@ -283,6 +284,7 @@ def _info(column: Mapping[str, Any], stream: str) -> ChannelInfo:
         sensor_lag=float(calibration.get("sensor_lag") or 0.0),
         calibration=str(calibration.get("id") or ""),
         stream=stream,
+        rate=rate,
     )
 
 

@@ -131,6 +131,8 @@ class ChannelInfo:
     sensor_lag: float = 0.0
     calibration: str = ""
     stream: str = ""
+    rate: float = 0.0
+    """Samples a second of its stream [Hz]; 0 where it has no regular ones."""
 
 
 @dataclass(frozen=True)

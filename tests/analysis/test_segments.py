@@ -93,3 +93,15 @@ def test_coarse_steps_are_noise_though_a_channel_at_rest_shows_none():
     moving = np.std((samples.x - fine.x)[50:500])
     assert still.displacement == pytest.approx(step / np.sqrt(12), rel=1e-6)
     assert moving == pytest.approx(still.displacement, rel=0.1)
+
+
+def test_noise_of_a_channel_that_is_interpolated_counts_for_the_samples_that_there_are():
+    """A mean over 20 rows of a channel whose own samples come at every 10th is a mean of two."""
+    own = 3e5 + 500 * np.random.default_rng(5).standard_normal(2000)
+    rows = np.arange(20_000)
+    P = np.interp(rows, np.arange(2000) * 10 + 3, own)
+    samples = replace(exponential(), t=rows / RATE, P=P, x=np.zeros(20_000), force=None, ok=np.ones(20_000, bool))
+    noise = noise_seen([samples], [slice(100, 19_000)], {"P": 10}).pressure
+    means = P[100:19_100].reshape(-1, 20).mean(axis=1)
+    assert noise == pytest.approx(500 * np.sqrt(10), rel=0.1)
+    assert means.std() == pytest.approx(noise / np.sqrt(20), rel=0.25)

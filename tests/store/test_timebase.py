@@ -31,6 +31,41 @@ def test_a_straight_line_comes_back_exactly_between_its_samples():
     assert (set(flags), how) == ({0}, "interpolated from")
 
 
+def test_an_exponential_comes_back_far_better_than_by_straight_lines():
+    """A regulator of 0.1 s, asked every 20 ms: straight lines are off by up to P'' h^2 / 8 = 1.5 kPa of 300 kPa."""
+    t, other = np.arange(0.03, 0.9, 0.002), np.arange(0, 1, 0.02)
+
+    def pressure(at):
+        return 300e3 * (1 - np.exp(-at / 0.1))
+
+    values, _, _ = place(t, other, pressure(other), 50.0)
+    assert np.abs(np.interp(t, other, pressure(other)) - pressure(t)).max() > 1e3
+    assert np.abs(values - pressure(t)).max() < 100.0
+
+
+def test_a_step_is_never_overshot_and_beside_a_hole_it_is_straight():
+    other = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.8, 0.9, 1.0])
+    t = np.linspace(0, 1, 101)
+    values, _, _ = place(t, other, [0, 0, 0, 5, 5, 5, 7, 20], 10.0)
+    found = np.array(values)
+    assert np.nanmin(found) >= 0.0
+    assert np.nanmax(found[t <= 0.4]) == 5.0
+    assert np.isnan(found[(t > 0.401) & (t < 0.799)]).all()
+    alone, _, _ = place([0.85], [0.8, 0.9], [5, 7], 10.0)
+    assert alone == [pytest.approx(6.0)]
+
+
+def test_the_cubic_is_that_of_an_independent_program():
+    from scipy.interpolate import PchipInterpolator
+
+    chance = np.random.default_rng(1)
+    other = np.cumsum(chance.uniform(0.08, 0.12, 60))
+    given = chance.standard_normal(60).cumsum()
+    t = np.linspace(other[1], other[-2], 500)
+    values, _, _ = place(t, other, given, 10.0)
+    assert np.allclose(values, PchipInterpolator(other, given)(t), atol=1e-12)
+
+
 def test_before_the_first_and_after_the_last_sample_there_is_nothing():
     values, flags, _ = place([0.0, 0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3], [1, 2, 3], 10.0)
     assert np.isnan([values[0], values[-1]]).all()
@@ -40,9 +75,9 @@ def test_before_the_first_and_after_the_last_sample_there_is_nothing():
 
 @pytest.mark.parametrize(("width", "reached"), [(0.14, True), (0.16, False)])
 def test_a_hole_of_more_than_one_and_a_half_periods_is_not_bridged(width, reached):
-    values, flags, _ = place([0.05, 0.12, 0.1 + width], [0.0, 0.1, 0.1 + width], [0, 1, 2], 10.0)
+    values, flags, _ = place([0.05, 0.12, 0.1 + width], [0.0, 0.1, 0.1 + width], [0, 1, 1 + 10 * width], 10.0)
     assert values[0] == pytest.approx(0.5)
-    assert values[2] == 2, "a sample of its own stands whatever is beside it"
+    assert values[2] == 1 + 10 * width, "a sample of its own stands whatever is beside it"
     assert flags == [0, 0 if reached else GAP, 0]
     assert np.isnan(values[1]) != reached
 
