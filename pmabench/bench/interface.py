@@ -33,6 +33,7 @@ from pmabench.bench.records import (
 )
 
 __all__ = [
+    "COMPUTER",
     "EMULATED",
     "Block",
     "CalibrationRecord",
@@ -62,6 +63,8 @@ __all__ = [
 ]
 
 
+COMPUTER = "computer"
+"""`Identity.clock` of a device that has none, whose driver stamps its samples."""
 EMULATED = "emulated "
 """How the model begins that an emulator tells over its wire: what it records is never taken for a real muscle."""
 
@@ -75,6 +78,9 @@ class Identity:
     serial: str
     firmware: str
     simulated: bool = False
+    clock: str = "own"
+    """`own`: its samples carry the device's clock. `computer`: they are stamped with bench time by the driver, halfway
+    between question and answer, or when a line began to come; half of a poll is then the time from stamp to arrival."""
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,16 @@ def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
     return ClockInfo(middle, at, drift, spread, "host arrivals")
 
 
+def stamped(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
+    """The clock of a stream that the computer itself stamps, halfway between question and answer [ns].
+
+    It is the time of the run. When in a poll the device measured is not known, so the mean time from stamp to arrival,
+    half of a poll, bounds the mean error.
+    """
+    late = np.asarray(host_ns, dtype=np.int64) - np.asarray(device_ns, dtype=np.int64)
+    return ClockInfo(uncertainty=float(np.mean(np.maximum(late, 0))) / 1e9, how="stamped by the computer")
+
+
 def _below(x: Array, delay: Array) -> tuple[float, float]:
     """Slope and value at 0 of the line below all points whose mean distance to them is least; shapes (n,)."""
     order = np.lexsort((delay, x))

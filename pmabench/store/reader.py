@@ -21,7 +21,7 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
 from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.clocks import fit_clock
+from pmabench.store.clocks import fit_clock, stamped
 from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
@@ -226,20 +226,25 @@ class RunFiles:
             else:
                 table, about, arrivals = read_archive(pa.BufferReader(raw))
                 whole = sealed and not told.get("fault")
-            return _in_si(table, about, _clock(name, events, arrivals), whole)
+            device = self.manifest.get("devices", {}).get(name, {})
+            clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
+            return _in_si(table, about, clock, whole)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if use_live and (not sealed or told.get("rows", 0) is None):
                 return Samples.none(name)
             raise invalid(self.path / (live if use_live else parquet), str(error)) from error
 
 
-def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]) -> ClockInfo:
-    """The last `clock` event of the stream holds, else the fit to the arrivals; without both the clocks are equal."""
+def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]], *, own: bool) -> ClockInfo:
+    """The last `clock` event of the stream holds, else what its arrivals tell; without both the clocks are equal.
+
+    `own`: the device has a clock; else the computer's is the stamp.
+    """
     told = [event.data for event in events if event.kind == "clock" and event.data.get("stream") == name]
     if told:
         offset, drift, uncertainty = (float(told[-1].get(key) or 0.0) for key in ("offset", "drift", "uncertainty"))
         return ClockInfo(0, offset, drift, uncertainty, "clock event")
-    return fit_clock(*zip(*arrivals, strict=True)) if arrivals else ClockInfo()
+    return (fit_clock if own else stamped)(*zip(*arrivals, strict=True)) if arrivals else ClockInfo()
 
 
 def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:

@@ -148,7 +148,8 @@ class ClockInfo:
     uncertainty: float = 0.0
     """Half width of the 95 % interval of t over the whole stream [s], delays that never change not counted."""
     how: str = "stated equal"
-    """`stated equal`, `clock event`, or `host arrivals`: fitted to when the samples came in."""
+    """`stated equal`, `clock event`, `host arrivals`: fitted to when the samples came in, or `stamped by the computer`,
+    which asked for them."""
 
     @property
     def offset(self) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pmabench.store.clocks import PRIOR_DRIFT, fit_clock
+from pmabench.store.clocks import PRIOR_DRIFT, fit_clock, stamped
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.verify import verify
 from tests.reliability.cases import cases
@@ -74,16 +74,16 @@ def test_one_or_two_arrivals_give_an_offset_only(count):
     assert (clock.drift, clock.at) == (0.0, pytest.approx(5.0))
 
 
-def recorded(parent, events=(), host=True):
+def recorded(parent, events=(), host=True, start=1e9, **manifest):
     """A run whose device began at 1e9 s, is 50 ppm slow, and whose samples came in up to 20 ms late."""
     rng = np.random.default_rng(4)
-    writer = begin(parent)
+    writer = begin(parent, **manifest)
     writer.open_stream("gauge", [dict(COLUMNS[2], name="supply")], 50.0)
     for kind, t, data in events:
         writer.event(kind, t, **data)
     for first in range(0, 3000, 25):
         true = (np.arange(first, first + 25) + 1) / 50.0
-        device = (true - OFFSET) / (1 + DRIFT) + 1e9
+        device = (true - OFFSET) / (1 + DRIFT) + start
         arrived = int(true[-1] * 1e9 + rng.exponential(4e6)) if host else None
         writer.append("gauge", ns(device), {"supply": true}, np.zeros(25, np.uint16), arrived)
         writer._streams["gauge"].drain()
@@ -105,6 +105,26 @@ def test_a_recorded_stream_stands_on_the_time_of_the_run_open_and_closed(tmp_pat
     assert np.abs(frame["t"] - told).max() <= clock.uncertainty
     assert run.skew("supply", "force") == clock.uncertainty
     assert run.skew("pressure", "force") == 0.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_poll_is_known_to_half_of_what_it_takes_wherever_in_it_the_device_measures(share):
+    rng = np.random.default_rng(2)
+    asked = np.arange(2000) / 50.0
+    took = 0.004 + rng.exponential(1e-3, 2000)
+    measured, stamp, answered = asked + share * took, asked + took / 2, asked + took
+    clock = stamped(ns(stamp), ns(answered))
+    assert (clock.offset, clock.drift) == (0.0, 0.0)
+    assert abs(np.mean(clock.time(ns(stamp)) - measured)) <= clock.uncertainty * (1 + 1e-6)
+    assert clock.uncertainty == pytest.approx(0.0025, rel=0.02)
+
+
+def test_the_manifest_says_whose_clock_a_stream_carries(tmp_path):
+    told = {"gauge": {"model": "indicator", "clock": "computer"}}
+    folder = recorded(tmp_path, start=0.0, devices=told).close("finished")
+    clock = open_run(folder).clocks["gauge"]
+    assert (clock.how, clock.offset, clock.drift) == ("stamped by the computer", 0.0, 0.0)
+    assert 0.02 < clock.uncertainty < 0.03, "20 ms late, and 4 ms on average on the way"
 
 
 def test_a_clock_event_goes_before_the_arrivals(tmp_path):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Identity
+from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.layout import Layout, read_layout
 from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
 from pmabench_drivers.alicat.reading import HELD, Reading
@@ -80,7 +80,9 @@ class AsciiLink:
             self._reading("", deadline, FIRST)
         model = about.get(4, "")
         simulated = model.startswith(EMULATED)
-        return Identity("Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated)
+        return Identity(
+            "Alicat", model or "controller", about.get(5, ""), about.get(9, ""), simulated=simulated, clock=COMPUTER
+        )
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""

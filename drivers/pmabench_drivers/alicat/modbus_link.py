@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Identity
+from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.options import OUTPUT, Options
 from pmabench_drivers.alicat.reading import Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
@@ -85,7 +85,7 @@ class ModbusLink:
                 model = ""
         if model and not model.startswith(EMULATED):
             model = ""
-        return Identity("Alicat", model or "controller on Modbus", "", "", simulated=bool(model))
+        return Identity("Alicat", model or "controller on Modbus", "", "", simulated=bool(model), clock=COMPUTER)
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, Segment
+from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
 from pmabench_drivers.festo_cmmt.path import Path
@@ -106,7 +106,9 @@ class FestoCmmt:
         self._path.stand(status.position)
         self._cycle.start(self._options.rate)
         model = told.get(4) or told.get(1, "")
-        return Identity(told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED))
+        return Identity(
+            told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED), clock=COMPUTER
+        )
 
     def close(self) -> None:
         """End the cycle; a drive that was disarmed is switched off, any other is left to its own time-out."""

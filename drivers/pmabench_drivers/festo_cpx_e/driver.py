@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, DeviceRecord, Identity
+from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
 from pmabench_drivers.festo_cpx_e.terminal import (
     ASK,
     CONTROL,
@@ -97,7 +97,9 @@ class FestoCpxE(ModbusDevice):
             raise
         self._alive.start(KEEP_ALIVE)
         model = told.get(4) or told.get(1, "")
-        return Identity(told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED))
+        return Identity(
+            told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED), clock=COMPUTER
+        )
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""

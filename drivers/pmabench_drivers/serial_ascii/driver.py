@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 from pmabench_drivers.serial_ascii.lines import LineReader, Splitter, Unreadable, Wrong
@@ -90,7 +90,9 @@ class SerialIndicator:
         except DeviceError:
             self.close()
             raise
-        return Identity("", model or "serial ASCII indicator", "", "", simulated=model.startswith(EMULATED))
+        return Identity(
+            "", model or "serial ASCII indicator", "", "", simulated=model.startswith(EMULATED), clock=COMPUTER
+        )
 
     def close(self) -> None:
         """End reading and let go of the port."""
