@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.modbus.map_file import Options, read_options, write_function
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
 from pmabench_drivers.modbus.segments import stepped
@@ -86,7 +86,7 @@ class ModbusDevice:
             self.close()
             raise
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
-        return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED))
+        return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED), clock=COMPUTER)
 
     def close(self) -> None:
         """End polling and let go of the connection."""
