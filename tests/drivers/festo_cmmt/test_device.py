@@ -127,7 +127,20 @@ def test_halt_stops_at_once_and_the_sine_is_over(rig):
     assert until(lambda: place(rig) == pytest.approx(0.0, abs=1e-6), 2)
 
 
+def test_halt_is_not_overtaken_by_the_sine(rig):
+    """Answers are slow, so that cycles fall due between the command to stop and the look whether it stands."""
+    device = on(rig)
+    device.follow("position", Segment("sine", device._clock.now(), 0.0, amplitude=5000.0, frequency=0.5, cycles=50))
+    assert until(lambda: place(rig) > 1e-3, 2)
+    rig.server.faults.set("delay", 0.03)
+    device.halt("position")
+    rig.server.faults.set("clear")
+    moves, [*_, halted] = rig.log("move"), rig.log("halt")
+    assert moves[-1]["t"] < halted["t"]
+
+
 def test_halt_switches_nothing_on(rig):
+    rig.inside._inhibited = False  # one more command is all that it would take
     rig.device.halt("position")
     time.sleep(0.1)
     assert rig.log("power") == []
