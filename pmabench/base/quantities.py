@@ -50,6 +50,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("force rate", "N/s", "N/s", 1.0),
         Quantity("volume", "m3", "cm3", 1e-6),
         Quantity("impulse", "N.s", "N.s", 1.0),
+        Quantity("volume per pressure", "m3/Pa", "cm3/bar", 1e-11),
         Quantity("rate", "1/s", "1/s", 1.0),
         Quantity("mass flow", "kg/s", "g/s", 1e-3),
         Quantity("conductance", "kg/s/Pa", "g/s/bar", 1e-8),

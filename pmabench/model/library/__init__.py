@@ -7,15 +7,25 @@
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
 | `coefficients` | published coefficients over pressure |
+| `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
+| `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
+| `friction` | Coulomb with stiction, a rate-independent hysteresis |
+| `loads` | end stops, force, hanging mass, spring, imposed displacement |
+| `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` says what a model is. A new model is a function decorated with `described` in one of these modules.
 """
 
 from pmabench.model.library import (  # noqa: F401  each enters its models
     braid,
+    chamber,
     coefficients,
+    compositions,
     contractor,
     daerden,
+    friction,
+    loads,
+    regulators,
     three_element,
 )
 from pmabench.model.library.description import MODELS, Model, OutsideDomain, Parameter, Refusal

@@ -71,8 +71,8 @@ def braid_force(
     source="Chou and Hannaford, in paper 1 eqs. 1-4 and paper 2 eqs. 5-6",
     parameters=(
         PRESSURE,
-        Parameter("strand_length", "b", "length", 250 * MM, "length of one strand of the braid", 0.0, 10.0, above=True),
-        Parameter("turns", "n", "count", 1.2, "turns of a strand around the muscle", 0.0, 1e3, above=True),
+        Parameter("strand_length", "b", "length", 250 * MM, "length of one strand of the braid", 0.0, above=True),
+        Parameter("turns", "n", "count", 1.2, "turns of a strand around the muscle", 0.0, above=True),
         Parameter("braid_angle", "theta", "angle", 25 * DEG, "angle to the axis at this length", 0.0, math.pi / 2, ""),
     ),
     outputs=(
@@ -188,8 +188,8 @@ def tondu_lopez_k_of_p(
     source="paper 4 eqs. 5-6 (Blasiak)",
     parameters=(
         PRESSURE, CONTRACTION,
-        Parameter("strand_length", "S0", "length", 250 * MM, "length of a strand without load", 0.0, 10.0, above=True),
-        Parameter("turns", "n", "count", 1.2, "turns of a strand around the muscle", 0.0, 1e3, above=True),
+        Parameter("strand_length", "S0", "length", 250 * MM, "length of a strand without load", 0.0, above=True),
+        Parameter("turns", "n", "count", 1.2, "turns of a strand around the muscle", 0.0, above=True),
         BRAID_ANGLE,
         Parameter("k_p", "k_p", "count", 1.0, "contraction gain", 0.5, 3.0, "no muscle is known with it"),
         Parameter(

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, DEG, MM, braid_force
-from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.library.three_element import FAMILY, LOAD
 from pmabench.model.muscle import Muscle
 from pmabench.model.presets import paper0, serres2009
@@ -163,7 +163,7 @@ def dmsp_40_305(pressure: Array, fit: str) -> Values:
     source="paper 1 eqs. 10 and 17 (xmax); paper 0's meaning of F_ce (x0); theta0, r0 and L assumed, not printed",
     parameters=(
         DMSP_PRESSURE,
-        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0, 1e4, "", "assumed"),
+        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0, INF, "", "assumed"),
         Parameter("radius", "r0", "length", 20 * MM, "radius at eps = 0", 0.0, 1.0, "", "nominal", above=True),
         Parameter("nominal_length", "L0", "length", 305 * MM, "nominal length", 0.0, 10.0, "", "nominal", above=True),
         Parameter(

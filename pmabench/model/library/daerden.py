@@ -8,10 +8,11 @@ import numpy as np
 
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, MM
-from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 
 FAMILY = "modified Daerden"
-ASSUMED = "assumed so that the text of paper 3 comes out; the paper prints none"
+ASSUMED = "assumed"
+"""Paper 3 prints none; chosen so that what its text says comes out."""
 CM3 = 1e-6
 
 PRESSURE = Parameter("pressure", "P", "pressure", 5 * BAR, "gauge pressure", 0.0, 1e6, "no pressure of a muscle")
@@ -91,7 +92,7 @@ def daerden_force(
     equation=("P = (F - F_e(eps)) / S(eps), where S(eps) > 0;  S and F_e as in daerden-force",),
     source="paper 3, the inverse of eq. 10",
     parameters=(
-        Parameter("force", "F", "force", 700.0, "pulling force", 0.0, 1e5, "a muscle cannot push"),
+        Parameter("force", "F", "force", 700.0, "pulling force", 0.0, INF, "a muscle cannot push"),
         CONTRACTION, DIAMETER, BRAID_ANGLE, ALPHA, A, B1, B2,
     ),
     outputs=(Output("pressure", "P", "pressure", "gauge pressure"),),
@@ -154,7 +155,7 @@ def daerden_volume(contraction: Array, diameter: Array, length: Array, braid_ang
     parameters=(
         Parameter("pressure_start", "P0", "pressure", 3 * BAR, "gauge pressure when the valve was shut", 0.0, 1e6),
         Parameter("pressure", "P", "pressure", 2 * BAR, "gauge pressure now", 0.0, 1e6),
-        Parameter("volume_start", "V0", "volume", 60 * CM3, "volume when the valve was shut", 0.0, 1.0, above=True),
+        Parameter("volume_start", "V0", "volume", 60 * CM3, "volume when the valve was shut", 0.0, above=True),
         ATMOSPHERE,
     ),
     outputs=(Output("volume", "V", "volume", "volume now"),),
@@ -181,7 +182,7 @@ def closed_volume(pressure_start: Array, pressure: Array, volume_start: Array, a
             for j, d in ((1, 24.0), (2, 28.0), (3, 24.0))
         ),
         *(
-            Parameter(f"height_{j}", f"h{j}", "length", h * MM, f"length of cylinder {j}", 0.0, 10.0, above=True)
+            Parameter(f"height_{j}", f"h{j}", "length", h * MM, f"length of cylinder {j}", 0.0, above=True)
             for j, h in ((1, 40.0), (2, 100.0), (3, 40.0))
         ),
         Parameter("thickness", "t", "length", 2 * MM, "thickness of the wall, the same everywhere", 0.0, 0.1),

@@ -21,6 +21,7 @@ from pmabench.model.curve import Array
 Values = dict[str, Array]
 """The outputs of a model by name [SI]."""
 P = ParamSpec("P")
+INF = math.inf
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Parameter:
     value: float | str
     """Reference value [SI], taken where nothing else is given; where it is from stands in `origin`."""
     meaning: str
-    low: float = -math.inf
-    high: float = math.inf
+    low: float = -INF
+    high: float = INF
     reason: str = ""
     """Why it ends there, as half a sentence."""
     origin: str = "example"

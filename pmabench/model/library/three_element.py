@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 
 FAMILY = "three-element"
 MM = 1e-3
 
-FORCE_CE = Parameter("force_ce", "F_ce", "force", 275.0, "contractile force at x = 0", 0.0, 1e5, "a muscle cannot push")
-LOAD = Parameter("load", "F_L", "force", 0.0, "load", 0.0, 1e5, "a load that pushes is no load of a muscle")
-STIFFNESS = Parameter("stiffness", "K", "stiffness", 6.773e3, "stiffness", 0.0, 1e9, above=True)
-DAMPING = Parameter("damping", "B", "damping", 1.68e3, "damping", 0.0, 1e9, "damping is never negative")
-TIME = Parameter("time", "t", "time", 1.0, "time since the step", 0.0, 1e6, "the step is at 0")
-MASS = Parameter("mass", "M", "mass", 0.5, "moving mass", 0.0, 1e5, above=True)
+FORCE_CE = Parameter("force_ce", "F_ce", "force", 275.0, "contractile force at x = 0", 0.0, INF, "a muscle cannot push")
+LOAD = Parameter("load", "F_L", "force", 0.0, "load", 0.0, INF, "a load that pushes is no load of a muscle")
+STIFFNESS = Parameter("stiffness", "K", "stiffness", 6.773e3, "stiffness", 0.0, above=True)
+DAMPING = Parameter("damping", "B", "damping", 1.68e3, "damping", 0.0, INF, "damping is never negative")
+TIME = Parameter("time", "t", "time", 1.0, "time since the step", 0.0, INF, "the step is at 0")
+MASS = Parameter("mass", "M", "mass", 0.5, "moving mass", 0.0, above=True)
 TAU = Output("tau", "tau", "time", "time constant B / K")
 DISPLACEMENT = Output("displacement", "x", "length", "contraction")
 
@@ -27,7 +27,7 @@ DISPLACEMENT = Output("displacement", "x", "length", "contraction")
     parameters=(
         FORCE_CE, LOAD, STIFFNESS, DAMPING, MASS,
         Parameter("displacement", "x", "length", 20 * MM, "contraction", 0.0, 1.0, "it is stretched"),
-        Parameter("speed", "x'", "speed", 0.0, "rate of contraction", -100.0, 100.0),
+        Parameter("speed", "x'", "speed", 0.0, "rate of contraction"),
     ),
     outputs=(
         Output("acceleration", "x''", "acceleration", "acceleration of contraction"),
@@ -59,15 +59,15 @@ def three_element(
     source="paper 4 eq. 1, with L0 put in",
     parameters=(
         FORCE_CE, LOAD,
-        Parameter("strain_stiffness", "K_h", "force", 1693.25, "force by strain", 0.0, 1e9, above=True),
+        Parameter("strain_stiffness", "K_h", "force", 1693.25, "force by strain", 0.0, above=True),
         Parameter(
             "strain_damping", "B_h", "impulse", 420.0, "force by rate of strain", 0.0, 1e9,
             "damping is never negative",
         ),
         MASS,
-        Parameter("nominal_length", "L0", "length", 250 * MM, "nominal length", 0.0, 10.0, above=True),
+        Parameter("nominal_length", "L0", "length", 250 * MM, "nominal length", 0.0, above=True),
         Parameter("contraction", "h", "ratio", 0.08, "strain x / L0", 0.0, 1.0, "it is stretched"),
-        Parameter("contraction_rate", "h'", "rate", 0.0, "rate of strain", -1e3, 1e3),
+        Parameter("contraction_rate", "h'", "rate", 0.0, "rate of strain"),
     ),
     outputs=(
         Output("strain_acceleration", "h''", "count", "second derivative of the strain [1/s2]"),
@@ -114,7 +114,7 @@ def three_element_strain(
     source="paper 0, contraction study; paper 1, eqs. 12-15 [closed form of the first-order equation]",
     parameters=(
         TIME, FORCE_CE, LOAD, STIFFNESS, DAMPING,
-        Parameter("dead_time", "t_d", "time", 0.0, "from the step to the first motion", 0.0, 1e6),
+        Parameter("dead_time", "t_d", "time", 0.0, "from the step to the first motion", 0.0),
     ),
     outputs=(DISPLACEMENT, Output("final", "x_inf", "length", "contraction at rest"), TAU),
     references=(
@@ -149,10 +149,10 @@ def step_response(
     source="paper 1, relaxation",
     parameters=(
         TIME,
-        Parameter("displacement_start", "x0", "length", 40 * MM, "contraction before", 0.0, 1.0),
+        Parameter("displacement_start", "x0", "length", 40 * MM, "contraction before", 0.0),
         STIFFNESS,
         Parameter(
-            "damping", "B_r", "damping", 2.12e3, "damping of relaxation", 0.0, 1e9, "damping is never negative",
+            "damping", "B_r", "damping", 2.12e3, "damping of relaxation", 0.0, INF, "damping is never negative",
             above=True,
         ),
     ),
@@ -175,10 +175,10 @@ def release_response(time: Array, displacement_start: Array, stiffness: Array, d
     equation=("S = (F_ce - L) / x_max;  D = tau S",),
     source="paper 1, reduction",
     parameters=(
-        Parameter("force_ce", "F_ce", "force", 5312.0, "contractile force in the convention of the model", 0.0, 1e5),
-        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0, 1e5),
-        Parameter("displacement", "x_max", "length", 76.3 * MM, "contraction at rest", 0.0, 1.0, above=True),
-        Parameter("tau", "tau", "time", 0.355, "time constant of the displacement", 0.0, 1e3, above=True),
+        Parameter("force_ce", "F_ce", "force", 5312.0, "contractile force in the convention of the model", 0.0),
+        Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0),
+        Parameter("displacement", "x_max", "length", 76.3 * MM, "contraction at rest", 0.0, above=True),
+        Parameter("tau", "tau", "time", 0.355, "time constant of the displacement", 0.0, above=True),
     ),
     outputs=(Output("stiffness", "S", "stiffness", "stiffness"), Output("damping", "D", "damping", "damping")),
     references=(

@@ -1,0 +1,238 @@
+"""Muscles put together: side by side, end to end, one after another in time; and the loop that a controller sees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmabench.model.curve import Array
+from pmabench.model.library.braid import BAR, BRAID_ANGLE, CONTRACTION, DEG, MM, PRESSURE, RADIUS, braid_factors
+from pmabench.model.library.braid import braid_force as force_of
+from pmabench.model.library.coefficients import DMSP_PRESSURE, dmsp_40_305
+from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.loop import Loop, ultimate
+
+FAMILY = "composition"
+COUNT = Parameter("count", "N", "count", 3.0, "number of muscles", 1.0, 1000.0, "a whole number of at least 1")
+LENGTH = Parameter("length", "L0", "length", 300 * MM, "nominal length of one", 0.0, above=True)
+
+
+def _whole(count: Array) -> None:
+    refuse("count", "a whole number is expected", count != np.round(count))
+
+
+@described(
+    "parallel", FAMILY, "Equal muscles side by side",
+    equation=("F = N f(eps) at the same eps; f as in tondu-lopez with k = 1",),
+    source="paper 2",
+    parameters=(COUNT, PRESSURE, CONTRACTION, RADIUS, BRAID_ANGLE),
+    outputs=(Output("force", "F", "force", "force of all"), Output("force_one", "f", "force", "force of one")),
+    references=(Reference("force", "3863.1", "N", 1.0, "by hand: 3 pi 1e-4 5e5 (13.79673 - 5.59891)"),),
+    notes=("Paper 2 calls the number K; K is stiffness here.",),
+)  # fmt: skip
+def parallel(count: Array, pressure: Array, contraction: Array, radius: Array, braid_angle: Array) -> Values:
+    """F and f [N] from N [1], P [Pa gauge], eps [1], r0 [m], theta0 [rad]."""
+    _whole(count)
+    one = force_of(pressure, contraction, radius, braid_angle, np.ones(()))[0]
+    return {"force": count * one, "force_one": one + 0 * count}
+
+
+@described(
+    "series", FAMILY, "Equal muscles end to end",
+    equation=("F = f(eps): one common force;  x = N L0 eps;  L = N L0 (1 - eps)",),
+    source="paper 2",
+    parameters=(COUNT, PRESSURE, CONTRACTION, RADIUS, BRAID_ANGLE, LENGTH),
+    outputs=(
+        Output("force", "F", "force", "force of the chain, that of one"),
+        Output("displacement", "x", "length", "contraction of the chain"),
+        Output("length", "L", "length", "length of the chain"),
+    ),
+    references=(
+        Reference("displacement", "60", "mm", MM, "two of 300 mm or one of 600 mm at 10 %",
+                  {"count": 2.0, "contraction": 0.1}),
+        Reference("force", "1287.7", "N", 1.0, "by hand: pi 1e-4 5e5 (13.79673 - 5.59891)"),
+    ),
+    notes=("A chain pulls no more than one muscle; paper 2's \"force divided by the number of sections\" is wrong.",),
+)  # fmt: skip
+def series(
+    count: Array, pressure: Array, contraction: Array, radius: Array, braid_angle: Array, length: Array
+) -> Values:
+    """F [N], x and L [m] from N [1], P [Pa gauge], eps [1], r0 [m], theta0 [rad], L0 [m]."""
+    _whole(count)
+    force = force_of(pressure, contraction, radius, braid_angle, np.ones(()))[0]
+    whole = count * length
+    return {"force": force + 0 * whole, "displacement": whole * contraction, "length": whole * (1 - contraction)}
+
+
+def _section(number: int, radius: float, angle: float, length: float) -> tuple[Parameter, ...]:
+    """Inputs of one of two sections."""
+    return (
+        Parameter(f"pressure_{number}", f"P{number}", "pressure", 3 * BAR, "gauge pressure", 0.0, above=True),
+        Parameter(f"radius_{number}", f"r{number}", "length", radius, "radius at eps = 0", 0.0, above=True),
+        Parameter(
+            f"braid_angle_{number}", f"theta{number}", "angle", angle, "braid angle at eps = 0", 0.0,
+            BRAID_ANGLE.high, BRAID_ANGLE.reason, above=True,
+        ),
+        Parameter(f"length_{number}", f"L{number}", "length", length, "nominal length", 0.0, above=True),
+    )  # fmt: skip
+
+
+@described(
+    "series-pair", FAMILY, "Two unlike muscles end to end: one force, each its own contraction",
+    equation=(
+        "f_1(eps_1) = f_2(eps_2) = F;  L1 eps_1 + L2 eps_2 = x;  f as in tondu-lopez with k = 1",
+        "eps_i(F) = 1 - sqrt((F / (pi r_i^2 P_i) + b_i) / a_i)",
+    ),
+    source="paper 2, with the force balance that it leaves out",
+    parameters=(
+        Parameter("displacement", "x", "length", 80 * MM, "contraction of both together", 0.0),
+        *_section(1, 10 * MM, 25 * DEG, 300 * MM), *_section(2, 8 * MM, 22 * DEG, 300 * MM),
+    ),
+    outputs=(
+        Output("force", "F", "force", "common force"),
+        Output("contraction_1", "eps_1", "ratio", "contraction of the first"),
+        Output("contraction_2", "eps_2", "ratio", "contraction of the second"),
+    ),
+    references=(
+        Reference("force", "525.57", "N", 1.0, "equal sections at 10 %: tondu-lopez, by hand",
+                  {"displacement": 60 * MM, "radius_2": 10 * MM, "braid_angle_2": 25 * DEG}),
+    ),
+    notes=("Equal contraction holds only for equal r0, theta0 and P; paper 2 claims it for all.",),
+)  # fmt: skip
+def series_pair(
+    displacement: Array,
+    pressure_1: Array,
+    radius_1: Array,
+    braid_angle_1: Array,
+    length_1: Array,
+    pressure_2: Array,
+    radius_2: Array,
+    braid_angle_2: Array,
+    length_2: Array,
+) -> Values:
+    """F [N], eps_1 and eps_2 [1] from x [m], P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
+    inputs = np.broadcast_arrays(
+        displacement, pressure_1, radius_1, braid_angle_1, length_1, pressure_2, radius_2, braid_angle_2, length_2
+    )
+    rows = [_balance(*map(float, row)) for row in zip(*map(np.ravel, inputs), strict=True)]
+    force, first, second = (np.array(column).reshape(inputs[0].shape) for column in zip(*rows, strict=True))
+    return {"force": force, "contraction_1": first, "contraction_2": second}
+
+
+def _balance(
+    x: float, P1: float, r1: float, t1: float, L1: float, P2: float, r2: float, t2: float, L2: float
+) -> tuple[float, float, float]:
+    """Common force [N] and both contractions [1]."""
+    sections = []
+    for P, r, theta in ((P1, r1, t1), (P2, r2, t2)):
+        a, b = (float(factor) for factor in braid_factors(np.asarray(theta)))
+        sections.append((math.pi * r * r * P, a, b))
+
+    def contractions(force: float) -> list[float]:
+        return [1 - math.sqrt((force / size + b) / a) for size, a, b in sections]
+
+    def together(force: float) -> float:
+        first, second = contractions(force)
+        return L1 * first + L2 * second - x
+
+    most = min(size * (a - b) for size, a, b in sections)
+    refuse("displacement", "it is more than both can contract", together(0.0) < -1e-12)
+    refuse("displacement", "the weaker section would be stretched beyond its nominal length", together(most) > 1e-12)
+    low, high = together(0.0), together(most)
+    force = 0.0 if low <= 0 else most if high >= 0 else float(brentq(together, 0.0, most, xtol=1e-12))
+    first, second = contractions(force)
+    return force, first, second
+
+
+@described(
+    "cascade", FAMILY, "Equal DMSP-40-305 switched on and off one after another",
+    equation=(
+        "muscle i on from (i - 1) delay to (i - 1) delay + hold: 1 - exp(-t / tau_c), then falling with tau_r",
+        "sum over i in units of one x_max;  tau_c and tau_r as in dmsp-40-305 at the pressure",
+    ),
+    source="paper 1, cascade simulation: open loop, horizontal, no friction, no interaction",
+    parameters=(
+        Parameter("time", "t", "time", 3.0, "since the first is switched on", 0.0),
+        COUNT, DMSP_PRESSURE,
+        Parameter("delay", "", "time", 1.0, "from one to the next", 0.0, INF, "", "printed"),
+        Parameter("hold", "", "time", 10.0, "each is on for this time", 0.0),
+        Parameter("displacement_max", "x_max", "length", 76.3 * MM, "final contraction of one", 0.0),
+    ),
+    outputs=(
+        Output("sum", "", "count", "contraction of the chain in units of one x_max"),
+        Output("displacement", "x", "length", "contraction of the chain"),
+    ),
+    references=(
+        Reference("sum", "0.94017", "", 1.0, "computed from the printed polynomials", {"time": 1.0}),
+        Reference("sum", "1.93659", "", 1.0, "the same", {"time": 2.0}),
+        Reference("sum", "2.93638", "", 1.0, "the same"),
+        Reference("sum", "2.99977", "", 1.0, "the same", {"time": 5.0}),
+        Reference("sum", "2.72608", "", 1.0, "the same", {"time": 10.5}),
+        Reference("sum", "1.80514", "", 1.0, "the same", {"time": 12.0}),
+        Reference("sum", "0.26450", "", 1.0, "the same", {"time": 15.0}),
+        Reference("sum", "0.01077", "", 1.0, "the same", {"time": 20.0}),
+    ),
+    notes=(
+        "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of "
+        "coefficients.",
+    ),
+)  # fmt: skip
+def cascade(time: Array, count: Array, pressure: Array, delay: Array, hold: Array, displacement_max: Array) -> Values:
+    """Sum [1] and x [m] from t [s], N [1], P [Pa gauge], delay and hold [s], x_max [m]."""
+    _whole(count)
+    found = dmsp_40_305(pressure, "polynomial")
+    total = np.zeros(np.broadcast_shapes(*(np.shape(item) for item in (time, count, pressure, delay, hold))))
+    for index in range(int(np.max(count))):
+        begin = index * delay
+        risen = -np.expm1(-np.clip(time - begin, 0, hold) / found["tau_contract"])
+        one = risen * np.exp(-np.maximum(time - begin - hold, 0) / found["tau_relax"])
+        total = total + one * (index < count)
+    return {"sum": total + 0 * displacement_max, "displacement": total * displacement_max}
+
+
+@described(
+    "ultimate-gain", "loop", "Ultimate gain and period of a proportional loop with dead time and two lags",
+    equation=(
+        "w L + atan(w T_1) + atan(w T_2) = pi;  K_u k_g = sqrt(1 + (w T_1)^2) sqrt(1 + (w T_2)^2);  T_u = 2 pi / w",
+        "L = dead time + half a sample period (hold)",
+    ),
+    source="Ziegler and Nichols 1942; the check on paper 0's tuning",
+    parameters=(
+        Parameter("dead_time", "L", "time", 0.04, "dead time", 0.0, above=True),
+        Parameter("lag_regulator", "T_1", "time", 0.22, "lag of the regulator", 0.0),
+        Parameter("lag_muscle", "T_2", "time", 0.25, "B / K of the muscle", 0.0),
+        Parameter("sample_period", "T_s", "time", 0.0, "sample period of the loop", 0.0),
+    ),
+    outputs=(
+        Output("loop_gain", "K_u k_g", "count", "ultimate gain times the plant's gain"),
+        Output("period", "T_u", "time", "ultimate period"),
+    ),
+    references=(
+        Reference("loop_gain", "12.427", "", 1.0, "computed from the equations"),
+        Reference("period", "0.4361", "s", 1.0, "the same"),
+        Reference("loop_gain", "9.464", "", 1.0, "the same", {"lag_regulator": 0.0955}),
+        Reference("period", "0.3426", "s", 1.0, "the same", {"lag_regulator": 0.0955}),
+        Reference("loop_gain", "9.003", "", 1.0, "the same", {"lag_muscle": 0.11}),
+        Reference("period", "0.3503", "s", 1.0, "the same", {"lag_muscle": 0.11}),
+        Reference("loop_gain", "18.785", "", 1.0, "the same", {"lag_muscle": 0.50}),
+        Reference("period", "0.4989", "s", 1.0, "the same", {"lag_muscle": 0.50}),
+    ),
+    notes=(
+        "Paper 0's T_c = 9 s cannot come from a linear loop of this kind: it would take 2 to 4 s of dead time.",
+        "Paper 0 prints PI gains 2.195 and 3; its own table makes 3.195 and 7.5 s of K_c = 7.1, T_c = 9 s: see tune.",
+    ),
+)  # fmt: skip
+def ultimate_gain(dead_time: Array, lag_regulator: Array, lag_muscle: Array, sample_period: Array) -> Values:
+    """K_u k_g [1] and T_u [s] from L, T_1, T_2 and T_s [s]."""
+    inputs = np.broadcast_arrays(dead_time + sample_period / 2, lag_regulator, lag_muscle)
+    found = [
+        ultimate(Loop(1.0, L, tuple(lag for lag in lags if lag > 0)))
+        for L, *lags in zip(*(np.ravel(item).tolist() for item in inputs), strict=True)
+    ]
+    shape = inputs[0].shape
+    return {
+        "loop_gain": np.array([item.gain for item in found]).reshape(shape),
+        "period": np.array([item.period for item in found]).reshape(shape),
+    }
