@@ -26,7 +26,16 @@ SPECIMEN = "mas-20-250-paper0"
 LONGEST = 150.0
 """Longest that a run of these protocols takes on a machine that has much else to do [s]."""
 TRIES = 3
-BUSY = ("did not answer within", "no answer from", "engine was silent", "stale", "has not asked", "no sample for")
+BUSY = (
+    "did not answer within",
+    "no answer from",
+    "has not answered yet",
+    "Write timeout",
+    "engine was silent",
+    "stale",
+    "has not asked",
+    "no sample for",
+)
 """Ends of a run at which nothing is wrong but that processes were not given the time they need."""
 HEAD = """\
 schema: pmabench.protocol/1
