@@ -13,8 +13,8 @@ from pmabench.files.shipped import shipped_folder
 from tests.realtime import free_port
 
 
-def own_bench(tmp_path, name, *changes):
-    """A shipped bench with ports and links of its own and without its session, after `changes` (old, new) to its text.
+def own_bench(tmp_path, name, *changes, session=False):
+    """A shipped bench with ports and links of its own and, where not asked for, without its session, after `changes` (old, new) to its text.
 
     Every port on 127.0.0.1 and every link in a folder /tmp/pmabench-... is another one.
     """
@@ -29,7 +29,7 @@ def own_bench(tmp_path, name, *changes):
     for old, new in ports.items():
         text = re.sub(rf"(127\.0\.0\.1:|_port: ){old}\b", rf"\g<1>{new}", text)
     text = re.sub(r"/tmp/pmabench-[\w-]+/", f"{tmp_path / 'ports'}/", text)
-    path.write_text(re.sub(r"\nsession:.*(\n[ #].*)*", "", text))
+    path.write_text(text if session else re.sub(r"\nsession:.*(\n[ #].*)*", "", text))
     for beside in ("calibrations", "registers"):
         if not (tmp_path / beside).exists():
             (tmp_path / beside).symlink_to(folder / beside)

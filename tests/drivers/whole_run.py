@@ -98,9 +98,9 @@ def children(pid, word):
 class WholeRun:
     """The emulators of a shipped bench, and a run of the program on it."""
 
-    def __init__(self, tmp_path, bench, *changes, preset="ideal"):
+    def __init__(self, tmp_path, bench, *changes, preset="ideal", session=False):
         self.folder, self.out, self.preset = tmp_path, tmp_path / "runs", preset
-        self.path = own_bench(tmp_path, bench, *changes)
+        self.path = own_bench(tmp_path, bench, *changes, session=session)
         self.control = ""
         self.process = None
         self._began = 0.0

@@ -1,5 +1,7 @@
 """Whole runs through Modbus and text lines, in real time: three devices, three clocks."""
 
+import json
+
 import pytest
 
 from pmabench.files.shipped import shipped_folder
@@ -14,7 +16,7 @@ from tests.drivers.judged import (
     lost,
     whoever_dies,
 )
-from tests.drivers.whole_run import WholeRun, coefficients
+from tests.drivers.whole_run import WholeRun, coefficients, one_step
 
 pytestmark = pytest.mark.realtime
 
@@ -32,6 +34,15 @@ def test_coefficients_come_back(tmp_path):
 def test_all_killed(tmp_path):
     with WholeRun(tmp_path, "wires") as run:
         assert_dies(run, "all killed", watchdog=0.5)
+
+
+@pytest.mark.slow
+def test_after_a_session(tmp_path):
+    with WholeRun(tmp_path, "wires", preset="bench", session=True) as run:
+        run.carried_out(one_step(100))
+        assert_vented(run)
+        kinds = {json.loads(path.read_text())["kind"] for path in run.out.glob("*/manifest.json")}
+        assert kinds == {"session", "contraction-relaxation"}
 
 
 @pytest.mark.slow
