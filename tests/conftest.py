@@ -22,7 +22,19 @@ def _own_state(tmp_path, monkeypatch):
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
 
 
-RIGS = ("alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "serial_line_daq", "serial_rig", "wires")
+RIGS = (
+    "alicat",
+    "can",
+    "dataq",
+    "festo",
+    "festo_cmmt",
+    "ild1420",
+    "labjack",
+    "ni",
+    "serial_line_daq",
+    "serial_rig",
+    "wires",
+)
 """Drivers whose tests over a wire wait in real time."""
 
 

@@ -90,12 +90,11 @@ class Connection:
             return DeviceError(self._name, message, what)
         if isinstance(error, DaqError):
             code = int(error.error_code)
-            told = " ".join(str(error).split("\n\n", 1)[0].split())[:200]
+            told = _short(str(error).split("\n\n", 1)[0], 200)
             return DeviceError(self._name, f"{REASONS.get(code, told)} (NI-DAQmx error {code})", what)
         if isinstance(error, RpcError):
             return self._unreached(error, seconds, what)
-        told = " ".join(str(error).split())[:100]
-        return DeviceError(self._name, f"gave an answer that is none ({type(error).__name__}: {told})", what)
+        return DeviceError(self._name, f"gave an answer that is none ({type(error).__name__}: {_short(error)})", what)
 
     def _unreached(self, error: Any, seconds: float, what: str) -> DeviceError:
         server, kind = self._options.server, getattr(error.rpc_code, "name", str(error.rpc_code))
@@ -105,7 +104,7 @@ class Connection:
             return Unanswered(self._name, f"no connection to NI's gRPC server at {server}", what)
         if kind == "UNIMPLEMENTED":
             return DeviceError(self._name, f"{server} is no NI gRPC server, or one without NI-DAQmx, or too old", what)
-        told = " ".join(str(error.description or "").split())[:200]
+        told = _short(error.description or "", 200)
         return Unanswered(self._name, f"{server} failed: {kind.lower().replace('_', ' ')} ({told})", what)
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -113,12 +112,11 @@ class Connection:
     def open(self) -> Identity:
         """Connect, find the device, see that it has what the bench uses, and prepare its tasks; commands nothing."""
         system = self._system()
-        names = [str(name) for name in system.devices.device_names]
+        names = [_short(name) for name in system.devices.device_names]
         wanted = self._options.device
         if wanted not in names:
-            known = f"; it knows {', '.join(names)}" if names else "; it knows none"
-            hint = did_you_mean(wanted, names)
-            raise DeviceError(self._name, f'NI-DAQmx knows no device "{wanted}"{hint}{known}')
+            hint = did_you_mean(wanted, names[:9]) or "; it knows none"
+            raise DeviceError(self._name, f'NI-DAQmx knows no device "{wanted}"{hint}')
         device = system.devices[wanted]
         self._refuse_missing(device)
         self._end_leftovers()
@@ -129,7 +127,7 @@ class Connection:
         if self._options.inputs:
             self._prepare_samples(list(self._options.inputs.values()))
             self._fastest = float(device.ai_max_multi_chan_rate)
-        model, serial, version = str(device.product_type), int(device.serial_num), system.driver_version
+        model, serial, version = _short(device.product_type), int(device.serial_num), system.driver_version
         simulated = bool(device.is_simulated) or model.startswith(EMULATED)
         if simulated and not model.startswith(EMULATED):
             model = f"{EMULATED}{model}"
@@ -253,7 +251,7 @@ class Connection:
 
     def _refuse_missing(self, device: Any) -> None:
         """Every channel and line that the bench uses, and every range, must be there."""
-        options = self._options
+        options, model = self._options, _short(device.product_type)
         groups: tuple[tuple[str, Any, Sequence[str]], ...] = (
             ("analogue input", device.ai_physical_chans, [item.name for item in options.inputs.values()]),
             ("analogue output", device.ao_physical_chans, list(options.outputs)),
@@ -261,27 +259,27 @@ class Connection:
             ("digital input", device.di_lines, options.levels),
         )
         for kind, group, wanted in groups:
-            has = [str(name).partition("/")[2] for name in group.channel_names] if wanted else []
+            has = [_short(name).partition("/")[2] for name in group.channel_names] if wanted else []
             for name in wanted:
                 if name not in has:
                     known = f"; its last one is {has[-1]}" if has else "; it has none"
-                    raise DeviceError(self._name, f'a {device.product_type} has no {kind} "{name}"{known}', name)
-        spans = [float(high) for high in list(device.ai_voltage_rngs)[1::2]] if options.inputs else []
+                    raise DeviceError(self._name, f'a {model} has no {kind} "{name}"{known}', name)
+        spans = [float(high) for high in list(device.ai_voltage_rngs)[1:40:2]] if options.inputs else []
         for item in options.inputs.values():
             if not any(abs(span - item.span) < 1e-6 for span in spans):
                 shown = ", ".join(f"{span:g} V" for span in spans)
-                message = f"a {device.product_type} has no range of {item.span:g} V; it has {shown}"
+                message = f"a {model} has no range of {item.span:g} V; it has {shown}"
                 raise DeviceError(self._name, message, item.name)
 
     def _range(self, device: Any, output: str) -> tuple[float, float]:
         """The narrowest range of the outputs that holds all that is ever commanded [V]."""
         wanted: Output = self._options.outputs[output]
         low, high = wanted.low, wanted.high
-        ends = [float(end) for end in device.ao_voltage_rngs]
+        ends = [float(end) for end in list(device.ao_voltage_rngs)[:40]]
         ranges = [pair for pair in zip(ends[::2], ends[1::2], strict=False) if pair[0] <= low and high <= pair[1]]
         if not ranges:
             shown = ", ".join(f"{a:g} V to {b:g} V" for a, b in zip(ends[::2], ends[1::2], strict=False))
-            message = f"would need {low:g} V to {high:g} V, and a {device.product_type} gives {shown or 'none'}"
+            message = f"would need {low:g} V to {high:g} V, and a {_short(device.product_type)} gives {shown or 'none'}"
             raise DeviceError(self._name, message, output)
         return min(ranges, key=lambda pair: pair[1] - pair[0])
 
@@ -355,3 +353,8 @@ class Connection:
         if got != waiting:
             raise DeviceError(self._name, f"gave {got} samples where {waiting} waited")
         return [array("d", row.tobytes()) for row in data]
+
+
+def _short(text: object, longest: int = 60) -> str:
+    """A text from outside, in one line and of bounded length."""
+    return " ".join(str(text).split())[:longest]

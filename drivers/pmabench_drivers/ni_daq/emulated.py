@@ -18,8 +18,8 @@ from pmabench_drivers.ni_daq.options import read_options
 from pmabench_drivers.options import Reader
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
-LINKS = {name: LINK[name] for name in LINK if name not in {"late", "double"}}
-"""An answer of gRPC belongs to its question: none comes twice, or with the next."""
+LINKS = {name: LINK[name] for name in LINK if name not in {"late", "stale", "double"}}
+"""An answer of gRPC belongs to its question: none comes twice, or to another one."""
 ATTACH, INITIALIZE = 2, 1
 VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
 """Attributes of the system: major, minor, update."""
@@ -55,7 +55,6 @@ class EmulatedServer:
         self._messages: Any = nidaqmx_pb2
         self._tap = log.tap(board.device.name)
         self._peers: dict[str, int] = {}
-        self._before: dict[str, bytes] = {}
         self._lock = threading.Lock()
         self.requests: list[str] = []
         """Names of the calls so far."""
@@ -126,15 +125,11 @@ class EmulatedServer:
         except Refused as refused:
             _refuse(grpc, context, refused)
         data = bytes(getattr(self._messages, f"{name}Response")(**fields).SerializeToString())
-        return self._send(name, data, fault, context)
-
-    def _send(self, name: str, data: bytes, fault: Fault, context: Any) -> bytes:
-        before, self._before[name] = self._before.get(name, data), data
         if fault.kind == "lost":
             return _wait(context)
         if fault.kind == "delay":
             time.sleep(fault.value)
-        data = damaged(before if fault.kind == "stale" else data, fault)
+        data = damaged(data, fault)
         self._tap("sent", data)
         return data
 

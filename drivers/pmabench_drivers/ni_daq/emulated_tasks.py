@@ -27,7 +27,7 @@ FASTEST = 250e3
 TIMEBASE = 20e6
 """The sample clock is this, divided by a whole number [Hz]."""
 BITS = 16
-RSE, NRSE, DIFF = 10083, 10078, 10106
+USUAL, RSE, NRSE, DIFF = -1, 10083, 10078, 10106
 COMMIT, UNRESERVE = 3, 5
 TICK = 0.02
 """Samples that fall due are taken at least so often [s]; each at its own time."""
@@ -107,7 +107,7 @@ class Board:
         """An analogue input, with the narrowest range that holds `low` to `high`."""
         name = self.channel(task, "ai", physical, AI)
         fitting = [span for span in SPANS if span >= max(abs(low), abs(high))]
-        if not fitting or terminal not in {RSE, NRSE, DIFF} or (terminal == DIFF and AI.index(name) >= 8):
+        if not fitting or terminal not in {USUAL, RSE, NRSE, DIFF} or (terminal == DIFF and AI.index(name) >= 8):
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         task.spans.append((-fitting[0], fitting[0]))
         task.terminals.append(terminal)

@@ -1,0 +1,76 @@
+"""A USB-6215 as a record, emulated behind NI's gRPC server and opened; and calls by the package `nidaqmx` itself."""
+
+import contextlib
+from dataclasses import replace
+
+import grpc
+import nidaqmx
+from pmabench_drivers.emulator import Emulator
+from pmabench_drivers.ni_daq import NiDaq
+
+from pmabench.base.clock import RealClock
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+
+DRIVER = "pmabench_drivers.ni_daq:NiDaq"
+CHANNELS = (
+    ("pressure", "pressure", Scale(1e5, -50e3)),
+    ("displacement", "length", Scale(0.01, -0.005)),
+    ("force", "force", Scale(200.0, -50.0)),
+    ("pressure_command", "pressure", Scale(1e5)),
+)
+STEP = 20 / 2**16
+"""Step of a 16-bit output over -10 V to 10 V [V]."""
+
+
+def channel(name, quantity, number, scale):
+    return ChannelRecord(name, quantity, "daq", f"ai{number}", "float64", "V", scale, -1e9, 1e9)
+
+
+def daq(channels=4, server="127.0.0.1:0", address="Dev1", watchdog=0.0, **options):
+    """A USB-6215 with the rig's channels (and more, up to `channels`), a regulator, a dump valve, an emergency stop."""
+    known = [channel(name, quantity, i, scale) for i, (name, quantity, scale) in enumerate(CHANNELS)]
+    more = [channel(f"spare{i}", "pressure", i, Scale()) for i in range(len(known), channels)]
+    given = {**({"server": server} if server else {}), **options}
+    return DeviceRecord(
+        "daq",
+        DRIVER,
+        address,
+        given,
+        tuple([*known, *more][:channels]),
+        (OutputRecord("pressure", "pressure", "daq", "ao0", Scale(1e5), 0.000306, 0.0, 0.0, 6e5),),
+        (ValveRecord("dump_valve", "daq", "port1/line0"),),
+        (InterlockRecord("e-stop", "daq", "port0/line0"),),
+        watchdog,
+    )
+
+
+def at(record, server):
+    """The record with another server."""
+    return replace(record, options={**record.options, "server": server})
+
+
+@contextlib.contextmanager
+def rig(record=None, *, opened=True):
+    """An emulated server and the driver in front of it: emulator, emulated server, driver."""
+    record = record or daq()
+    emulator = Emulator([record], preset="ideal")
+    driver = None
+    try:
+        served = emulator.devices["daq"]
+        driver = NiDaq(at(record, served.address), RealClock())
+        if opened:
+            driver.open()
+        yield emulator, served, driver
+    finally:
+        if driver is not None:
+            driver.close()
+        emulator.close()
+
+
+@contextlib.contextmanager
+def task(served, name):
+    """A task as any program makes one with NI's package, without this project's driver."""
+    with grpc.insecure_channel(served.address) as wire:
+        options = nidaqmx.GrpcSessionOptions(wire, name)
+        with nidaqmx.Task(name, grpc_options=options) as made:
+            yield made

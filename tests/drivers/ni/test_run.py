@@ -1,0 +1,69 @@
+"""Whole runs on the emulated USB-6215 and relay module, in real time: engine, guard and drivers as at a real bench."""
+
+import pytest
+
+from tests.drivers.judged import (
+    HARDWARE_TIMED,
+    assert_coefficients,
+    assert_dies,
+    assert_vented,
+    assert_vents,
+    e_stop,
+    lost,
+    whoever_dies,
+)
+from tests.drivers.whole_run import WholeRun, coefficients, one_step
+
+pytestmark = pytest.mark.realtime
+
+OWN_LINE = ("dump_valve: {device: relay, output: dump_valve,", "dump_valve: {device: daq, output: port1/line0,")
+"""The dump valve on a line of the USB-6215 itself, as at a rig without a relay module."""
+
+
+def test_coefficients_come_back_without_a_gap(tmp_path):
+    with WholeRun(tmp_path, "ni", preset="bench") as run:
+        run.carried_out(coefficients(500))
+        assert_vented(run)
+        steps = run.stream("daq")["time_ns"].diff().dropna()
+        assert set(steps[steps < 1e9]) == {2_000_000}  # every sample of each trial, on the device's own clock
+        assert_coefficients(run.coefficients(), HARDWARE_TIMED)
+
+
+def test_all_killed(tmp_path):
+    with WholeRun(tmp_path, "ni") as run:
+        entry = assert_dies(run, "all killed", watchdog=0.5)
+        assert entry["device"] == "relay"
+        assert run.commanded()[-1] >= 199e3  # nothing in the USB-6215 knows that the computer is gone
+
+
+@pytest.mark.slow
+def test_with_the_dump_valve_on_the_device_itself(tmp_path):
+    with WholeRun(tmp_path, "ni", OWN_LINE) as run:
+        run.carried_out(one_step(500))
+        assert_vented(run)
+        assert max(run.commanded()) == pytest.approx(300e3, abs=31)  # a step of the output is 31 Pa
+        assert {entry["device"] for entry in run.entries("switch")} == {"daq"}
+        table = run.stream("daq")
+        assert table["pressure_command"].max() == pytest.approx(3.0, abs=0.001)  # V: ao0, looped
+
+
+@pytest.mark.slow
+@whoever_dies
+def test_whoever_dies(tmp_path, who):
+    with WholeRun(tmp_path, "ni", OWN_LINE) as run:
+        assert_dies(run, who)
+
+
+@pytest.mark.slow
+def test_emergency_stop(tmp_path):
+    with WholeRun(tmp_path, "ni") as run:
+        said, _ = assert_vents(run, e_stop, 0.2, code=5)
+        assert "e-stop" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["silence", "reset"])
+def test_where_the_server_fails_the_relay_vents(tmp_path, fault):
+    with WholeRun(tmp_path, "ni") as run:
+        _, entry = assert_vents(run, lost("daq", fault), 1.0)
+        assert entry["device"] == "relay"
