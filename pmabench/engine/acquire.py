@@ -86,6 +86,8 @@ class Acquisition:
         self.commanded = Commanded()
         self.on_trip: Callable[[str], None] = lambda _why: None
         """Begins the safe state, from whatever thread finds the crossing."""
+        self.beat: Callable[[], None] = lambda: None
+        """Tells the guard that the program lives, while samples are waited for."""
         self.holding: set[str] = set()
         """Limits with the action `hold` that are crossed now."""
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
@@ -238,7 +240,15 @@ class Acquisition:
             if now - self._collected <= 1.2 * self._block:
                 continue
             try:
-                self._collect()  # first: a guard that has taken over says why
+                if not self._lock.acquire(timeout=self._block / 2):
+                    # another thread waits for a device or the disk, which have deadlines of their own
+                    if now - self._collected < HUNG:
+                        self.beat()
+                    continue
+                try:
+                    self._collect()  # first: a guard that has taken over says why
+                finally:
+                    self._lock.release()
                 if now - self._asked > HUNG and self._watch is not None:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
             except Exception as error:  # an error in the program ends the run as a lost device does

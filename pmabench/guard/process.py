@@ -20,6 +20,7 @@ from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from select import select
 from types import FrameType
 from typing import Any
 
@@ -255,7 +256,7 @@ class Service:
     def _tick(self) -> None:
         now = time.monotonic()
         if self.guard.state in ACTIVE:
-            if now - self._heard > SILENCE:
+            if now - self._heard > SILENCE and not self._said():
                 self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
             elif self._told_to_end:
                 self._end("lost", "the guard was told to end")
@@ -270,6 +271,11 @@ class Service:
                 with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
                     self.guard.links.feed_watchdogs()
             self._step(now)
+
+    def _said(self) -> bool:
+        """Whether the engine has said something that was not read yet: no silence of the engine, but of the guard."""
+        links = [peer.link for peer in self._peers if peer is self._engine]
+        return bool(select(links, [], [], 0.0)[0])
 
     def _look(self) -> None:
         try:

@@ -127,6 +127,11 @@ class RemoteGuard:
         """As `Guard.arm`."""
         self.ask("arm", within=OPENS_WITHIN, run=run)
 
+    def beat(self) -> None:
+        """The engine lives, though nothing is collected or commanded now."""
+        with suppress(PmaError):
+            self.ask("status")
+
     def release(self) -> None:
         """As `Guard.release`."""
         self.ask("release")

@@ -84,6 +84,20 @@ def test_a_silent_engine_is_lost():
         assert time.monotonic() - began > 0.8 * process.SILENCE
 
 
+def test_an_engine_that_has_spoken_is_not_silent_because_the_guard_has_not_listened():
+    """Between hearing and looking at the time the guard may lose the processor for long."""
+    with Serving() as serving:
+        link = serving.armed()
+        link.sendall(encode({"do": "status", "token": TOKEN, "at": time.monotonic()}))
+        serving.service._heard = time.monotonic() - 2 * process.SILENCE
+        serving.service._tick()
+        assert serving.guard.state is State.RUNNING
+        serving.service.turn()
+        serving.service._heard = time.monotonic() - 2 * process.SILENCE
+        serving.service._tick()
+        assert "the engine was silent" in serving.service._ended["why"]
+
+
 def test_what_the_guard_itself_takes_is_no_silence(monkeypatch):
     with Serving() as serving:
         link = serving.link()

@@ -1,0 +1,73 @@
+"""What holds samples up is no silence of the program: it says that it lives, and no collection of garbage stops it."""
+
+import gc
+import threading
+import time
+from array import array
+from dataclasses import replace
+
+import pytest
+
+from pmabench.base.clock import RealClock
+from pmabench.bench.interface import Block
+from pmabench.engine.acquire import Acquisition
+from pmabench.engine.recorder import NoRecord
+from pmabench.engine.run import _no_long_collection
+from tests.engine.benches import CHANNELS, mounted
+
+
+class Slow:
+    """A stream whose `collect` waits for an event, then gives nothing."""
+
+    def __init__(self):
+        self.go = threading.Event()
+        self.go.set()
+
+    def start(self, rate):
+        return rate
+
+    def collect(self):
+        self.go.wait(20.0)
+        return Block(array("q"), {name: array("d") for name in CHANNELS}, -1)
+
+    def stop(self):
+        pass
+
+
+@pytest.fixture
+def made():
+    bench = replace(mounted().bench, realtime=True, trips=())
+    (device,) = bench.devices
+    slow = Slow()
+    acquisition = Acquisition(bench, {device.name: slow}, RealClock(), 100.0, CHANNELS, NoRecord())
+    beats = []
+    acquisition.beat = lambda: beats.append(time.monotonic())
+    acquisition.start()
+    acquisition.supervise()
+    yield acquisition, slow, beats
+    slow.go.set()
+    acquisition.stop()
+
+
+def test_while_a_device_is_waited_for_the_program_says_that_it_lives(made):
+    acquisition, slow, beats = made
+    acquisition.pass_time(0.2)
+    assert beats == []
+    slow.go.clear()
+    executor = threading.Thread(target=acquisition.pass_time, args=(0.2,), daemon=True)
+    executor.start()
+    until = time.monotonic() + 10.0
+    while len(beats) < 4 and time.monotonic() < until:
+        time.sleep(0.01)
+    assert len(beats) >= 4
+    assert executor.is_alive()
+    slow.go.set()
+    executor.join()
+
+
+def test_nothing_that_was_there_before_is_collected_again_during_a_run_in_real_time():
+    before = gc.get_freeze_count()
+    with _no_long_collection():
+        assert gc.get_freeze_count() > before + 10_000
+        assert len(gc.get_objects()) < 10_000
+    assert gc.get_freeze_count() == 0
