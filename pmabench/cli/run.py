@@ -208,9 +208,9 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
 
 
 def tell_outcome(ui: Ui, outcome: Outcome) -> None:
-    """The result of a command that was one run; with --quiet its folder, and why where it did not finish."""
+    """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
     if ui.quiet and not ui.json and outcome.status != "finished":
-        say(f"{outcome.status}: {outcome.why}")
+        say(f"{outcome.status}: {outcome.why}{_vented(outcome)}")
     folder = () if outcome.folder is None else (str(outcome.folder),)
     ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
 
@@ -218,6 +218,9 @@ def tell_outcome(ui: Ui, outcome: Outcome) -> None:
 def print_outcome(outcome: Outcome) -> None:
     """How it ended, in two lines."""
     why = f": {outcome.why}" if outcome.why else ""
-    vent = f"; vent {outcome.vent.result}" if outcome.vent is not None else ""
-    click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{vent}")
+    click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{_vented(outcome)}")
     click.echo(str(outcome.folder))
+
+
+def _vented(outcome: Outcome) -> str:
+    return f"; vent {outcome.vent.result}" if outcome.vent is not None else ""

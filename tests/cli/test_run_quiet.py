@@ -24,4 +24,5 @@ def test_a_run_that_does_not_finish_says_why(tmp_path):
     done = call("run", "contraction-relaxation", *told, *SMALL, "--out", tmp_path / "runs", code=5)
     (line,) = done.stderr.splitlines()
     assert line.startswith("tripped: displacement ")
+    assert line.endswith("; vent confirmed")
     assert len(done.stdout.splitlines()) == 1
