@@ -158,13 +158,14 @@ def protocols(draw):
 LONGEST = 300.0
 """Plans that could take longer [s of bench time] are judged by their envelope only."""
 
-TALLY = {"run": 0, "refused": 0}
+TALLY = {"tried": 0, "run": 0, "refused": 0}
 
 
 @settings(max_examples=CASES, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(protocols())
 def test_nothing_outside_the_limits_reaches_the_device(protocol):
     kind, changes = protocol
+    TALLY["tried"] += 1
     Judge.told.clear()
     mounted = BENCHES[BENCHES_OF[kind]]
     try:
@@ -187,7 +188,9 @@ def test_nothing_outside_the_limits_reaches_the_device(protocol):
     assert ("pressure", 0.0) in Judge.told[-3:], "did not vent"
 
 
-def test_the_generator_makes_both_kinds():
+def test_the_generator_makes_both_kinds(record_property):
+    record_property("cases", TALLY["tried"])
+    assert TALLY["tried"] >= CASES
     assert TALLY["run"] > CASES // 20
     assert TALLY["refused"] > CASES // 10
 

@@ -179,8 +179,8 @@ BUGS = (
     Bug(
         "a measured value at its bound confirms the vent",
         "pmabench/guard/safe.py",
-        "value is not None and value < action.value",
-        "value is not None and not value > action.value",
+        "if value is not None and self._floors.get(action.target, -inf) < value < action.value:",
+        "if value is not None and self._floors.get(action.target, -inf) < value <= action.value:",
         ("tests/guard/test_safe_state.py",),
     ),
     Bug(
