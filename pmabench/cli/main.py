@@ -32,7 +32,7 @@ COMMANDS = {
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
     "report": ("report", "Write the characterisation report as one HTML file."),
     "tune": ("tune", "Controller settings from an ultimate gain and period."),
-    "model": ("model", "Models of muscles, regulators, loads and compositions: list, show, evaluate."),
+    "model": ("model", "Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate."),
     "bench": ("bench", "Write the card of a bench: one page to hang at the rig."),
     "runs": ("runs", "List, show and verify recorded runs."),
     "note": ("note", "Append a note, a file or an exclusion to a recorded run."),

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, common
+from pmabench.cli.model_inputs import grid, read_inputs
+from pmabench.cli.model_simulate import simulate
+from pmabench.cli.model_table import cell, display_unit, print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
     from pmabench.model.library import Model, Parameter
 
-MOST_ROWS = 20_000
-
 
 @click.group(name="model")
 def command() -> None:
-    """Models of muscles, regulators, loads and compositions: list, show and evaluate."""
+    """Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate."""
+
+
+command.add_command(simulate)
 
 
 @command.command(name="list")
@@ -77,7 +80,7 @@ def show_model(ui: Ui, name: str) -> int | None:
                 "name": o.name,
                 "symbol": o.symbol,
                 "quantity": o.quantity,
-                "unit": _unit(o.quantity),
+                "unit": si_unit(o.quantity),
                 "meaning": o.meaning,
             }
             for o in model.outputs
@@ -119,7 +122,7 @@ def show_model(ui: Ui, name: str) -> int | None:
         heads = ["input", "symbol", "reference", "domain", "meaning"]
         print_grid(console, heads, rows, ("input", "symbol", "reference", "domain", "meaning"))
         click.echo()
-        rows = [[o.name, o.symbol, _display(o.quantity), o.meaning] for o in model.outputs]
+        rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
         print_grid(console, ["output", "symbol", "unit", "meaning"], rows, ("output", "symbol", "unit", "meaning"))
         click.echo()
         parameters = {p.name: p for p in model.parameters}
@@ -181,33 +184,39 @@ def eval_model(
     if as_csv and ui.json:
         raise UsageError("--csv or --json, not both")
     model = _model(name)
-    given, table = _read(model, settings, axes)
-    inputs, columns = _grid(model, given, table)
+    given, table = read_inputs(model, settings, axes)
+    inputs, columns = grid(model, given, table)
     outputs = _evaluate(model, {**given, **columns})
+    table_columns = [
+        {"name": p.name, "quantity": p.quantity, "unit": si_unit(p.quantity), "values": columns[p.name]}
+        for p in model.parameters
+        if p.name in columns
+    ]
+    table_columns += [
+        {"name": o.name, "quantity": o.quantity, "unit": si_unit(o.quantity), "values": outputs[o.name]}
+        for o in model.outputs
+    ]
     data = {
         "schema": "pmabench.model-eval/1",
         "model": model.name,
         "inputs": {
-            p.name: {"value": inputs[p.name], "unit": _unit(p.quantity), "given": p.name in given}
+            p.name: {"value": inputs[p.name], "unit": si_unit(p.quantity), "given": p.name in given}
             for p in model.parameters
-            if p.name not in columns
+            if p.name in inputs
         },
-        "columns": [
-            {"name": p.name, "quantity": p.quantity, "unit": _unit(p.quantity), "values": columns[p.name]}
-            for p in model.parameters
-            if p.name in columns
-        ]
-        + [
-            {"name": o.name, "quantity": o.quantity, "unit": _unit(o.quantity), "values": outputs[o.name]}
-            for o in model.outputs
-        ],
+        "columns": table_columns,
     }
 
     def human() -> None:
         if as_csv:
-            _print_csv(data["columns"])  # type: ignore[arg-type]
+            print_csv(table_columns)
+            return
+        if not ui.quiet:
+            _print_inputs(model, given, inputs)
+        if columns:
+            print_table(ui, table_columns, len(columns))
         else:
-            _print_values(ui, model, given, inputs, columns, outputs)
+            _print_outputs(ui, model, outputs)
 
     ui.result(data, human)
     return None
@@ -223,89 +232,6 @@ def _model(name: str) -> Model:
     if name not in MODELS:
         raise UsageError(f'no model "{name}"{did_you_mean(name, MODELS)}')
     return MODELS[name]
-
-
-def _read(
-    model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]]
-) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """Values given and the axes of the table; UsageError with everything that is wrong."""
-    from pmabench.base.errors import UsageError, did_you_mean
-
-    parameters = {p.name: p for p in model.parameters}
-    given: dict[str, Any] = {}
-    table: dict[str, list[Any]] = {}
-    problems: list[str] = []
-    for option, pairs in (("--set", settings), ("--over", axes)):
-        for key, text in pairs:
-            if key not in parameters:
-                problems.append(f'{option} {key}: {model.name} has no input "{key}"{did_you_mean(key, parameters)}')
-            elif key in given or key in table:
-                problems.append(f"{option} {key}: given twice")
-            else:
-                try:
-                    if option == "--set":
-                        given[key] = _value(parameters[key], text)
-                    else:
-                        table[key] = _axis(parameters[key], text)
-                except ValueError as error:
-                    problems.append(f"{option} {key}: {error}")
-    rows = math.prod(len(axis) for axis in table.values())
-    if rows > MOST_ROWS:
-        problems.append(f"--over: {rows} rows; at most {MOST_ROWS} are made")
-    if problems:
-        raise UsageError("\n".join(problems))
-    return given, table
-
-
-def _value(parameter: Parameter, text: str) -> float | str:
-    """One value [SI], or the name of a choice; ValueError that says what is expected."""
-    from pmabench.base.errors import did_you_mean
-    from pmabench.files.quantity import parse_quantity
-
-    if parameter.choices:
-        if text not in parameter.choices:
-            raise ValueError(
-                f'"{text}" is none of {", ".join(parameter.choices)}{did_you_mean(text, parameter.choices)}'
-            )
-        return text
-    if parameter.quantity == "count":
-        try:
-            return float(text)
-        except ValueError:
-            raise ValueError(f'"{text}" is no number; a pure number is expected, for instance "1.2"') from None
-    return parse_quantity(text, parameter.quantity)
-
-
-def _axis(parameter: Parameter, text: str) -> list[Any]:
-    first, dots, rest = text.partition("..")
-    if not dots:
-        return [_value(parameter, part.strip()) for part in text.split(",")]
-    last, by, step_text = rest.partition(" by ")
-    if parameter.choices or not by:
-        raise ValueError(f'"{text}" is no range; write "FIRST..LAST by STEP", or a list "A, B, C"')
-    start, stop, step = (float(_value(parameter, part.strip())) for part in (first, last, step_text))
-    if not all(map(math.isfinite, (start, stop, step))) or step <= 0:
-        raise ValueError(f'"{text}": the step must be above zero')
-    count = abs(stop - start) / step
-    if count > MOST_ROWS:
-        raise ValueError(f"makes {count + 1:.0f} values; at most {MOST_ROWS} are made")
-    if abs(count - round(count)) > 1e-6:
-        raise ValueError(f'"{text}": the step does not lead from the first to the last value in whole steps')
-    sign = 1.0 if stop >= start else -1.0
-    values = [start + sign * index * step for index in range(round(count) + 1)]
-    values[-1] = stop
-    return values
-
-
-def _grid(
-    model: Model, given: dict[str, Any], table: dict[str, list[Any]]
-) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """Every single input, and the columns of the table: all combinations of its axes."""
-    from itertools import product
-
-    inputs = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in table}
-    rows = list(product(*table.values()))
-    return inputs, {name: [row[index] for row in rows] for index, name in enumerate(table)}
 
 
 def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | None]]:
@@ -342,18 +268,6 @@ def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | No
 # -- words -------------------------------------------------------------------------------------------------------
 
 
-def _unit(quantity: str) -> str:
-    from pmabench.base.quantities import QUANTITIES
-
-    return QUANTITIES[quantity].unit if quantity else ""
-
-
-def _display(quantity: str) -> str:
-    from pmabench.base.quantities import QUANTITIES
-
-    return QUANTITIES[quantity].shown_in if quantity else ""
-
-
 def _shown(parameter: Parameter, value: object, digits: int = 6) -> str:
     from pmabench.base.quantities import show
 
@@ -386,7 +300,7 @@ def _input_facts(parameter: Parameter) -> dict[str, Any]:
         "name": parameter.name,
         "symbol": parameter.symbol,
         "quantity": parameter.quantity,
-        "unit": _unit(parameter.quantity),
+        "unit": si_unit(parameter.quantity),
         "reference": parameter.value,
         "origin": parameter.origin,
         "domain": [end if math.isfinite(end) else None for end in ends],
@@ -405,50 +319,21 @@ def _wrapped(text: str, width: int) -> list[str]:
 # -- printing ----------------------------------------------------------------------------------------------------
 
 
-def _print_values(
-    ui: Ui,
-    model: Model,
-    given: dict[str, Any],
-    inputs: dict[str, Any],
-    columns: dict[str, list[Any]],
-    outputs: dict[str, list[float | None]],
-) -> None:
-    from pmabench.report.terminal import print_grid
-
+def _print_inputs(model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:
     parameters = {p.name: p for p in model.parameters}
-    console = ui.console()
     for own, word in ((True, "given:"), (False, "at their reference values:")):
         shown = [f"{key} {_shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
-        if shown and not ui.quiet:
+        if shown:
             click.echo(f"{word} {', '.join(shown)}")
-    if not ui.quiet:
-        click.echo()
-    if not columns:
-        rows = [[o.name, o.symbol, _cell(o.quantity, outputs[o.name][0]), _display(o.quantity)] for o in model.outputs]
-        print_grid(console, ["output", "symbol", "value", "unit"], rows, ("output", "symbol", "unit"))
-        return
-    heads, cells = [], []
-    for key, values in columns.items():
-        heads.append(f"{key} {_display(parameters[key].quantity)}".strip())
-        cells.append([v if isinstance(v, str) else _cell(parameters[key].quantity, v) for v in values])
-    for output in model.outputs:
-        heads.append(f"{output.name} {_display(output.quantity)}".strip())
-        cells.append([_cell(output.quantity, value) for value in outputs[output.name]])
-    texts = [head for head, column in zip(heads, cells, strict=True) if column and not column[0][-1:].isdigit()]
-    print_grid(console, heads, [list(row) for row in zip(*cells, strict=True)], texts, len(columns))
+    click.echo()
 
 
-def _cell(quantity: str, value: float | None) -> str:
-    from pmabench.base.quantities import QUANTITIES
+def _print_outputs(ui: Ui, model: Model, outputs: dict[str, list[float | None]]) -> None:
+    from pmabench.report.terminal import print_grid
 
-    return "" if value is None else f"{value / QUANTITIES[quantity].scale:.6g}"
-
-
-def _print_csv(columns: Sequence[dict[str, Any]]) -> None:
-    import csv
-    import sys
-
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow([f"{c['name']} [{c['unit']}]" if c["unit"] else c["name"] for c in columns])
-    for row in zip(*(c["values"] for c in columns), strict=True):
-        writer.writerow(["" if value is None else value if isinstance(value, str) else repr(value) for value in row])
+    heads = ["output", "symbol", "value", "unit", "meaning"]
+    rows = [
+        [o.name, o.symbol, cell(o.quantity, outputs[o.name][0]), display_unit(o.quantity), o.meaning]
+        for o in model.outputs
+    ]
+    print_grid(ui.console(), heads, rows, ("output", "symbol", "unit", "meaning"))

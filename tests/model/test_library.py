@@ -121,7 +121,7 @@ def test_tondu_lopez_is_chou_hannaford_for_k_1():
         assert float(new["force"]) == pytest.approx(float(old["force"]), rel=1e-12)
 
 
-@pytest.mark.parametrize("k", [0.8, 1.0, 1.35])
+@pytest.mark.parametrize("k", [0.8, 1.0, 1.35, 3.0])
 def test_k_leaves_the_force_at_rest_length_and_moves_the_end(k):
     model = MODELS["tondu-lopez"]
     assert float(model.evaluate({"k": k})["force"]) == pytest.approx(float(model.evaluate()["force"]), rel=1e-14)

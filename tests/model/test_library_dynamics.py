@@ -263,6 +263,11 @@ def test_unlike_sections_pull_with_one_force(x):
     assert forces == pytest.approx([float(found["force"])] * 2, rel=1e-9)
 
 
+def test_unlike_lengths_count_with_their_own_contraction():
+    found = MODELS["series-pair"].evaluate({"length_1": 0.2, "length_2": 0.4, "displacement": 0.08})
+    assert 0.2 * found["contraction_1"] + 0.4 * found["contraction_2"] == pytest.approx(0.08, abs=1e-12)
+
+
 @pytest.mark.parametrize(("x", "reason"), [(0.0, "stretched"), (0.3, "more than both")])
 def test_sections_that_cannot_balance_are_refused(x, reason):
     with pytest.raises(OutsideDomain, match=reason):
@@ -290,6 +295,11 @@ def test_a_cascade_adds_its_muscles_one_delay_apart():
     five = value("cascade", "sum", time=t, count=5)
     shifted = sum(np.where(t >= i, np.interp(t - i, t, one), 0) for i in range(5))
     np.testing.assert_allclose(five, shifted, atol=1e-9)
+
+
+def test_the_hold_of_a_sampled_loop_is_half_a_period_of_dead_time():
+    sampled = value("ultimate-gain", "period", dead_time=0.04, sample_period=0.02)
+    assert float(sampled) == pytest.approx(float(value("ultimate-gain", "period", dead_time=0.05)))
 
 
 def test_a_loop_without_dead_time_is_refused():

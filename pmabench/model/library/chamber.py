@@ -117,7 +117,7 @@ def closed_chamber(
     ),
     source="paper 3, sinusoidal test; the regulator as two conductances is assumed",
     parameters=(
-        Parameter("time", "t", "time", 5.0, "since the start", 0.0, 1000.0, "longer takes too long to compute"),
+        Parameter("time", "t", "time", 5.0, "since the start", 0.0, 100.0, "longer takes too long to compute"),
         Parameter("frequency", "f", "frequency", 0.1, "of the sine", 0.0, 3.0, "paper 3 goes to 3 Hz", above=True),
         Parameter("contraction_low", "eps_low", "ratio", -0.03, "lowest contraction", -0.03, 0.2, CONTRACTION.reason),
         Parameter("contraction_high", "eps_high", "ratio", 0.2, "highest contraction", -0.03, 0.2, CONTRACTION.reason),

@@ -1,0 +1,94 @@
+"""What people give as inputs of a model: single values with units, ranges and lists, told all at once where wrong."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pmabench.model.library import Model, Parameter
+
+MOST_ROWS = 20_000
+
+
+def read_inputs(
+    model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]]
+) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """Values given and the axes of the table; UsageError with everything that is wrong."""
+    from pmabench.base.errors import UsageError, did_you_mean
+
+    parameters = {p.name: p for p in model.parameters}
+    given: dict[str, Any] = {}
+    table: dict[str, list[Any]] = {}
+    problems: list[str] = []
+    for option, pairs in (("--set", settings), ("--over", axes)):
+        for key, text in pairs:
+            if key not in parameters:
+                problems.append(f'{option} {key}: {model.name} has no input "{key}"{did_you_mean(key, parameters)}')
+            elif key in given or key in table:
+                problems.append(f"{option} {key}: given twice")
+            else:
+                try:
+                    if option == "--set":
+                        given[key] = _value(parameters[key], text)
+                    else:
+                        table[key] = _axis(parameters[key], text)
+                except ValueError as error:
+                    problems.append(f"{option} {key}: {error}")
+    rows = math.prod(len(axis) for axis in table.values())
+    if rows > MOST_ROWS:
+        problems.append(f"--over: {rows} rows; at most {MOST_ROWS} are made")
+    if problems:
+        raise UsageError("\n".join(problems))
+    return given, table
+
+
+def _value(parameter: Parameter, text: str) -> float | str:
+    """One value [SI], or the name of a choice; ValueError that says what is expected."""
+    from pmabench.base.errors import did_you_mean
+    from pmabench.files.quantity import parse_quantity
+
+    if parameter.choices:
+        if text not in parameter.choices:
+            raise ValueError(
+                f'"{text}" is none of {", ".join(parameter.choices)}{did_you_mean(text, parameter.choices)}'
+            )
+        return text
+    if parameter.quantity == "count":
+        try:
+            return float(text)
+        except ValueError:
+            raise ValueError(f'"{text}" is no number; a pure number is expected, for instance "1.2"') from None
+    return parse_quantity(text, parameter.quantity)
+
+
+def _axis(parameter: Parameter, text: str) -> list[Any]:
+    first, dots, rest = text.partition("..")
+    if not dots:
+        return [_value(parameter, part.strip()) for part in text.split(",")]
+    last, by, step_text = rest.partition(" by ")
+    if parameter.choices or not by:
+        raise ValueError(f'"{text}" is no range; write "FIRST..LAST by STEP", or a list "A, B, C"')
+    start, stop, step = (float(_value(parameter, part.strip())) for part in (first, last, step_text))
+    if not all(map(math.isfinite, (start, stop, step))) or step <= 0:
+        raise ValueError(f'"{text}": the step must be above zero')
+    count = abs(stop - start) / step
+    if count > MOST_ROWS:
+        raise ValueError(f"makes {count + 1:.0f} values; at most {MOST_ROWS} are made")
+    if abs(count - round(count)) > 1e-6:
+        raise ValueError(f'"{text}": the step does not lead from the first to the last value in whole steps')
+    sign = 1.0 if stop >= start else -1.0
+    values = [start + sign * index * step for index in range(round(count) + 1)]
+    values[-1] = stop
+    return values
+
+
+def grid(
+    model: Model, given: dict[str, Any], table: dict[str, list[Any]]
+) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """Every single input, and the columns of the table: all combinations of its axes."""
+    from itertools import product
+
+    inputs = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in table}
+    rows = list(product(*table.values()))
+    return inputs, {name: [row[index] for row in rows] for index, name in enumerate(table)}

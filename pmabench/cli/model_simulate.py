@@ -1,0 +1,265 @@
+"""`pmabench model simulate`: what a simulated muscle does in time under steps and sines of pressure and a load."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+from pmabench.cli.model_table import print_csv, print_table, si_unit
+
+if TYPE_CHECKING:
+    from pmabench.model.curve import Array
+    from pmabench.model.motion import Motion
+    from pmabench.model.overrides import Overrides
+    from pmabench.model.signal import Wave
+
+MOST_ROWS = 20_000
+LONGEST = 1000.0
+"""Longest time that is simulated [s]."""
+HIGHEST = 600e3
+"""Most pressure of the muscles that there are [Pa]."""
+FASTEST = 10.0
+"""Fastest sine [Hz]."""
+G = 9.81
+CARRIAGE, FORCE_MASS = 2.0, 0.5
+"""What moves besides the weights, and with a load that is a force [kg]."""
+COLUMNS = (
+    ("time", "time", "t"),
+    ("pressure_command", "pressure", "P_set"),
+    ("pressure", "pressure", "P"),
+    ("displacement", "length", "x"),
+    ("speed", "speed", "v"),
+    ("force", "force", "F"),
+)
+"""Name, quantity and field of `Motion` of what is printed."""
+CHANGES = {
+    "friction": "count", "F_s": "force", "F_c": "force", "regulator_lag": "time", "dead_time": "time",
+    "vent_ratio": "count", "dead_band": "pressure", "leak": "rate",
+}  # fmt: skip
+"""What --set takes, as in the options of the mock bench."""
+
+
+@click.command(name="simulate")
+@click.argument("plant")
+@click.option("--kind", default="bench", help="bench: regulator lag, dead time, stiction; ideal: dead time only.")
+@click.option(
+    "--step", "steps", multiple=True, metavar="PRESSURE", help='"300 kPa at 0.5 s", or a ramp: "... by 50 kPa/s".'
+)
+@click.option("--sine", metavar="SINE", help='About the last step before it: "20 kPa, 0.5 Hz at 4 s".')
+@click.option("--load", help='"58.86 N", a force, or "6 kg", which hangs with its inertia.')
+@click.option("--drive", metavar="SINE", help='The free end driven: "20 mm +- 10 mm, 0.5 Hz".')
+@click.option("--for", "duration", default="5 s", show_default=True, help="How long.")
+@click.option("--every", help="Time between rows; a twenty-fifth of the whole where not given.")
+@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
+@click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout.")
+@common
+def simulate(
+    ui: Ui,
+    plant: str,
+    kind: str,
+    steps: tuple[str, ...],
+    sine: str | None,
+    load: str | None,
+    drive: str | None,
+    duration: str,
+    every: str | None,
+    settings: tuple[str, ...],
+    *,
+    as_csv: bool,
+) -> int | None:
+    r"""Simulate PLANT (paper0, serres2009) from rest: true values in time, without sensors.
+
+    \b
+    pmabench model simulate paper0 --step "300 kPa at 0.5 s" --step "0 kPa at 4 s" --load "6 kg" --for "8 s"
+    """
+    from pmabench.base.errors import UsageError
+
+    problems: list[str] = []
+    seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
+    spacing: Any = _parsed(problems, "--every", _quantity, every, "time", 1e-6, LONGEST) if every else None
+    if spacing is None and seconds is not None:
+        spacing = seconds / 25
+    waves = _parsed(problems, "--step", _course, steps, sine)
+    weight = _parsed(problems, "--load", _load, load)
+    driven = _parsed(problems, "--drive", _drive, drive)
+    changes = _parsed(problems, "--set", _overrides, settings)
+    if seconds and spacing and seconds / spacing > MOST_ROWS:
+        problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
+    if load is not None and drive is not None:
+        problems.append("--load and --drive: the free end carries a load or is driven, not both")
+    if not steps and sine is None:
+        problems.append('--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"')
+    if as_csv and ui.json:
+        problems.append("--csv or --json, not both")
+    if problems:
+        raise UsageError("\n".join(problems))
+    try:
+        motion = _simulated(plant, kind, changes, waves, weight, driven, seconds, spacing)
+    except ValueError as error:
+        raise UsageError(f"{plant}: {error}") from error
+    columns = [
+        {"name": name, "quantity": quantity, "unit": si_unit(quantity), "values": getattr(motion, field).tolist()}
+        for name, quantity, field in COLUMNS
+    ]
+    data = {
+        "schema": "pmabench.model-simulation/1",
+        "simulated": True,
+        "plant": plant,
+        "kind": kind,
+        "columns": columns,
+    }
+
+    def human() -> None:
+        if as_csv:
+            print_csv(columns)
+            return
+        if not ui.quiet:
+            click.echo(f"SIMULATED: plant {plant}, {kind}; true values, no sensors\n")
+        print_table(ui, columns, keys=1)
+
+    ui.result(data, human)
+    return None
+
+
+def _simulated(
+    plant: str,
+    kind: str,
+    changes: Overrides,
+    waves: tuple[Wave, ...],
+    weight: tuple[float, float],
+    driven: tuple[float, float, float] | None,
+    seconds: float,
+    spacing: float,
+) -> Motion:
+    import numpy as np
+
+    from pmabench.model import signal
+    from pmabench.model.driven import Actuator, DrivenPlant
+    from pmabench.model.plant import Plant
+    from pmabench.model.presets import preset
+
+    setup = preset(plant, kind, changes)
+    times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
+    bench: Plant | DrivenPlant
+    if driven is None:
+        bench = Plant(setup.muscle, setup.regulator, force=weight[0], mass=weight[1])
+    else:
+        mean, amplitude, frequency = driven
+        actuator = Actuator(lag=setup.follow_lag)
+        bench = DrivenPlant(setup.muscle, setup.regulator, actuator, position=mean)
+        bench.move(signal.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
+    bench.command(waves)
+    return bench.advance(float(times[-1]), times)
+
+
+# -- reading -----------------------------------------------------------------------------------------------------
+
+
+def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> Any:
+    """What `parse` makes of the arguments, or None and a line in `problems`."""
+    try:
+        return parse(*arguments)
+    except ValueError as error:
+        problems.extend(f"{option}: {line}" for line in str(error).splitlines())
+        return None
+
+
+def _quantity(text: str, quantity: str, least: float, most: float) -> float:
+    from pmabench.base.quantities import show
+    from pmabench.files.quantity import parse_quantity
+
+    value = parse_quantity(text, quantity)
+    if not least <= value <= most * (1 + 1e-12):
+        raise ValueError(f'"{text}" is outside {show(least, quantity)} to {show(most, quantity)}')
+    return value
+
+
+STEP = re.compile(r"(?P<level>.+?)\s+at\s+(?P<at>.+?)(?:\s+by\s+(?P<rate>.+))?")
+SINE = re.compile(r"(?P<amplitude>[^,]+),(?P<frequency>[^,]+?)\s+at\s+(?P<at>.+)")
+DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
+
+
+def _course(steps: tuple[str, ...], sine: str | None) -> tuple[Wave, ...]:
+    """The commanded pressure from 0 on."""
+    from pmabench.model.signal import Wave, constant, ramp, to_nanosecond
+
+    waves: list[Wave] = list(constant(0.0, 0.0))
+    for text in steps:
+        match = STEP.fullmatch(text.strip())
+        if match is None:
+            raise ValueError(f'"{text}" is no step; write "300 kPa at 0.5 s" or "300 kPa at 0.5 s by 50 kPa/s"')
+        level = _quantity(match["level"], "pressure", 0.0, HIGHEST)
+        at = to_nanosecond(_quantity(match["at"], "time", 0.0, LONGEST))
+        if at < waves[-1].start or (at == waves[-1].start > 0):
+            raise ValueError(f'"{text}" begins before the one before it has ended; give the steps in order of time')
+        before = waves[-1].level
+        if at == 0:
+            waves.pop()
+        if match["rate"]:
+            waves += ramp(at, before, level, _quantity(match["rate"], "pressure rate", 1.0, 1e9))
+        else:
+            waves += constant(at, level)
+    if sine is not None:
+        match = SINE.fullmatch(sine.strip())
+        if match is None:
+            raise ValueError(f'"{sine}" is no sine; write --sine "20 kPa, 0.5 Hz at 4 s"')
+        at = to_nanosecond(_quantity(match["at"], "time", 0.0, LONGEST))
+        mean = waves[-1].level
+        if at <= waves[-1].start:
+            raise ValueError(f'"{sine}" begins before the last step has ended')
+        amplitude = _quantity(match["amplitude"], "pressure", 0.0, min(mean, HIGHEST - mean))
+        omega = 2 * math.pi * _quantity(match["frequency"], "frequency", 1e-6, FASTEST)
+        waves.append(Wave(at, mean, amplitude=amplitude, omega=omega))
+    return tuple(waves)
+
+
+def _load(text: str | None) -> tuple[float, float]:
+    """Force [N] and moving mass [kg]."""
+    from pmabench.files.quantity import parse_mass_or_force
+
+    kind, value = parse_mass_or_force(text or "0 N")
+    if not 0 <= value <= 1e5:
+        raise ValueError(f'"{text}" is no load of a muscle; expected is 0 N or more')
+    return (value * G, value + CARRIAGE) if kind == "mass" else (value, FORCE_MASS)
+
+
+def _drive(text: str | None) -> tuple[float, float, float] | None:
+    """Mean and amplitude [m], frequency [Hz]."""
+    if text is None:
+        return None
+    match = DRIVE.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f'"{text}" is no drive; write "20 mm +- 10 mm, 0.5 Hz"')
+    mean = _quantity(match["mean"], "length", 0.0, 0.1)
+    amplitude = _quantity(match["amplitude"], "length", 0.0, mean)
+    return mean, amplitude, _quantity(match["frequency"].strip(), "frequency", 1e-6, FASTEST)
+
+
+def _overrides(settings: tuple[str, ...]) -> Overrides:
+    """The changes by name; ValueError with a line for each that is wrong."""
+    from pmabench.base.errors import did_you_mean
+    from pmabench.files.quantity import parse_quantity
+    from pmabench.model.overrides import Overrides
+
+    found: dict[str, Any] = {}
+    wrong = []
+    for text in settings:
+        name, _, value = text.partition("=")
+        name = name.strip()
+        try:
+            if name not in CHANGES:
+                wrong.append(f'"{name}" is no parameter of the plants{did_you_mean(name, CHANGES)}')
+            elif CHANGES[name] == "count":
+                found[name] = float(value)
+            else:
+                found[name] = parse_quantity(value.strip(), CHANGES[name])
+        except ValueError as error:
+            wrong.append(f"{name}: {error}")
+    wrong += [f"{name}: a finite number is expected" for name, value in found.items() if not math.isfinite(value)]
+    if wrong:
+        raise ValueError("\n".join(wrong))
+    return Overrides(**found)
