@@ -125,7 +125,7 @@ def set_points(rig: Rig) -> str:
                 if not near(output, held, value):
                     raise Failed(f"{output.name}: {value:g} was written and {held!r} is read back")
                 times = times_sent(rig, output, value, before)
-                if times > 1 or (rig.emulator is not None and not times):
+                if times > 1 or (rig.logged("set") and not times):
                     raise Failed(f"{output.name}: one write() sent the value {times} times; once is expected")
     return f"{len(rig.record.outputs)} outputs hold what was written, each command was sent once"
 
@@ -200,10 +200,10 @@ def ramps(rig: Rig) -> str:
 
 
 def _wait(rig: Rig, device: Any, output: OutputRecord, value: float, within: float) -> Any:
-    """What is read back once it is `value`, or after `within` [s]."""
+    """What is read back once it is `value`, or after `within` [s]; on its way a device may not know."""
     until = rig.bench_clock.now() + within
     while True:
-        held = rig.call("read_back()", device.read_back, output.output).good(CALLS_WITHIN)
+        held = rig.call("read_back()", device.read_back, output.output).judged(CALLS_WITHIN)
         if near(output, held, value) or rig.bench_clock.now() > until:
             return held
         rig.pass_time(0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -50,26 +51,31 @@ def silent(rig: Rig) -> str:
     """When the device falls silent, every call is back in time, and a write is sent once."""
     rig.need_wire()
     told: list[str] = []
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
-        rig.damage(silence)
-        for what, act, within in calls(rig, device):
-            before = len(rig.logged("set"))
-            answer = rig.call(f"{what} in silence", act).judged(within)
-            if isinstance(answer, DeviceError):
-                told.append(str(answer))
-            time.sleep(0.05)
-            for output in rig.record.outputs if what.startswith("write") else ():
-                sent = times_sent(rig, output, _fifth(output), before)
-                if sent > 1:
-                    raise Failed(f"{what} in silence was carried out {sent} times; a write is never repeated")
-            if what.startswith(("read_back", "is_on", "level")) and not isinstance(answer, DeviceError):
-                told.append(f"{what} gives what came last")
-        if rig.streams():
-            told.append(_says_that_samples_stay_away(rig, device))
-        rig.shut()  # in silence, too, within its time
-    return f"{len(told)} calls are back in time; the last says: {told[-1]}"
+    for sampling in (False, True) if rig.streams() else (False,):
+        with rig.opened() as device:
+            if sampling:
+                rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+            rig.damage(silence)
+            told += _in_silence(rig, device)
+            if sampling:
+                told.append(_says_that_samples_stay_away(rig, device))
+            rig.shut()  # in silence, too, within its time
+    return f"{len(told)} calls are back in time; the last says: {told[-1]}" if told else "nothing could be asked"
+
+
+def _in_silence(rig: Rig, device: Any) -> list[str]:
+    """What each call says; raises Failed where a write is carried out more than once."""
+    told = []
+    for what, act, within in calls(rig, device):
+        before = len(rig.logged("set"))
+        answer = rig.call(f"{what} in silence", act).judged(within)
+        told.append(str(answer) if isinstance(answer, DeviceError) else f"{what} gives what came last")
+        time.sleep(0.05)
+        for output in rig.record.outputs if what.startswith("write") else ():
+            sent = times_sent(rig, output, _fifth(output), before)
+            if sent > 1:
+                raise Failed(f"{what} in silence was carried out {sent} times; a write is never repeated")
+    return told
 
 
 def _says_that_samples_stay_away(rig: Rig, device: Any) -> str:
@@ -90,14 +96,18 @@ def late_answers(rig: Rig) -> str:
     if not rig.record.outputs:
         raise NotApplicable("it has no output whose value could be mixed up")
     output = rig.record.outputs[0]
+    safe = raw(output, output.safe)
+    refused = 0
     with rig.opened() as device:
-        refused = 0
+        rig.call("write()", device.write, output.output, safe).good(CALLS_WITHIN)
+        holds = [safe]
         for share in (0.3, 0.1, 0.2):
             value = raw(output, output.safe + share * (output.high - output.safe))
             rig.damage(late(LATE))
             rig.call("read_back() with a late answer", device.read_back, output.output).judged(CALLS_WITHIN)
             rig.well()
-            rig.call("write() after a late answer", device.write, output.output, value).judged(CALLS_WITHIN)
+            done = rig.call("write() after a late answer", device.write, output.output, value).judged(CALLS_WITHIN)
+            holds = [*holds, value] if isinstance(done, DeviceError) else [value]
             for _ in range(RECOVERS):
                 held = rig.call("read_back() after a late answer", device.read_back, output.output).judged(CALLS_WITHIN)
                 if not isinstance(held, DeviceError):
@@ -108,13 +118,13 @@ def late_answers(rig: Rig) -> str:
                 rig.shut()
                 rig.open()
                 device = rig.device
+                rig.call("write()", device.write, output.output, safe).good(CALLS_WITHIN)
+                holds = [safe]
                 continue
-            sent = [entry for entry in rig.logged("set") if entry.get("output") == output.name]
-            stands = [value, *(entry["raw"] for entry in sent[-1:] if isinstance(entry.get("raw"), float | int))]
-            stands += [raw(output, output.safe)] if rig.logged("watchdog") else []  # it was silent for that long
-            if not any(near(output, held, one) for one in stands):
+            holds += [safe] if rig.logged("watchdog") else []  # the driver was silent for that long
+            if not any(near(output, held, one) for one in holds):
                 raise Failed(
-                    f"read_back() gave {held!r} where the device holds {stands[-1]:g}: the answer to an older question "
+                    f"read_back() gave {held!r} where the device holds {holds[-1]:g}: the answer to an older question "
                     "was taken; drain the line after a time-out"
                 )
     return f"three late answers, no value mixed up ({refused} questions refused meanwhile)"
@@ -144,9 +154,33 @@ def hang_up(rig: Rig) -> str:
     return f"says: {told[0]}" if told else "connects again by itself"
 
 
+def exchanges(rig: Rig) -> str:
+    """Question and answer are the bytes that the emulator's module lists as `EXCHANGES`, from the device's manual."""
+    rig.need_wire()
+    module = sys.modules[type(rig.server).__module__]
+    listed = getattr(module, "EXCHANGES", ())
+    if not listed:
+        raise NotApplicable(f"{module.__name__} lists no EXCHANGES")
+    with rig.opened(armed=False) as device:
+        relay = rig.relays[0]
+        for name, arguments, question, answer in listed:
+            relay.heard.clear()
+            rig.call(f"{name}()", getattr(device, name), *arguments).good(CALLS_WITHIN)
+            time.sleep(0.05)
+            asked = b"".join(data for sent, data in relay.heard if not sent)
+            told = b"".join(data for sent, data in relay.heard if sent)
+            if asked != question:
+                raise Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
+            if told != answer:
+                raise Failed(f"{name}{arguments} is answered {told!r} by the emulator; by the manual it is {answer!r}")
+    return f"{len(listed)} exchanges, byte by byte"
+
+
 def nothing_left(rig: Rig) -> str:
     """After close() no thread, no file and no connection is left, whether all was well or the wire silent."""
     rig.need_wire()
+    with rig.opened():
+        pass  # what the emulator itself keeps is there after the first connection
     for wire in ("good", "silent"):
         before = _left()
         rig.open()

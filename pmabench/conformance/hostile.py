@@ -77,7 +77,7 @@ class Battle:
         """The damage meets a device that is being opened."""
         rig = self._rig
         rig.shut()
-        device = rig.driver()(rig.record, rig.clock())
+        device = rig.build(rig.record)
         rig.damage(self._damage)
         self._note(rig.call("open()", device.open).judged(OPENS_WITHIN))
         rig.call("close()", device.close).judged(OPENS_WITHIN)

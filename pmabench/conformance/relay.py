@@ -23,6 +23,8 @@ class Relay(ABC):
 
     def __init__(self) -> None:
         self.damage: Damage | None = None
+        self.heard: list[tuple[bool, bytes]] = []
+        """What went through, in its order: whether the device sent it, and the bytes."""
         self.address = ""
         """What the driver connects to."""
 
@@ -34,8 +36,14 @@ class Relay(ABC):
     def close(self) -> None:
         """End."""
 
+    def asked(self, data: bytes) -> list[bytes]:
+        """What the driver sends is passed on as it is."""
+        self.heard.append((False, data))
+        return [data]
+
     def arriving(self, data: bytes) -> list[bytes]:
         """What arrives of a piece from the device, after the waits that its damage asks for."""
+        self.heard.append((True, data))
         damage = self.damage
         if damage is None:
             return [data]
@@ -96,7 +104,7 @@ class TcpRelay(Relay):
     def _pump(self, pair: _Pair, source: socket.socket, target: socket.socket) -> None:
         with suppress(OSError):
             while data := source.recv(PIECE):
-                for piece in [data] if source is pair.near else self.arriving(data):
+                for piece in self.asked(data) if source is pair.near else self.arriving(data):
                     target.sendall(piece)
         pair.ended()
 
@@ -166,6 +174,6 @@ class SerialRelay(Relay):
                 if not select.select([source], [], [], WAIT)[0]:
                     continue
                 data = os.read(source, PIECE)
-                for piece in [data] if source == self._near else self.arriving(data):
+                for piece in self.asked(data) if source == self._near else self.arriving(data):
                     if piece and select.select([], [target], [], 0)[1]:  # what finds no room is lost
                         os.write(target, piece)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
@@ -29,6 +30,8 @@ HUNG = 8.0
 """A call that is not back after so long counts as hanging [s]."""
 CALLS_WITHIN = PATIENCE
 """Longest time that a command or a question may take [s]."""
+_PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
+"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
 SLACK = 0.1
 """What every call is given besides [s], and three times what this computer was late meanwhile."""
 
@@ -89,45 +92,36 @@ class Rig:
 
     def __init__(self, record: DeviceRecord, folder: Path, *, realtime: bool = True) -> None:
         self._folder, self._realtime = folder, realtime
+        self.bench_clock: Clock = self.clock()
         self.asked = record
         self.relays: list[Relay] = []
         self._lag = _Lag()
         self._owner = Owner(record.name)
         self.device: Any = None
         self._armed = False
-        served = _served(record, folder)
+        served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: _far(folder, record.name))
         try:
             self.emulator: Any = _emulator(served)
         except UsageError:
-            self.emulator, served = None, record
+            self.emulator = None
         self.server: Any = None if self.emulator is None else self.emulator.devices[record.name]
         try:
-            self.record = record if self.server is None else self._behind_relays(served)
-            if self.server is None and ":" in record.address:
-                self.record = replace(record, address=f"127.0.0.1:{free_port()}")
+            self.record = served if self.server is None else _rewritten(served, self._tcp, self._serial)
         except BaseException:
             self.close()
             raise
 
     # -- standing up ----------------------------------------------------------------------------------------------
 
-    def _behind_relays(self, served: DeviceRecord) -> DeviceRecord:
-        """The record as the driver gets it: every address is that of a relay."""
-        address = self.server.address
-        options = dict(served.options)
-        if served.address.startswith("/"):
-            near = self._folder / served.name
-            self.relays.append(SerialRelay(near, served.address))
-            return replace(served, address=str(near))
-        if not _is_tcp(served.address):
-            return replace(served, address=address)
-        for name, value in served.options.items():
-            if _is_port(name, value):
-                relay = TcpRelay(f"127.0.0.1:{value}")
-                self.relays.append(relay)
-                options[name] = int(relay.address.rpartition(":")[2])
-        self.relays.insert(0, TcpRelay(address))
-        return replace(served, address=self.relays[0].address, options=options)
+    def _tcp(self, far: str) -> str:
+        """A relay in front of HOST:PORT; where it listens."""
+        self.relays.append(TcpRelay(far))
+        return self.relays[-1].address
+
+    def _serial(self, far: str) -> str:
+        """A relay in front of a serial port; where it is reached."""
+        self.relays.append(SerialRelay(self._folder / self.asked.name, far))
+        return self.relays[-1].address
 
     def renew_wire(self) -> None:
         """Put a serial line that was pulled back in place."""
@@ -168,6 +162,13 @@ class Rig:
             raise Failed(f"{self.record.driver} is no class")
         return found
 
+    def build(self, record: DeviceRecord) -> Any:
+        """A new driver, not open; raises Failed where it refuses its record."""
+        try:
+            return self.driver()(record, self.bench_clock)
+        except Exception as error:
+            raise Failed(f"it cannot be built from the bench's record: {type(error).__name__}: {error}") from error
+
     def open(self, *, armed: bool = True) -> Identity:
         """A new driver, open on a good wire, its watchdog armed as the guard arms it before it commands anything.
 
@@ -175,7 +176,7 @@ class Rig:
         """
         self.well()
         self.bench_clock = self.clock()
-        self.device = self.driver()(self.record, self.bench_clock)
+        self.device = self.build(self.record)
         identity = self.call("open()", self.device.open, hung=HUNG).good(OPENS_WITHIN)
         if not isinstance(identity, Identity):
             raise Failed(f"open() gave {identity!r}; an Identity is expected")
@@ -266,23 +267,23 @@ def _emulator(record: DeviceRecord) -> Any:
     return found[0].load()([record], preset="ideal")
 
 
-def _served(record: DeviceRecord, folder: Path) -> DeviceRecord:
-    """The record as the emulator gets it: on this machine, at places that nobody else uses."""
-    if record.address.startswith("/"):
-        return replace(record, address=_far(folder, record.name))
-    if not _is_tcp(record.address):
-        return record
-    options = {name: free_port() if _is_port(name, value) else value for name, value in record.options.items()}
-    return replace(record, address="127.0.0.1:0", options=options)
+def _rewritten(record: DeviceRecord, tcp: Callable[[str], str], serial: Callable[[str], str]) -> DeviceRecord:
+    """The record with every place on the network or at a serial port put elsewhere: its address, and options."""
+
+    def moved(value: Any) -> Any:
+        found = _PLACE.fullmatch(value) if isinstance(value, str) else None
+        return f"{found[1] or ''}{tcp(found[2])}" if found else value
+
+    address = serial(record.address) if record.address.startswith("/") else moved(record.address)
+    options = {
+        name: int(tcp(f"127.0.0.1:{value}").rpartition(":")[2]) if _is_port(name, value) else moved(value)
+        for name, value in record.options.items()
+    }
+    return replace(record, address=address, options=options)
 
 
 def _far(folder: Path, name: str) -> str:
     return str(folder / f"{name}-far")
-
-
-def _is_tcp(address: str) -> bool:
-    host, colon, port = address.rpartition(":")
-    return bool(colon and host and port.isdecimal())
 
 
 def _is_port(name: str, value: Any) -> bool:

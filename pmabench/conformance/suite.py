@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
-from pmabench.bench.interface import DeviceRecord
 from pmabench.conformance import behaviour, broken_wire, unopened
 from pmabench.conformance.hostile import Battle
 from pmabench.conformance.rig import Rig
+from pmabench.conformance.subject import Subject
 from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Failed, NotApplicable, Result
 
 CHECKS: dict[str, Callable[[Rig], str]] = {
@@ -30,14 +30,18 @@ CHECKS: dict[str, Callable[[Rig], str]] = {
     "silence": broken_wire.silent,
     "late answers": broken_wire.late_answers,
     "line cut": broken_wire.hang_up,
+    "exchanges": broken_wire.exchanges,
     "nothing left": broken_wire.nothing_left,
 }
 """Name -> check; what it promises is the first line of its docstring."""
 HOSTILE = "hostile answers"
 
 
-def run(record: DeviceRecord, *, hostile: int = 300, seed: int = 1, realtime: bool = True) -> Iterator[Result]:
-    """Every check of one device, each with an emulator of its own; `hostile` is how many pieces are damaged."""
+def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection[str] = ()) -> Iterator[Result]:
+    """Every check of one device, or `only` some, each with an emulator of its own.
+
+    `hostile` is how many pieces are damaged.
+    """
 
     def battle(rig: Rig) -> str:
         """Damaged answers end in a sentence or a number, in time; no write is repeated."""
@@ -45,14 +49,15 @@ def run(record: DeviceRecord, *, hostile: int = 300, seed: int = 1, realtime: bo
         return Battle(rig, hostile, seed).fight()
 
     checks = {**CHECKS, **({HOSTILE: battle} if hostile else {})}
-    for name, check in checks.items():
+    for name in only or checks:
+        check = checks[name]
         promise = (check.__doc__ or "").strip().splitlines()[0]
-        yield Result(name, promise, *_verdict(record, check, realtime=realtime))
+        yield Result(name, promise, *_verdict(subject, check))
 
 
-def _verdict(record: DeviceRecord, check: Callable[[Rig], str], *, realtime: bool) -> tuple[str, str]:
+def _verdict(subject: Subject, check: Callable[[Rig], str]) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
-        rig = Rig(record, Path(folder), realtime=realtime)
+        rig = Rig(subject.record, Path(folder), realtime=subject.realtime)
         try:
             return PASSED, check(rig)
         except NotApplicable as reason:

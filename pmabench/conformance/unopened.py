@@ -13,7 +13,7 @@ from typing import Any
 from pmabench.base.errors import DeviceError
 from pmabench.bench import interface
 from pmabench.bench.interface import Device, DeviceRecord
-from pmabench.conformance.rig import OPENS_WITHIN, Rig, free_port
+from pmabench.conformance.rig import OPENS_WITHIN, Rig
 from pmabench.conformance.verdict import Failed, NotApplicable
 
 CAPABILITIES = ("Stream", "SetPoint", "Follower", "Hands", "Switch", "Motion", "Inputs", "Watchdog", "Rescue")
@@ -31,14 +31,14 @@ driver = getattr(import_module(module), name)
 for _ in getattr(driver, "check", lambda _record: ())(record):
     pass
 driver(record, RealClock())
-own = {"pmabench", module.partition(".")[0]}
+own = {"pmabench", "pmabench_drivers", module.partition(".")[0]}
 loaded = {name.partition(".")[0] for name in set(sys.modules) - before} - own - set(sys.stdlib_module_names)
 print(json.dumps(sorted(name for name in loaded if not name.startswith("__"))))
 """
 
 
 def light(rig: Rig) -> str:
-    """Importing, checking options and building loads the standard library, pmabench and the own package only."""
+    """Importing, checking options and building loads the standard library, pmabench, its own package."""
     path = os.pathsep.join(part for part in sys.path if part)
     done = subprocess.run(
         [sys.executable, "-c", LOADS],
@@ -73,7 +73,7 @@ def interfaces(rig: Rig) -> str:
         if wants and not issubclass(driver, getattr(interface, name)):
             raise Failed(f"the bench wants a {name}, and the driver does not implement it")
     before = threading.active_count(), _descriptors()
-    driver(rig.record, rig.clock())
+    rig.build(rig.record)
     after = threading.active_count(), _descriptors()
     if after > before:
         raise Failed("building it starts a thread or opens a file or socket; do that in open()")
@@ -135,11 +135,11 @@ def declared(rig: Rig) -> str:
 def nobody(rig: Rig) -> str:
     """Where nobody answers, `open` says so in time, and `close` does no harm."""
     rig.need_wire()
-    serial = rig.record.address.startswith("/")
-    address = f"{rig.record.address}-nobody" if serial else f"127.0.0.1:{free_port()}"
-    device = rig.driver()(replace(rig.record, address=address), rig.clock())
+    for relay in rig.relays:
+        relay.close()
+    device = rig.build(rig.record)
     told = rig.call("open() where nobody is", device.open).judged(OPENS_WITHIN)
     if not isinstance(told, DeviceError):
-        raise Failed(f"open() at {address}, where nobody is, gave {told!r}; a DeviceError is expected")
+        raise Failed(f"open() at {rig.record.address}, where nobody is, gave {told!r}; a DeviceError is expected")
     rig.call("close() after that", device.close).good(OPENS_WITHIN)
     return f"says: {told}"

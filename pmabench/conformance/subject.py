@@ -1,0 +1,54 @@
+"""Which device of which bench file a driver is tried as."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.bench.compile import mount_alone
+from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.registry import driver_class
+from pmabench.files.shipped import shipped_folder
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A device as a bench file names it."""
+
+    record: DeviceRecord
+    realtime: bool
+    """Whether its bench runs in real time."""
+    bench: str
+    """The bench file's name."""
+
+
+def subjects(driver: str, bench: Path | None = None) -> Iterable[Subject]:
+    """Every device of a driver (its name, or `module:Class`) in a bench file, or in all shipped ones."""
+    try:
+        target = driver_class(driver)
+    except ValueError as error:
+        raise UsageError(f"{error}; or give module:Class") from error
+    for path in sorted(shipped_folder("bench").glob("*.yaml")) if bench is None else [bench]:
+        try:
+            compiled = mount_alone(path).bench
+        except InvalidFile:
+            if bench is not None:
+                raise
+            continue  # a shipped bench of a driver that is not installed here
+        for record in compiled.devices:
+            if record.driver == target:
+                yield Subject(record, compiled.realtime, path.name)
+
+
+def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
+    """The first of them, or the one called `device`; raises UsageError where there is none."""
+    for found in subjects(driver, bench):
+        if device in {None, found.record.name}:
+            return found
+    named = f' called "{device}"' if device else ""
+    raise UsageError(
+        f"no device{named} of the driver {driver} in {bench or 'the shipped benches'}; give a bench file with one, as "
+        "docs/drivers.md says"
+    )

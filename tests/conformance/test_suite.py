@@ -1,0 +1,97 @@
+"""The suite itself: it finds every fault that it promises to find, and a driver without one passes; as it is typed, too."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from pmabench.conformance import FAILED, PASSED, run, subject
+from pmabench.conformance.damage import KINDS, Hostile
+from pmabench.conformance.suite import CHECKS, HOSTILE
+from tests.conformance.bad import FAULTS
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "driver-example"
+DRIVER = "pmabench_driver_example:ExampleController"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_suite_finds_the_fault(name):
+    tried = subject(DRIVER, EXAMPLE / "bench.yaml")
+    bad = replace(tried, record=replace(tried.record, driver=f"tests.conformance.bad:{name}"))
+    [result] = run(bad, hostile=60, only=[FAULTS[name]])
+    assert result.verdict == FAILED, result.why
+
+
+@pytest.mark.realtime
+def test_the_example_keeps_every_promise():
+    results = list(run(subject(DRIVER, EXAMPLE / "bench.yaml"), hostile=60))
+    assert [result.check for result in results] == [*CHECKS, HOSTILE]
+    assert not [f"{result.check}: {result.why}" for result in results if result.verdict == FAILED]
+    assert sum(result.verdict == PASSED for result in results) >= 14
+
+
+def test_a_package_of_somebody_else_is_found_by_its_name_when_it_is_installed(tmp_path):
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--target", str(tmp_path), str(EXAMPLE)], check=True, timeout=120)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+    def typed(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "pmabench", "devices", *arguments],
+            env=environment, capture_output=True, text=True, timeout=120, cwd=tmp_path,
+        )  # fmt: skip
+
+    listed = {row["name"]: row for row in json.loads(typed("list", "--json").stdout)["drivers"]}
+    assert listed["example"]["verified"] == "emulator only"
+    assert listed["example"]["can"] == ["samples", "set-points", "valves"]
+    bench = str(EXAMPLE / "bench.yaml")
+    done = typed("conformance", "example", "--bench", bench, "--check", "valves", "--check", "imports", "--json")
+    told = json.loads(done.stdout)
+    assert (done.returncode, [check["verdict"] for check in told["checks"]]) == (0, [PASSED, PASSED])
+
+
+def test_the_exit_code_says_that_a_check_failed():
+    bench = str(EXAMPLE / "bench.yaml")
+    done = CliRunner().invoke(main, ["devices", "conformance", "modbus", "--bench", bench])
+    assert (done.exit_code, "no device of the driver modbus" in done.stderr) == (2, True)
+    done = CliRunner().invoke(main, ["devices", "conformance", "nothing"])
+    assert (done.exit_code, "module:Class" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damage_is_what_its_name_says(kind):
+    chance, data, before = Random(1), b"0123456789", b"abc"
+    pieces = [KINDS[kind](data, chance, before) for _ in range(50)]
+    whole = [b"".join(piece for _, piece in one) for one in pieces]
+    holds = {
+        "cut": lambda w: len(w) < 10 and data.startswith(w),
+        "bits flipped": lambda w: len(w) == 10,
+        "repeated": lambda w: w == data + data,
+        "garbage before": lambda w: w.endswith(data) and len(w) > 10,
+        "garbage behind": lambda w: w.startswith(data) and len(w) > 10,
+        "other bytes": lambda w: len(w) == 10,
+        "far too long": lambda w: len(w) > 300,
+        "in parts": lambda w: w == data,
+        "an older answer": lambda w: w == before,
+        "late": lambda w: w == data,
+        "nothing": lambda w: w == b"",
+    }[kind]
+    assert all(holds(w) for w in whole)
+    if kind in {"bits flipped", "other bytes"}:
+        assert sum(w != data for w in whole) > 45
+
+
+def test_the_same_seed_is_the_same_damage():
+    def some():
+        damage = Hostile(Random(7))
+        return [(damage.another(), damage(b"0123456789")) for _ in range(100)]
+
+    assert some() == some()
