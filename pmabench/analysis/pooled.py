@@ -25,6 +25,8 @@ EXCESS = 1.5
 """A stretch between knots gets one more knot where its mean square residual is this many times that of the noise."""
 GAIN = 0.03
 """Least relative fall of the sum of squares for which one more knot is kept."""
+CHANCE = 8.0
+"""The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
 MOST_KNOTS = 8
 """Most knots that are added."""
 PLACES = 5
@@ -182,7 +184,7 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
     """The pooled fit and the noise [N] that a segment should have, with knots added where the residual asks for them.
 
     A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
-    the sum of squares is least, is kept if that falls by more than `GAIN`.
+    the sum of squares is least, is kept if that falls by more than `GAIN`, and by far more than by chance.
     """
     floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
     solved = solve(segments, knots, floor)
@@ -192,7 +194,8 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
         if stretch is None:
             break
         finer = _with_knot(segments, solved, stretch, expected)
-        if finer.residual @ finer.residual > (1 - GAIN) * (solved.residual @ solved.residual):
+        gain = max(GAIN, CHANCE * len(SYMBOLS) / max(1, len(segments) - len(finer.theta)))
+        if finer.residual @ finer.residual > (1 - gain) * (solved.residual @ solved.residual):
             break
         solved = finer
     expected = max(floor, expected_noise(segments, solved, noise))
