@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from pmabench.model.library import Model, Parameter
 
 
+EXAMPLE = '\b\npmabench model eval tondu-lopez --set "pressure=300 kPa" \\\n    --over "contraction=0 %..25 % by 5 %"'
+
+
 @click.group(name="model")
 def command() -> None:
     """Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate."""
@@ -158,7 +161,7 @@ def _pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[s
     return pairs
 
 
-@command.command(name="eval")
+@command.command(name="eval", epilog=EXAMPLE)
 @click.argument("name")
 @click.option("--set", "settings", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="An input with its unit.")
 @click.option(
@@ -174,11 +177,7 @@ def _pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[s
 def eval_model(
     ui: Ui, name: str, settings: list[tuple[str, str]], axes: list[tuple[str, str]], *, as_csv: bool
 ) -> int | None:
-    r"""Values of the model NAME; inputs that are not given are at their reference values.
-
-    \b
-    pmabench model eval tondu-lopez --set "pressure=300 kPa" --over "contraction=0 %..25 % by 5 %"
-    """
+    """Values of the model NAME; inputs that are not given are at their reference values."""
     from pmabench.base.errors import UsageError
 
     if as_csv and ui.json:
@@ -212,7 +211,7 @@ def eval_model(
             print_csv(table_columns)
             return
         if not ui.quiet:
-            _print_inputs(model, given, inputs)
+            _print_inputs(ui.console().width, model, given, inputs)
         if columns:
             print_table(ui, table_columns, len(columns))
         else:
@@ -319,12 +318,15 @@ def _wrapped(text: str, width: int) -> list[str]:
 # -- printing ----------------------------------------------------------------------------------------------------
 
 
-def _print_inputs(model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:
+def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:
+    from textwrap import wrap
+
     parameters = {p.name: p for p in model.parameters}
     for own, word in ((True, "given:"), (False, "at their reference values:")):
         shown = [f"{key} {_shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
         if shown:
-            click.echo(f"{word} {', '.join(shown)}")
+            for line in wrap(f"{word} {', '.join(shown)}", width, subsequent_indent="  ", break_on_hyphens=False):
+                click.echo(line)
     click.echo()
 
 

@@ -27,6 +27,11 @@ FASTEST = 10.0
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
 """What moves besides the weights, and with a load that is a force [kg]."""
+EXAMPLE = (
+    "\b\n"
+    'pmabench model simulate paper0 --step "300 kPa at 0.5 s" --step "0 kPa at 4 s" \\\n'
+    '    --load "6 kg" --for "8 s"'
+)
 COLUMNS = (
     ("time", "time", "t"),
     ("pressure_command", "pressure", "P_set"),
@@ -43,7 +48,7 @@ CHANGES = {
 """What --set takes, as in the options of the mock bench."""
 
 
-@click.command(name="simulate")
+@click.command(name="simulate", epilog=EXAMPLE)
 @click.argument("plant")
 @click.option("--kind", default="bench", help="bench: regulator lag, dead time, stiction; ideal: dead time only.")
 @click.option(
@@ -71,11 +76,7 @@ def simulate(
     *,
     as_csv: bool,
 ) -> int | None:
-    r"""Simulate PLANT (paper0, serres2009) from rest: true values in time, without sensors.
-
-    \b
-    pmabench model simulate paper0 --step "300 kPa at 0.5 s" --step "0 kPa at 4 s" --load "6 kg" --for "8 s"
-    """
+    """Simulate PLANT (paper0, serres2009) from rest: true values in time, without sensors."""
     from pmabench.base.errors import UsageError
 
     problems: list[str] = []

@@ -402,3 +402,46 @@ def test_three_equal_cylinders_are_one():
     assert float(found["volume"]) == pytest.approx(math.pi * 0.011**2 * 0.15)
     with pytest.raises(OutsideDomain, match="diameter_2"):
         MODELS["three-cylinder-volume"].evaluate({**given, "diameter_2": 2e-3, "thickness": 1e-3})
+
+
+# -- coefficients of one's own -----------------------------------------------------------------------------------
+
+
+def test_own_polynomials_make_the_table_of_paper0_and_the_published_muscle_too():
+    P = np.array([100.0, 200, 300, 400, 500, 550]) * 1e3
+    own = MODELS["polynomial-coefficients"].evaluate({"pressure": P})
+    fixed = MODELS["mas-20-250-paper0"].evaluate({"pressure": P})
+    for name in own:
+        np.testing.assert_allclose(own[name], fixed[name], rtol=1e-12)
+    for kpa, x, tau_c, tau_r in ((100, 10.18, 0.235, 0.248), (400, 50.72, 0.244, 0.326), (550, 59.99, 0.229, 0.327)):
+        row = list(P).index(kpa * 1e3)
+        assert own["displacement"][row] * 1e3 == pytest.approx(x, abs=5.1e-3)
+        assert own["tau_contract"][row] == pytest.approx(tau_c, abs=5.1e-4)
+        assert own["tau_relax"][row] == pytest.approx(tau_r, abs=5.1e-4)
+
+
+def test_joined_lines_are_those_of_serres_on_both_sides():
+    P = np.linspace(150e3, 550e3, 81)
+    own = MODELS["piecewise-coefficients"].evaluate({"pressure": P})
+    fixed = MODELS["mas-20-250-serres2009"].evaluate({"pressure": P})
+    np.testing.assert_allclose(own["stiffness"], fixed["stiffness"], rtol=1e-12)
+    np.testing.assert_allclose(own["damping"], fixed["damping_relax"], rtol=1e-12)
+    moved = MODELS["piecewise-coefficients"].evaluate({"stiffness_break": 300e3})
+    assert float(moved["stiffness_jump"]) == pytest.approx((17 - 32.7 + (0.0179 + 0.0321) * 300) * 1e3)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "reason"),
+    [
+        ("polynomial-coefficients", {"damping_relax_1": -4.0}, "damping would be negative"),
+        ("polynomial-coefficients", {"damping_contract_0": -2e3}, "damping would be negative"),
+        ("polynomial-coefficients", {"stiffness_0": -8e3}, "stiffness would not be above 0"),
+        ("polynomial-coefficients", {"pressure": 99e3}, "hold from pressure_low"),
+        ("piecewise-coefficients", {"pressure": 560e3}, "hold from pressure_low"),
+        ("piecewise-coefficients", {"damping_below_0": -1.0}, "damping would be negative"),
+        ("piecewise-coefficients", {"pressure_low": 600e3}, "above pressure_low"),
+    ],
+)
+def test_a_fit_is_refused_where_it_does_not_hold(name, given, reason):
+    with pytest.raises(OutsideDomain, match=reason):
+        MODELS[name].evaluate(given)

@@ -7,6 +7,7 @@
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
 | `coefficients` | published coefficients over pressure |
+| `fitted` | polynomials and joined lines with coefficients of one's own |
 | `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
 | `friction` | Coulomb with stiction, a rate-independent hysteresis |
@@ -23,6 +24,7 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     compositions,
     contractor,
     daerden,
+    fitted,
     friction,
     loads,
     regulators,

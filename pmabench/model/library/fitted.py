@@ -1,0 +1,172 @@
+"""Coefficients over pressure that somebody fitted: polynomials and joined lines, with the pressures that they hold "
+"for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pmabench.model.curve import Array
+from pmabench.model.library.braid import MM
+from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.library.three_element import FAMILY, LOAD
+
+KPA, N_MM = 1e3, 1e3
+PRESSURE = Parameter("pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0.0, INF, "gauge pressure of a muscle")
+
+
+def _within(pressure: Array, low: Array, high: Array) -> None:
+    refuse("pressure_high", "it must be above pressure_low", high <= low)
+    outside = (pressure < low * (1 - 1e-12)) | (pressure > high * (1 + 1e-12))
+    refuse("pressure", "the coefficients hold from pressure_low to pressure_high only", outside)
+
+
+def _sound(stiffness: Array, *dampings: Array) -> None:
+    refuse("pressure", "the stiffness would not be above 0 there: the fit does not hold", stiffness <= 0)
+    for damping in dampings:
+        refuse("pressure", "the damping would be negative there: the fit does not hold", damping < 0)
+
+
+def _limits(low: float, high: float) -> tuple[Parameter, ...]:
+    return (
+        Parameter("pressure_low", "P_low", "pressure", low, "lowest pressure of the fit", 0.0),
+        Parameter("pressure_high", "P_high", "pressure", high, "highest pressure of the fit", 0.0),
+    )
+
+
+def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -> tuple[Parameter, ...]:
+    """Parameters name_0, name_1 .. of a polynomial; `base` is the quantity at power 0, values per kPa**power."""
+    per = ("", " per pressure", " per pressure squared")
+    return tuple(
+        Parameter(f"{name}_{n}", f"{symbol}_{n}", base + per[n], value / KPA**n, f"of P^{n} in {symbol}")
+        for n, value in enumerate(values)
+    )
+
+
+@described(
+    "polynomial-coefficients", FAMILY, "Your own F_ce line, K and B parabolas, and what they make",
+    equation=(
+        "F_ce = F_0 + F_1 P, not below 0;  K = K_0 + K_1 P + K_2 P^2;  B_c, B_r likewise",
+        "x = (F_ce - F_L) / K;  tau = B / K;  P_low <= P <= P_high",
+    ),
+    source="form of paper 0's curve fits; reference values are those of mas-20-250-paper0",
+    parameters=(
+        PRESSURE, LOAD, *_limits(100 * KPA, 600 * KPA),
+        *_coefficient("force", "F", "force", (-49.0, 1.08)),
+        *_coefficient("stiffness", "K", "stiffness", (5.6 * N_MM, 1.0e-3 * N_MM, 9.7e-6 * N_MM)),
+        *_coefficient("damping_contract", "B_c", "damping", (1.2 * N_MM, 1.6e-3 * N_MM, 0.0)),
+        *_coefficient("damping_relax", "B_r", "damping", (1.1 * N_MM, 3.4e-3 * N_MM, 0.0)),
+    ),
+    outputs=(
+        Output("force_ce", "F_ce", "force", "contractile force at x = 0"),
+        Output("stiffness", "K", "stiffness", "stiffness"),
+        Output("damping_contract", "B_c", "damping", "damping while it contracts"),
+        Output("damping_relax", "B_r", "damping", "damping while it relaxes"),
+        Output("displacement", "x", "length", "contraction at rest under the load"),
+        Output("tau_contract", "tau_c", "time", "B_c / K"),
+        Output("tau_relax", "tau_r", "time", "B_r / K"),
+    ),
+    references=(
+        Reference("stiffness", "6.773", "N/mm", N_MM, "by hand: 5.6 + 0.3 + 0.873"),
+        Reference("displacement", "40.60", "mm", MM, "by hand: 275 / 6.773"),
+        Reference("tau_relax", "0.313", "s", 1.0, "by hand: 2.12 / 6.773"),
+    ),
+    notes=("Refused where K is not above 0 or B would be negative, also inside of P_low to P_high.",),
+)  # fmt: skip
+def polynomial_coefficients(
+    pressure: Array,
+    load: Array,
+    pressure_low: Array,
+    pressure_high: Array,
+    force_0: Array,
+    force_1: Array,
+    stiffness_0: Array,
+    stiffness_1: Array,
+    stiffness_2: Array,
+    damping_contract_0: Array,
+    damping_contract_1: Array,
+    damping_contract_2: Array,
+    damping_relax_0: Array,
+    damping_relax_1: Array,
+    damping_relax_2: Array,
+) -> Values:
+    """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau [s]; P [Pa gauge], F_L [N], coefficients SI per Pa**n."""
+    P = pressure
+    _within(P, pressure_low, pressure_high)
+    F_ce = np.maximum(force_0 + force_1 * P, 0)
+    K = stiffness_0 + P * (stiffness_1 + P * stiffness_2)
+    B_c = damping_contract_0 + P * (damping_contract_1 + P * damping_contract_2)
+    B_r = damping_relax_0 + P * (damping_relax_1 + P * damping_relax_2)
+    _sound(K, B_c, B_r)
+    x = np.maximum(F_ce - load, 0) / K
+    return {
+        "force_ce": F_ce, "stiffness": K, "damping_contract": B_c, "damping_relax": B_r,
+        "displacement": x, "tau_contract": B_c / K, "tau_relax": B_r / K,
+    }  # fmt: skip
+
+
+@described(
+    "piecewise-coefficients", FAMILY, "Your own K and B of two straight lines each, joined at a pressure",
+    equation=(
+        "K = Ka_0 + Ka_1 P below P_K, Kb_0 + Kb_1 P from there on;  B = Ba_0 + Ba_1 P below P_B, Bb_0 + Bb_1 P from "
+        "there on",
+        "jump = upper less lower line where they join;  P_low <= P <= P_high",
+    ),
+    source="form of Serres and others 2009; reference values are theirs (B: relaxation)",
+    parameters=(
+        PRESSURE, *_limits(150 * KPA, 550 * KPA),
+        *_coefficient("stiffness_below", "Ka", "stiffness", (32.7 * N_MM, -0.0321 * N_MM)),
+        Parameter("stiffness_break", "P_K", "pressure", 314 * KPA, "where the lines of K join", 0.0),
+        *_coefficient("stiffness_above", "Kb", "stiffness", (17.0 * N_MM, 0.0179 * N_MM)),
+        *_coefficient("damping_below", "Ba", "damping", (1.57 * N_MM, 0.0)),
+        Parameter("damping_break", "P_B", "pressure", 372 * KPA, "where the lines of B join", 0.0),
+        *_coefficient("damping_above", "Bb", "damping", (0.311 * N_MM, 0.00338 * N_MM)),
+    ),
+    outputs=(
+        Output("stiffness", "K", "stiffness", "stiffness"),
+        Output("damping", "B", "damping", "damping"),
+        Output("tau", "tau", "time", "B / K"),
+        Output("stiffness_jump", "", "stiffness", "of K at the join"),
+        Output("damping_jump", "", "damping", "of B at the join"),
+    ),
+    references=(
+        Reference("stiffness", "27.885", "N/mm", N_MM, "by hand: 32.7 - 0.0321 150", {"pressure": 150 * KPA}),
+        Reference("stiffness", "24.160", "N/mm", N_MM, "by hand: 17 + 0.0179 400", {"pressure": 400 * KPA}),
+        Reference("damping", "1.663", "N.s/mm", N_MM, "by hand: 0.311 + 0.00338 400", {"pressure": 400 * KPA}),
+        Reference("stiffness_jump", "0.000", "N/mm", N_MM, "by hand: 15.7 - 0.05 314"),
+    ),
+    notes=("A jump at the join is told, not hidden: lines of two fits seldom meet exactly.",),
+)  # fmt: skip
+def piecewise_coefficients(
+    pressure: Array,
+    pressure_low: Array,
+    pressure_high: Array,
+    stiffness_below_0: Array,
+    stiffness_below_1: Array,
+    stiffness_break: Array,
+    stiffness_above_0: Array,
+    stiffness_above_1: Array,
+    damping_below_0: Array,
+    damping_below_1: Array,
+    damping_break: Array,
+    damping_above_0: Array,
+    damping_above_1: Array,
+) -> Values:
+    """K [N/m], B [N.s/m], tau [s] and the jumps; P and joins [Pa gauge], coefficients SI per Pa**n."""
+    _within(pressure, pressure_low, pressure_high)
+
+    def lines(P: Array, join: Array, low: tuple[Array, Array], high: tuple[Array, Array]) -> Array:
+        return np.where(join <= P, high[0] + high[1] * P, low[0] + low[1] * P)
+
+    K_low, K_high = (stiffness_below_0, stiffness_below_1), (stiffness_above_0, stiffness_above_1)
+    B_low, B_high = (damping_below_0, damping_below_1), (damping_above_0, damping_above_1)
+    K, B = lines(pressure, stiffness_break, K_low, K_high), lines(pressure, damping_break, B_low, B_high)
+    _sound(K, B)
+    zero = 0 * pressure
+    return {
+        "stiffness": K,
+        "damping": B,
+        "tau": B / K,
+        "stiffness_jump": K_high[0] - K_low[0] + (K_high[1] - K_low[1]) * stiffness_break + zero,
+        "damping_jump": B_high[0] - B_low[0] + (B_high[1] - B_low[1]) * damping_break + zero,
+    }
