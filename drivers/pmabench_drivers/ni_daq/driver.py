@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import threading
-from array import array
 from collections.abc import Iterable
 from contextlib import suppress
 from time import monotonic
@@ -19,8 +18,8 @@ from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
 from pmabench_drivers.modbus.segments import stepped
 from pmabench_drivers.ni_daq.connection import Connection, Unanswered
 from pmabench_drivers.ni_daq.options import read_options
+from pmabench_drivers.ni_daq.sampling import Sampling
 from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.pace import Pace
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 
 CALL = 0.17
@@ -30,16 +29,10 @@ ANSWER = 0.1
 STEP = 0.06
 """How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
 OPEN = 1.8
-LOOK = 50.0
-"""Waiting samples are fetched so often [Hz]."""
 STEPS = 100.0
 """Ramps and sines are stepped so often [Hz]."""
 PATIENCE = 0.25
-"""So long no sample may come, or steps may fail, before `collect` says so [s]."""
-SLIP = 0.1
-"""More than this the samples of a whole second may not be later than they were [s]."""
-BEYOND = 1.2
-"""No converter gives more than so many times its range."""
+"""So long steps may fail before `collect` says so [s]."""
 
 
 class NiDaq:
@@ -51,8 +44,7 @@ class NiDaq:
         reader.refuse(device.name)
         self._device, self._clock = device, clock
         self._outputs = {output.output: output for output in device.outputs}
-        self._spans = [item.span for item in self._options.inputs.values()]
-        self._look = Cycle(f"ni-daq {device.name}", self._fetch, clock)
+        self._sampling: Sampling | None = None
         self._steps = Cycle(f"ni-daq steps {device.name}", self._step, clock)
         self._following: dict[str, Segment] = {}
         self._turn = threading.Lock()
@@ -60,7 +52,6 @@ class NiDaq:
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
         self._step_failing: tuple[float, DeviceError] | None = None
-        self._begin(1.0)
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -90,8 +81,8 @@ class NiDaq:
     def close(self) -> None:
         """End sampling and stepping and let go; outputs stay as they are."""
         self._following.clear()
-        for cycle in (self._steps, self._look):
-            cycle.stop(JOIN)
+        self._end_sampling()
+        self._steps.stop(JOIN)
         link, self._link = self._link, None
         second, self._second = self._second, None
         self._held = {}
@@ -113,25 +104,14 @@ class NiDaq:
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         link = self._opened()
-        self._look.stop(JOIN)
+        self._end_sampling()
         with link.calls(CALL):
             before = self._clock.now()
             used = link.begin(rate)
-        self._begin(used, (before + self._clock.now()) / 2)
-        self._look.start(LOOK)
-        self._sampling = True
+        names, inputs = list(self._options.inputs), list(self._options.inputs.values())
+        sampling = self._sampling = Sampling(self._device.name, names, inputs, link, used, self._clock)
+        sampling.begin((before + self._clock.now()) / 2)
         return used
-
-    def _begin(self, rate: float, start: float = 0.0) -> None:
-        self._samples = Samples([channel.name for channel in self._device.channels])
-        self._rate, self._start, self._number = rate, start, 0
-        self._sampling = self._unsure = False
-        self._heard = monotonic()
-        self._pace = Pace(SLIP)
-        self._failure = ""
-        self._unheard = ""
-        self.lost = 0
-        """Samples that were taken and never came; each is a gap in the times."""
 
     def collect(self) -> Block:
         """What came since the last call; once all of it is handed out, an error where nothing more comes."""
@@ -139,71 +119,28 @@ class NiDaq:
         if failing is not None and monotonic() - failing[0] > PATIENCE:
             self._step_failing = None
             raise failing[1]
-        for cycle in (self._look, self._steps):
-            if cycle.broken is not None:
-                raise DeviceError(self._device.name, f"ended by itself: {cycle.broken}")
-        block = self._samples.take()
-        if not len(block.time) and self._sampling:
-            silent = monotonic() - self._heard
-            if self._failure:
-                raise DeviceError(self._device.name, f"sampling broke off: {self._failure}")
-            if silent > max(PATIENCE, 3 / self._rate):
-                because = f": {self._unheard}" if self._unheard else ""
-                raise DeviceError(self._device.name, f"no sample for {silent:.2f} s{because}")
-        return block
+        if self._steps.broken is not None:
+            raise DeviceError(self._device.name, f"stepping broke off: {self._steps.broken}")
+        if self._sampling is not None:
+            return self._sampling.collect()
+        return Samples([channel.name for channel in self._device.channels]).take()
 
     def stop(self) -> None:
         """End sampling; a ramp under way goes on."""
-        self._look.stop(JOIN)
-        link, was, self._sampling = self._link, self._sampling, False
-        if link is not None and was:
-            with link.calls(CALL):
-                link.end()
+        if self._sampling is not None:
+            self._end_sampling()
+            with self._opened().calls(CALL):
+                self._opened().end()
 
-    def _fetch(self) -> None:
-        """Everything that waits, in the fetching thread."""
-        link = self._link
-        if link is None or self._failure:
-            return
-        try:
-            with link.calls(CALL):
-                if self._unsure:
-                    self._find_place(link.position())
-                columns = link.read()
-        except Unanswered as error:  # what was asked for may be gone: the next look finds out how much
-            self._unsure, self._unheard = True, error.message
-            return
-        except DeviceError as error:
-            self._failure = error.message
-            return
-        self._unheard = ""
-        if columns:
-            self._keep(columns)
+    def _end_sampling(self) -> None:
+        sampling, self._sampling = self._sampling, None
+        if sampling is not None:
+            sampling.end()
 
-    def _find_place(self, position: int) -> None:
-        """After a lost answer: the device says which sample comes next; those before it are a gap."""
-        if position < self._number:
-            raise DeviceError(self._device.name, f"stands at sample {position} after {self._number}: it began again")
-        self.lost += position - self._number
-        self._number, self._unsure = position, False
-
-    def _keep(self, columns: list[array[float]]) -> None:
-        now, first = self._clock.now(), self._number
-        self._number += len(columns[0])
-        for item, span, column in zip(self._options.inputs.values(), self._spans, columns, strict=True):
-            if not all(abs(value) <= BEYOND * span for value in column):
-                strange = next(value for value in column if not abs(value) <= BEYOND * span)
-                self._failure = f"{item.name} gives {strange:g} V at a range of {span:g} V"
-                return
-        behind = self._pace.behind(self._start + (self._number - 1) / self._rate, now)
-        if behind:
-            late = "late" if behind > 0 else "early"
-            self._failure = f"samples come {abs(behind):.2f} s too {late} for {self._rate:g} Hz"
-            return
-        self._heard = monotonic()
-        origin, host = round(self._start * 1e9), round(now * 1e9)
-        for number, values in enumerate(zip(*columns, strict=True), first):
-            self._samples.append(origin + round(number * 1e9 / self._rate), values, host)
+    @property
+    def lost(self) -> int:
+        """Samples since the start that were taken and never came; each is a gap in the times."""
+        return 0 if self._sampling is None else self._sampling.lost
 
     # -- outputs ---------------------------------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """A USB-6215 as a record, emulated behind NI's gRPC server and opened; and calls by the package `nidaqmx` itself."""
 
 import contextlib
+import time
 from dataclasses import replace
 
 import grpc
@@ -9,6 +10,7 @@ from pmabench_drivers.emulator import Emulator
 from pmabench_drivers.ni_daq import NiDaq
 
 from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
 
 DRIVER = "pmabench_drivers.ni_daq:NiDaq"
@@ -65,6 +67,23 @@ def rig(record=None, *, opened=True):
         if driver is not None:
             driver.close()
         emulator.close()
+
+
+def start(device, rate):
+    """Start to sample; again where a busy machine did not answer in time."""
+    return patiently(lambda: device.start(rate))
+
+
+def patiently(call, within=10.0):
+    """What a call gives; again where no answer came in time, which a busy machine may do."""
+    until = time.monotonic() + within
+    while True:
+        try:
+            return call()
+        except DeviceError as error:
+            if time.monotonic() > until or not any(word in str(error) for word in ("did not answer", "no sample for")):
+                raise
+        time.sleep(0.02)
 
 
 @contextlib.contextmanager

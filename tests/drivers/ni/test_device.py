@@ -29,7 +29,7 @@ from pmabench.bench.interface import (
     ValveRecord,
     Watchdog,
 )
-from tests.drivers.ni.rigs import STEP, at, daq, rig, task
+from tests.drivers.ni.rigs import STEP, at, daq, patiently, rig, start, task
 from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
@@ -186,7 +186,7 @@ def test_what_an_output_gives_is_not_known_before_it_was_set(bench):
 
 def test_the_emergency_stop_is_read_also_while_it_samples(bench):
     emulator, _served, device = bench
-    device.start(200.0)
+    start(device, 200.0)
     assert device.level("port0/line0") is True
     emulator.plant.fail("e_stop_at")
     assert device.level("port0/line0") is False
@@ -336,18 +336,18 @@ def test_a_program_that_died_leaves_no_task_behind(bench):
     emulator, served, dead = bench
     dead.switch("port1/line0", on=True)
     dead.write("ao0", 2.0)
-    dead.start(200.0)
-    dead._look.stop()
+    start(dead, 200.0)
+    dead._sampling.end()
     names = set(served.board.tasks)
     device = NiDaq(daq(server=served.address), RealClock())
     try:
         device.open()
         assert set(served.board.tasks) == names
         assert served.board.volts["ao0"] == pytest.approx(2.0, abs=STEP)
-        device.start(200.0)
-        device.write("ao0", 0.0)
-        device.switch("port1/line0", on=False)
-        until(lambda: len(device.collect().time))
+        start(device, 200.0)
+        patiently(lambda: device.write("ao0", 0.0))
+        patiently(lambda: device.switch("port1/line0", on=False))
+        until(lambda: len(patiently(device.collect).time))
         assert sent(emulator)[-1]["raw"] == 0.0
     finally:
         device.close()
@@ -355,7 +355,7 @@ def test_a_program_that_died_leaves_no_task_behind(bench):
 
 def test_another_computers_sampling_is_told_as_reserved(bench, monkeypatch):
     _emulator, served, device = bench
-    device.start(200.0)
+    start(device, 200.0)
     monkeypatch.setattr("pmabench_drivers.ni_daq.connection.socket.gethostname", lambda: "another")
     other = NiDaq(daq(server=served.address), RealClock())
     try:
@@ -371,7 +371,7 @@ def test_rescue_goes_round_a_call_that_hangs(bench):
     emulator, served, device = bench
     device.switch("port1/line0", on=True)
     device.write("ao0", 1.0)
-    device.start(200.0)
+    start(device, 200.0)
     served.faults.set("delay", 0.5, count=1)
     hanging = threading.Thread(target=timed, args=(lambda: device.level("port0/line0"),))
     hanging.start()
@@ -399,8 +399,8 @@ def test_with_nis_driver_on_this_computer_everything_goes_through_it(bench, monk
         assert device.open().model == f"{EMULATED}USB-6215"
         device.switch("port1/line0", on=True)
         device.write("ao0", 1.0)
-        device.start(200.0)
-        until(lambda: len(device.collect().time))
+        start(device, 200.0)
+        until(lambda: len(patiently(device.collect).time))
         device.rescue("ao0", 0.0)
         device.rescue("port1/line0", 0.0)
         assert sent(emulator)[-1]["raw"] == 0.0
