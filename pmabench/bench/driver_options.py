@@ -7,7 +7,8 @@ by name). It must touch no device and import nothing heavy.
 Another one, `fastest(device: DeviceRecord)`, may tell the highest rate at which it samples with these options [Hz], so
 that a protocol that asks for more is warned of; it is asked only where nothing is wrong with the options.
 
-The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place.
+The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place. So does the
+text of a DBC file (messages of a CAN bus), which the option `dbc` names.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, Set
 from pmabench.bench.registry import verified
 from pmabench.files.document import Document, Location, document_text, read_document
 
-MAP = "map"
+MAP, DBC = "map", "dbc"
+LONGEST = 2_000_000
+"""Longest DBC file that is read [bytes]."""
 
 
 def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
@@ -34,6 +37,11 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         if map_document is None:
             return device
         device = replace(device, options={**device.options, MAP: map_document.data})
+    if isinstance(device.options.get(DBC), str):
+        text = _read_dbc(c, device.options[DBC], (*at, "options", DBC))
+        if text is None:
+            return device
+        device = replace(device, options={**device.options, DBC: text})
     module, _, name = device.driver.partition(":")
     try:
         driver = getattr(import_module(module), name)
@@ -83,6 +91,25 @@ def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> b
     for place, text in missing:
         c.fault(place, f'the driver "{c.bench.devices[device.name].driver}" {text}')
     return bool(missing)
+
+
+def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
+    """The text of a DBC file, kept for the run's snapshot; None where it is a problem. Such files are in Latin-1."""
+    path = Path(name)
+    if path.is_absolute() or ".." in path.parts or path.suffix.lower() != ".dbc":
+        c.fault(at, f'a .dbc file beside this one is expected, for instance "sensors/load-cell.dbc", not "{name}"')
+        return None
+    try:
+        with (Path(c.bench_document.place(at)[0]).parent / path).open("rb") as stream:
+            data = stream.read(LONGEST + 1)
+    except OSError as error:
+        c.fault(at, f"cannot read {name}: {error.strerror}")
+        return None
+    if len(data) > LONGEST:
+        c.fault(at, f"{name} is longer than {LONGEST} bytes")
+        return None
+    c.texts[name] = data.decode("latin-1")
+    return c.texts[name]
 
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:

@@ -139,7 +139,7 @@ def _signal(line: str, message: Message, number: int) -> Signal | None:
     if found is None:
         raise NoDatabase(f"line {number}: no signal can be read: {line.strip()[:60]!r}")
     start, length = _whole(found[3], number), _whole(found[4], number)
-    if found[2]:
+    if found[2] not in {None, "M"}:
         return None
     signal = Signal(
         found[1], start, length, found[5] == "0", found[6] == "-", float(found[7]), float(found[8]), found[9]

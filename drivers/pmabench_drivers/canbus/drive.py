@@ -18,6 +18,8 @@ POLL = 0.002
 """Pause between two looks at the statusword [s]."""
 STEP = 0.12
 """A step of the state machine may take so long [s]."""
+FRESH = 0.1
+"""A statusword that a PDO brought counts so long [s]."""
 I32 = 2**31
 
 
@@ -34,6 +36,8 @@ class Drive(Node):
         self.period = 0.01
         """Time between two SYNCs [s]."""
         self._target_pdo = 0
+        self._told = 0.0
+        """When a PDO brought its statusword [s, monotonic]."""
         self._may_reset = True
         self._expected = False
         """Whether it should be in operation: leaving it then is a failure."""
@@ -75,7 +79,7 @@ class Drive(Node):
         if len(data) != 6:
             return False
         self.status = int.from_bytes(data[:2], "little")
-        self.position = int.from_bytes(data[2:], "little", signed=True)
+        self.position, self._told = int.from_bytes(data[2:], "little", signed=True), monotonic()
         state = c.state_of(self.status)
         if self._expected and state in {c.State.FAULT, c.State.REACTING, c.State.DISABLED, c.State.STOPPED}:
             self._expected = False
@@ -97,6 +101,14 @@ class Drive(Node):
         if state is None:
             raise self.error(f"says the statusword {self.status:04X}h, which is no state of CiA 402")
         return state
+
+    def ready(self, deadline: float) -> bool:
+        """Whether it is alive, without fault and without emergency; asked for where no PDO has told it just now."""
+        if self.trouble():
+            return False
+        told = monotonic() - self._told < FRESH
+        state = c.state_of(self.status) if told else self.state(deadline)
+        return state not in {c.State.FAULT, c.State.REACTING, c.State.NOT_READY, None}
 
     def prepare(self, deadline: float) -> None:
         """Bring it as far as switched on, without operation; a fault from before is acknowledged once."""

@@ -11,7 +11,6 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.cia402 import State
 from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, open_adapter
 from pmabench_drivers.canbus.node import Node
@@ -41,7 +40,7 @@ class CanBus:
     (transducer, mm/s) and `MESSAGE.SIGNAL` (in the unit of the DBC file); outputs `NODE.position` of drives (count).
     """
 
-    verified = "emulator and the canopen library, no device"
+    verified = "emulator only"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
@@ -74,6 +73,11 @@ class CanBus:
         reader = Reader()
         read_options(device, reader)
         return reader.problems
+
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate that the options allow [Hz]: one sample at each SYNC."""
+        return 1 / read_options(device, Reader()).sync
 
     def _reading(self, name: str) -> Callable[[], float]:
         """What gives the newest value of an input."""
@@ -304,9 +308,7 @@ class CanBus:
         if not isinstance(drive, Drive) or what != READY:
             known = [f"{n}.{READY}" for n, node in self._nodes.items() if isinstance(node, Drive)]
             raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, known)}')
-        if drive.trouble():
-            return False
-        return drive.state(monotonic() + CALL) not in {State.FAULT, State.REACTING, State.NOT_READY}
+        return drive.ready(monotonic() + CALL)
 
     # -- the drives' own watchdog ---------------------------------------------------------------------------------
 

@@ -143,7 +143,6 @@ class EmulatedBus:
             self._hub.hang_up()
         for node in self.nodes.values():
             if kind != "emergency":
-                node.left()
                 node.boot()
             elif isinstance(node, EmulatedDrive):
                 node.fault(value)

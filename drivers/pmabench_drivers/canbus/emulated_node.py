@@ -70,6 +70,7 @@ class EmulatedNode:
         self._segments = b""
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
+        self._event_due = [0.0] * PDOS
         self.objects: dict[tuple[int, int], Entry] = {
             (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
@@ -281,7 +282,8 @@ class EmulatedNode:
         period = self.get(parameter, 5) * 1e-3
         if self.state != f.OPERATIONAL or not period or self.get(parameter, 2) < 254:
             return
-        if int(self.now / period) != int((self.now - 1e-3) / period):
+        if self.now >= self._event_due[index]:
+            self._event_due[index] = self.now + period
             self._transmit(index)
 
     def _transmit(self, index: int) -> None:

@@ -16,7 +16,7 @@ from pmabench_drivers.emulator.faults import Faults, Outgoing
 from pmabench_drivers.emulator.log import Tap
 from pmabench_drivers.emulator.ports import listen
 
-TICK = 0.001
+TICK = 0.002
 """The nodes are given a turn so often [s]."""
 LONGEST = 64
 """More of an unfinished line is forgotten [bytes]."""

@@ -10,13 +10,16 @@ PATIENCE = 2
 
 
 class Rows:
-    """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come."""
+    """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come.
+
+    All nodes sample at the SYNC: in the middle between its sending and the first answer, as near as can be known.
+    """
 
     def __init__(self, wanted: Collection[int], done: Callable[[int, int], None]) -> None:
         self._wanted, self._done = frozenset(wanted), done
         self._lock = threading.Lock()
         self._open: set[int] = set()
-        self._time = self._waited = 0
+        self._sent = self._first = self._waited = 0
         self.lost = 0
         """SYNCs that were not answered wholly; each is a gap."""
         self.in_a_row = 0
@@ -43,7 +46,7 @@ class Rows:
     def begin(self, time: int) -> None:
         """A SYNC is about to be sent, at `time` [ns, bench time]."""
         with self._lock:
-            self._open, self._time, self._waited = set(self._wanted), time, 0
+            self._open, self._sent, self._first, self._waited = set(self._wanted), time, 0, 0
         if not self._wanted:
             self._done(time, time)
 
@@ -53,7 +56,8 @@ class Rows:
             if identifier not in self._open:
                 return
             self._open.discard(identifier)
+            self._first = self._first or host
             if self._open:
                 return
-            time, self.in_a_row = self._time, 0
+            time, self.in_a_row = (self._sent + self._first) // 2, 0
         self._done(time, host)

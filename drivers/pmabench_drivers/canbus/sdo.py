@@ -13,7 +13,7 @@ from typing import TypeVar
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus import frames as f
 
-ANSWER = 0.08
+ANSWER = 0.15
 """How long a node is given for an answer [s]."""
 LONGEST = 256
 """No object that is read here is longer [bytes]."""
@@ -135,9 +135,8 @@ class Objects:
             except Empty:
                 break
         self._owed = True
-        what = (
-            f"did not answer about object {index:04X}h:{sub} in time; is node {self._node} on, and its bit rate right?"
-        )
+        asked = f"object {index:04X}h:{sub}; is node {self._node} on, and the bit rate right?"
+        what = f"did not answer within {ANSWER:g} s about {asked}"
         raise Unanswered(self._device, f"{self._name} {what}", self._name)
 
     def _refused(self, index: int, sub: int, code: int) -> Refused:
