@@ -71,6 +71,11 @@ class FestoCmmt:
         read_options(device, reader)
         return reader.problems
 
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Its cycles a second [Hz]."""
+        return read_options(device, Reader()).rate
+
     def _forget(self) -> None:
         self._command: t.Command | None = None
         """What is sent in each cycle; None: nothing was commanded yet."""

@@ -1,7 +1,8 @@
-"""The device interface in front of a LabJack T7.
+"""The device interface in front of a LabJack T7, T8 or T4.
 
-Commands are those of the Modbus driver with the T7's own registers; the stream, the digital lines and the watchdog are
-its own. While a stream runs the T7 answers to no reading of its analogue inputs, and all samples come from the stream.
+Commands are those of the Modbus driver with LabJack's own registers; stream, digital lines and watchdog are its own.
+While a stream runs a T7 answers to no reading of its analogue inputs, and all samples come from the stream. A T8 and a
+T4 are asked for each sample; on a T8 reading one input takes all of them at that moment.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
-from pmabench_drivers.labjack.options import read_options
+from pmabench_drivers.labjack.options import Options, read_options
 from pmabench_drivers.labjack.stream import Plan, StreamLink
 from pmabench_drivers.labjack.watchdog import Watchdog
 from pmabench_drivers.modbus import ModbusDevice
@@ -35,13 +36,16 @@ TIMEOUT = 0.15
 
 
 class LabJack(ModbusDevice):
-    """A T7 on Ethernet. Raw values are volts at the terminals; `DAC0` and `DAC1` take volts."""
+    """A T7, T8 or T4 on Ethernet, as `options.model` says.
+
+    Raw values are volts at the terminals; `DAC0` and `DAC1` take volts.
+    """
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._t7 = read_options(device, reader)
         reader.refuse(device.name)
-        super().__init__(_as_modbus(device, self._t7.host, self._t7.port), clock)
+        super().__init__(_as_modbus(device, self._t7), clock)
         self._names = [channel.name for channel in device.channels]
         self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
         self._own_watchdog = Watchdog(device, self)
@@ -57,8 +61,9 @@ class LabJack(ModbusDevice):
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
-        """Highest rate of its stream over all channels [Hz]."""
-        return r.FASTEST / max(1, len(device.channels))
+        """Highest rate of its stream over all channels, or at which it is asked [Hz]."""
+        options = read_options(device, Reader())
+        return r.FASTEST / max(1, len(device.channels)) if options.model.streams else options.rate
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -70,24 +75,27 @@ class LabJack(ModbusDevice):
         deadline = monotonic() + OPEN
         try:
             try:
-                return self._identify_t7(deadline)
+                return self._identify_model(deadline)
             except Unanswered:
-                return self._identify_t7(deadline)  # asking twice moves nothing
+                return self._identify_model(deadline)  # asking twice moves nothing
         except DeviceError:
             self.close()
             raise
 
-    def _identify_t7(self, deadline: float) -> Identity:
+    def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)
+        name, wanted = self._t7.name, self._t7.model.product
         [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
-        if product != r.T7:
-            message = f"is a LabJack with the product number {product:g}, and this driver is for a T7 (7)"
-            raise DeviceError(self._device.name, message)
+        if product != wanted:
+            known = {model.product: name for name, model in r.MODELS.items()}
+            told = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
+            raise DeviceError(self._device.name, f"{told}, and the bench file says {name}: options.model")
         [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
-        known = self._read_gains(deadline)
-        self._tables = {gain: known[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
-        model = "T7" if serial else f"{EMULATED}T7"
+        if self._t7.model.streams:
+            gains_ = self._read_gains(deadline)
+            self._tables = {gain: gains_[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
+        model = name if serial else f"{EMULATED}{name}"
         return Identity("LabJack", model, str(serial), f"{firmware:.4f}", simulated=not serial)
 
     def close(self) -> None:
@@ -116,7 +124,9 @@ class LabJack(ModbusDevice):
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
-        """Stream all channels together at `rate` [Hz]; returns the rate that the device itself says."""
+        """Stream all channels together at `rate` [Hz], or ask for them; returns the rate that is really used."""
+        if not self._t7.model.streams:
+            return self._ask(rate)
         name, inputs = self._device.name, list(self._t7.inputs.values())
         if not 0 < rate < math.inf or not inputs:
             raise DeviceError(name, f"cannot sample {len(inputs)} channels at {rate} Hz")
@@ -141,6 +151,13 @@ class LabJack(ModbusDevice):
             raise
         self._stream = link
         return used
+
+    def _ask(self, rate: float) -> float:
+        """Set the ranges, and ask for all inputs at `rate` [Hz] at most."""
+        deadline = monotonic() + CALL
+        for item in self._t7.inputs.values() if self._t7.model.ranges else ():
+            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
+        return super().start(rate)
 
     def _configure(self, rate: float, scans: int, deadline: float) -> float:
         """Write scan list and settings, read them back; the rate that the device will use [Hz]."""
@@ -168,7 +185,9 @@ class LabJack(ModbusDevice):
 
     def collect(self) -> Block:
         """Every scan that came since the last call; an error once the stream, or stepping, has failed."""
-        super().collect()
+        asked = super().collect()
+        if not self._t7.model.streams:
+            return asked
         if self._stream is None:
             return Block([], {name: [] for name in self._names})
         return self._stream.collect()
@@ -278,19 +297,33 @@ class LabJack(ModbusDevice):
         return DeviceError(self._device.name, f"{error.message}; {told}", what)
 
 
-def _as_modbus(device: DeviceRecord, host: str, port: int) -> DeviceRecord:
-    """The outputs and lines of a T7 as the Modbus driver knows them; channels and watchdog are not its affair."""
+def _as_modbus(device: DeviceRecord, options: Options) -> DeviceRecord:
+    """Outputs, lines and inputs that are asked for, as the Modbus driver knows them; stream and watchdog are not its.
+
+    Of inputs that are taken together the first is read by its own register, and that before the others.
+    """
+    model = options.model
+    asked = {} if model.streams else {f"AIN{item.number}": item.number for item in options.inputs.values()}
+    first = next(iter(asked.values()), 0)
     outputs: dict[str, Any] = {
         name: {"address": r.DAC + 2 * index, "type": "float32"} for index, name in enumerate(r.DACS)
     }
     for valve in device.valves:
         outputs[valve.output] = {"address": r.DIO + (r.line_of(valve.output) or 0), "read_back": False}
-    inputs = {lock.input: {"address": r.DIO + (r.line_of(lock.input) or 0)} for lock in device.interlocks}
+    inputs: dict[str, Any] = {
+        lock.input: {"address": r.DIO + (r.line_of(lock.input) or 0)} for lock in device.interlocks
+    }
+    for name, number in asked.items():
+        taken = r.CAPTURE if model.captures and number != first else 0
+        inputs[name] = {"address": taken + 2 * number, "type": "float32"}
     map_ = {
         "functions": [3, 16],
         "timeout": f"{TIMEOUT} s",
+        "rate": f"{options.rate:g} Hz",
         "identity": {"maker": "LabJack"},
         "inputs": inputs,
         "outputs": outputs,
     }
-    return replace(device, address=f"{host}:{port}", options={"map": map_}, channels=(), watchdog=0.0)
+    channels = () if model.streams else device.channels
+    address = f"{options.host}:{options.port}"
+    return replace(device, address=address, options={"map": map_}, channels=channels, watchdog=0.0)

@@ -1,9 +1,9 @@
-"""An emulated T7 on 127.0.0.1: its registers, DACs, digital lines and watchdog in front of the simulated muscle."""
+"""An emulated T7, T8 or T4: its registers, DACs, digital lines and watchdog in front of the simulated muscle."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from time import monotonic
 
 from pmabench.base.errors import UsageError
@@ -24,8 +24,8 @@ FAILED = 4
 """Exception code of whatever LabJack has a code of its own for."""
 SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
 """Constants of this device, unlike those of any other: slopes and centre for 10 V and 1 V."""
-DAC_COUNTS = 13200.0 / 16
-"""Steps of the DAC a volt."""
+DAC_END = 0.993
+"""Share of its full voltage that a DAC reaches."""
 BUFFER = 2 * 4096
 
 
@@ -47,7 +47,7 @@ def counts(volts: float, gain: int) -> int:
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7:
-    """The T7 that a device of the driver `labjack` talks to."""
+    """What a device of the driver `labjack` talks to."""
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
@@ -97,12 +97,15 @@ class EmulatedT7(TcpDevice):
 
 
 class T7:
-    """The registers, kept as words by their addresses."""
+    """The registers of a model, kept as words by their addresses."""
 
     def __init__(
         self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, stream: Streamer
     ) -> None:
         self.device, self._plant, self._log, self._stream = device, plant, log, stream
+        self._model = options.model
+        self._inputs = 2 * len(self._model.inputs)
+        """Registers of its analogue inputs."""
         self._lock = threading.RLock()
         self._channels = {options.inputs[channel.name].number: channel for channel in device.channels}
         self._outputs = {output.output: output for output in device.outputs}
@@ -132,7 +135,9 @@ class T7:
         self._store(r.STREAM_ENABLE, [0, 0])
         self._store(r.FLASH_POINTER, [0, 0])
         self._store(r.TEST, r.u32(0x00112233))
-        self._store(r.PRODUCT_ID, r.f32(7.0))
+        self._store(r.PRODUCT_ID, r.f32(self._model.product))
+        if self._model.captures:
+            self._store(r.CAPTURE, [0] * self._inputs)
         self._store(r.FIRMWARE_VERSION, r.f32(1.0331))
         self._store(r.SERIAL_NUMBER, r.u32(0))
 
@@ -175,16 +180,23 @@ class T7:
             return r.u32(self._directions)
         if address == r.FLASH_READ:
             return self._read_flash(count)
-        if address < 28 and address + count <= 28:
-            if self._stream.running:
-                self._refuse(2605)
-            volts = [self._volts(number) for number in range(address // 2, (address + count) // 2)]
-            return r.f32(*volts)
+        if address < self._inputs and address + count <= self._inputs:
+            return self._read_inputs(address, count)
         if address == r.STREAM_SCANRATE and count >= 2:  # what it will really use
             self._store(address, r.f32(self._actual_rate()))
         if not all(address + offset in self._words for offset in range(count)):
             raise Refused(ADDRESS)
         return [self._words[address + offset] for offset in range(count)]
+
+    def _read_inputs(self, address: int, count: int) -> list[int]:
+        """Volts of some inputs; a model that captures takes all of them at this moment."""
+        if self._stream.running:
+            self._refuse(2605)
+        quantities = self._plant.quantities()
+        words = r.f32(*(self._volts(number, quantities) for number in range(self._inputs // 2)))
+        if self._model.captures:
+            self._store(r.CAPTURE, words)
+        return words[address : address + count]
 
     def _read_flash(self, count: int) -> list[int]:
         first = (self._u32(r.FLASH_POINTER) - FLASH) // 4
@@ -234,7 +246,8 @@ class T7:
         output = self._outputs.get(name)
         if output is None:
             return
-        reached = round(min(max(volts, 0.0), 65535 / 13200) * DAC_COUNTS) / DAC_COUNTS
+        step = self._model.dac_step
+        reached = round(min(max(volts, 0.0), DAC_END * self._model.dac_full) / step) * step
         si = float(output.scale.to_si(volts))
         note = {"output": output.name, "raw": volts, "si": si, "connection": connection}
         self._log.note("set", self.device.name, **note)
@@ -272,11 +285,11 @@ class T7:
         closed = self._plant.e_stop_high() if "stop" in lock.name else True
         return closed == (lock.safe == "high")
 
-    def _volts(self, number: int) -> float:
+    def _volts(self, number: int, quantities: Mapping[str, float]) -> float:
         channel = self._channels.get(number)
         if channel is None:
             return 0.0
-        return float(channel.calibrated.to_raw(self._plant.quantities().get(channel.name, 0.0)))
+        return float(channel.calibrated.to_raw(quantities.get(channel.name, 0.0)))
 
     def _gain(self, number: int) -> int:
         """The gain of an input's range; 0 is that of 10 V too."""
@@ -295,8 +308,8 @@ class T7:
             self._stream.end()
             self._store(r.STREAM_ENABLE, [0, 0])
             return
-        if self._stream.running:
-            self._refuse(2605)
+        if self._stream.running or not self._model.streams:
+            self._refuse(2605 if self._stream.running else 2606)
         _rate, addresses, per_packet, _settling, resolution, buffer, clock = (
             self._u32(r.STREAM_SCANRATE + 2 * index) for index in range(7)
         )

@@ -1,4 +1,4 @@
-"""What the driver `labjack` is told about a T7, read strictly; knows no connection. Standard library only."""
+"""What the driver `labjack` is told about a device, read strictly; knows no connection. Standard library only."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.labjack.registers import (
     AINS,
-    DAC_FULL,
-    DAC_STEP,
     DACS,
     LINES,
-    RANGES,
+    MODELS,
     SINGLE_ENDED,
     STREAM_PORT,
+    Model,
     line_of,
 )
 from pmabench_drivers.options import Reader
 
 HERE = ("options",)
+OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
+"""Options that only a model with a stream has; the others have `rate`."""
 
 
 @dataclass(frozen=True)
@@ -48,31 +49,48 @@ class Options:
     """Time between two channels [s]; 0: the device's own choice."""
     resolution: int = 0
     """Resolution index of the stream."""
+    name: str = "T7"
+    rate: float = 100.0
+    """Highest rate at which a model without a stream is asked [Hz]."""
+
+    @property
+    def model(self) -> Model:
+        """Which device it is."""
+        return MODELS[self.name]
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """The options of a device and the names that its channels, outputs, valves and interlocks use."""
-    known = ("stream_port", "ranges", "differential", "settling", "resolution_index")
-    given = reader.keys(device.options, HERE, known)
+    given = reader.keys(device.options, HERE, ("model", "ranges", "rate", *OF_STREAMS))
+    name = reader.choice(given, "model", HERE, MODELS, "T7")
+    model = MODELS[name]
+    for key in given:
+        if key in OF_STREAMS and not model.streams:
+            reader.fault((*HERE, key), f"a {name} is asked for its samples here, and has no {key}")
+        elif key == "rate" and model.streams:
+            reader.fault((*HERE, key), f"a {name} samples by itself, at the rate of the protocol")
     host, port = _address(device.address, reader)
-    ranges = _ranges(given, reader)
+    ranges = _ranges(given, name, reader)
     differential = reader.texts(given, "differential", HERE)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
-        number = AINS.get(channel.input)
+        number = model.inputs.get(channel.input)
         if number is None:
-            hint = did_you_mean(channel.input, AINS)
-            reader.fault(("channels", channel.name, "input"), f'no input "{channel.input}"{hint}; known: AIN0 to AIN13')
+            hint = did_you_mean(channel.input, model.inputs)
+            last = list(model.inputs)[-1]
+            message = f'a {name} has no input "{channel.input}"{hint}; known: AIN0 to {last}'
+            reader.fault(("channels", channel.name, "input"), message)
             continue
         if channel.raw_type == "int32":
             reader.fault(("channels", channel.name, "input"), "gives volts, not counts: calibrate it in V")
-        gain, span = RANGES[ranges.get(channel.input, "10 V")]
+        widest = next(iter(model.ranges), "")
+        gain, span = model.ranges.get(ranges.get(channel.input, widest), (0, 0.0))
         negative = number + 1 if channel.input in differential else SINGLE_ENDED
         inputs[channel.name] = Input(number, negative, gain, span)
     _used_inputs(device, reader, ranges, differential)
-    _outputs(device, reader)
+    _outputs(device, name, reader)
     if device.watchdog and device.watchdog < 1.0:
-        reader.fault(("watchdog",), "the watchdog of a T7 counts whole seconds: 1 s or more, and 2 s leave room")
+        reader.fault(("watchdog",), "its watchdog counts whole seconds: 1 s or more, and 2 s leave room")
     return Options(
         host,
         port,
@@ -80,6 +98,8 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         inputs,
         reader.quantity(given, "settling", HERE, "time", 0.0, 1e-6, 4e-3),
         reader.whole(given, "resolution_index", HERE, 0, 8, 0),
+        name,
+        reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0),
     )
 
 
@@ -96,10 +116,13 @@ def _address(address: str, reader: Reader) -> tuple[str, int]:
     return host, int(port or 502)
 
 
-def _ranges(given: Mapping[str, Any], reader: Reader) -> dict[str, str]:
-    place = (*HERE, "ranges")
+def _ranges(given: Mapping[str, Any], model: str, reader: Reader) -> dict[str, str]:
+    place, known = (*HERE, "ranges"), MODELS[model].ranges
     items = reader.named(given.get("ranges", {}), place)
-    return {name: reader.choice(items, name, place, RANGES, "10 V") for name in items}
+    if items and not known:
+        reader.fault(place, f"the ranges of a {model} are not set here")
+        return {}
+    return {name: reader.choice(items, name, place, known, next(iter(known))) for name in items}
 
 
 def _used_inputs(
@@ -122,22 +145,21 @@ def _used_inputs(
             reader.fault((*HERE, "differential"), message)
 
 
-def _outputs(device: DeviceRecord, reader: Reader) -> None:
+def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
+    model = MODELS[name]
     for output in device.outputs:
         if output.output not in DACS:
             hint = did_you_mean(output.output, DACS)
             message = f'no analogue output "{output.output}"{hint}; known: DAC0, DAC1'
             reader.fault(("outputs", output.name, "output"), message)
         volts = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
-        if not all(-1e-9 <= value <= DAC_FULL for value in volts):
-            message = (
-                f"would need {min(volts):g} V to {max(volts):g} V, and the DACs of a T7 give 0 V to {DAC_FULL:g} V"
-            )
+        if not all(-1e-9 <= value <= model.dac_full for value in volts):
+            needed = f"would need {min(volts):g} V to {max(volts):g} V"
+            message = f"{needed}, and the DACs of a {name} give 0 V to {model.dac_full:g} V"
             reader.fault(("outputs", output.name, "scale"), message)
-        if output.resolution < 0.99 * DAC_STEP:
-            message = (
-                f'is at least the step of 12 bits: "{1e3 * DAC_STEP:.2f} mV", or the same in the unit of the scale'
-            )
+        if output.resolution < 0.99 * model.dac_step:
+            step = f'"{1e3 * model.dac_step:.3g} mV"'
+            message = f"is at least the step of {model.dac_bits} bits: {step}, or the same in the unit of the scale"
             reader.fault(("outputs", output.name, "resolution"), message)
     places = [(("outputs", valve.name, "output"), valve.output) for valve in device.valves]
     places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]

@@ -1,17 +1,15 @@
-"""Registers of the LabJack T7, and the way between numbers and their words; knows no connection. Standard library only.
+"""Registers of the LabJack T4, T7 and T8, and the way between numbers and their words; knows no connection.
 
 Addresses and types: the maker's public register table (LabJack/ljm_constants, version 2025.12.18). 32-bit values take
-two registers, the high word first.
+two registers, the high word first. Standard library only.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable, Sequence
-
-T7 = 7.0
-"""What `PRODUCT_ID` of a T7 holds."""
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 TEST, TEST_VALUE = 55100, 0x00112233
 PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
@@ -20,8 +18,6 @@ LAST_ERR_DETAIL = 55000
 DAC = 1000
 """DAC0 [V]; DAC1 two registers on."""
 DACS = ("DAC0", "DAC1")
-DAC_FULL, DAC_STEP = 5.0, 5.0 / 4096
-"""Highest voltage, and the smallest step of 12 bits [V]."""
 
 DIO = 2000
 """FIO0, one register a line: writing makes it an output, reading an input."""
@@ -39,8 +35,43 @@ ALL_LINES = (1 << 23) - 1
 AINS = {f"AIN{i}": i for i in range(14)}
 AIN_RANGE, AIN_NEGATIVE = 40000, 41000
 SINGLE_ENDED = 199
+CAPTURE = 650
+"""T8: what AIN0 was when any input was read last [V]; the next one two registers on."""
 RANGES = {"10 V": (0, 10.0), "1 V": (1, 1.0), "0.1 V": (2, 0.1), "0.01 V": (3, 0.01)}
-"""Range as it is written -> index of its gain, and the range [V]."""
+"""T7: range as it is written -> index of its gain, and the range [V]."""
+T8_SPANS = (11, 9.6, 4.8, 2.4, 1.2, 0.6, 0.3, 0.15, 0.075, 0.036, 0.018)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What differs between the devices."""
+
+    product: float
+    """What `PRODUCT_ID` holds."""
+    dac_full: float
+    """Highest voltage of the DACs [V]."""
+    dac_bits: int
+    inputs: Mapping[str, int]
+    ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    """Ranges of the inputs, the widest first; none where they cannot be set here."""
+    streams: bool = False
+    """Whether it is read by its stream, or asked for each sample."""
+    captures: bool = False
+    """Whether reading one input takes all of them at that moment."""
+
+    @property
+    def dac_step(self) -> float:
+        """Smallest step of the DACs [V]."""
+        return self.dac_full / (1 << self.dac_bits)
+
+
+MODELS = {
+    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}),
+    "T7": Model(7.0, 5.0, 12, AINS, RANGES, streams=True),
+    "T8": Model(
+        8.0, 10.0, 16, {f"AIN{i}": i for i in range(8)}, {f"{v:g} V": (0, float(v)) for v in T8_SPANS}, captures=True
+    ),
+}
 
 STREAM_SCANRATE = 4002
 STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")

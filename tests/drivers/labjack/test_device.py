@@ -67,8 +67,9 @@ def test_it_has_its_capabilities_and_says_who_it_is(bench):
     ("address", "words", "why"),
     [
         (r.TEST, [0x2233, 0x0011], "2233 0011 instead of 0011 2233"),
-        (r.PRODUCT_ID, r.f32(4.0), r"product number 4, and this driver is for a T7"),
-        (r.PRODUCT_ID, r.f32(8.0), r"product number 8, and this driver is for a T7"),
+        (r.PRODUCT_ID, r.f32(4.0), r"is a T4, and the bench file says T7"),
+        (r.PRODUCT_ID, r.f32(3.0), r"has the product number 3, and the bench file says T7"),
+        (r.PRODUCT_ID, r.f32(8.0), r"is a T8, and the bench file says T7"),
     ],
 )
 def test_another_device_or_another_order_of_words_is_refused(address, words, why):
@@ -353,5 +354,8 @@ def test_rescue_goes_round_a_call_that_hangs(bench):
 
 
 def test_only_this_machine_is_served():
-    with pytest.raises(UsageError, match=r'an emulator serves only "127.0.0.1:PORT"'), rig(t7(address="192.168.0.5")):
+    with (
+        pytest.raises(UsageError, match="where other machines could reach what is emulated"),
+        rig(t7(address="192.168.0.5")),
+    ):
         pass

@@ -3,7 +3,9 @@
 import pytest
 
 from tests.drivers.judged import (
+    B_OF_POLLED,
     HARDWARE_TIMED,
+    POLLED,
     assert_coefficients,
     assert_dies,
     assert_vented,
@@ -27,6 +29,21 @@ def test_coefficients_come_back_without_a_gap(tmp_path):
         steps = table["time_ns"].diff().dropna()
         assert set(steps[steps < 1e9]) == {2_000_000}  # every scan of each trial, on the T7's own clock
         assert_coefficients(run.coefficients(), HARDWARE_TIMED)
+
+
+@pytest.mark.slow
+def test_coefficients_come_back_through_a_t8(tmp_path):
+    with WholeRun(tmp_path, "labjack-t8", preset="bench") as run:
+        run.carried_out(coefficients(100))
+        assert_vented(run)
+        assert run.stream("t8")["pressure_command"].max() == pytest.approx(4.0, abs=0.01)  # V: DAC0, looped
+        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
+
+
+@pytest.mark.slow
+def test_all_killed_with_a_t8(tmp_path):
+    with WholeRun(tmp_path, "labjack-t8") as run:
+        assert_dies(run, "all killed", watchdog=2.0)
 
 
 def test_all_killed(tmp_path):
