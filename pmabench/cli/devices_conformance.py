@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 @click.command(name="conformance")
 @click.argument("driver")
-@click.option("--bench", help="Bench file with a device of this driver; else the first shipped one that has one.")
-@click.option("--device", help="Its name in the bench file; else the first one of this driver.")
+@click.option("--bench", help="Bench file with a device of this driver; else the shipped one with most to try.")
+@click.option("--device", help="Its name in the bench file; else the one of this driver with most to try.")
 @click.option("--hostile", type=click.IntRange(0, 10_000_000), default=300, show_default=True, help="Damaged answers.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Which damage; the same seed, the same damage.")
 @click.option("--check", "only", multiple=True, metavar="NAME", help="Only this one; may be repeated.")

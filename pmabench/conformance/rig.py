@@ -19,7 +19,7 @@ from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Stream, Watchdog
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
-from pmabench.conformance.verdict import Failed, NotApplicable
+from pmabench.conformance.verdict import Failed, Late, NotApplicable
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
 OPENS_WITHIN = 2.0
@@ -50,7 +50,7 @@ class Outcome:
     def judged(self, within: float) -> Any:
         """Its value, or the DeviceError; raises Failed where it took too long or raised anything else."""
         if self.seconds > within + SLACK + 3 * self.lag:
-            raise Failed(f"{self.what} took {self.seconds:.2f} s; at most {within:g} s is allowed")
+            raise Late(f"{self.what} took {self.seconds:.2f} s; at most {within:g} s is allowed")
         if self.error is not None and not isinstance(self.error, DeviceError):
             kind = type(self.error).__name__
             raise Failed(f"{self.what} raised {kind}: {self.error}; a DeviceError with a sentence is expected")

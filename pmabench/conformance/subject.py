@@ -43,12 +43,18 @@ def subjects(driver: str, bench: Path | None = None) -> Iterable[Subject]:
 
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
-    """The first of them, or the one called `device`; raises UsageError where there is none."""
-    for found in subjects(driver, bench):
-        if device in {None, found.record.name}:
-            return found
+    """The one of them with most to try, or called `device`; raises UsageError where there is none."""
+    found = [one for one in subjects(driver, bench) if device in {None, one.record.name}]
+    if found:
+        return max(found, key=lambda one: _size(one.record))
     named = f' called "{device}"' if device else ""
     raise UsageError(
         f"no device{named} of the driver {driver} in {bench or 'the shipped benches'}; give a bench file with one, as "
         "docs/drivers.md says"
     )
+
+
+def _size(record: DeviceRecord) -> tuple[int, int]:
+    """Kinds of things, and things, that a device has."""
+    groups = (record.channels, record.outputs, record.valves, record.interlocks)
+    return sum(map(bool, groups)) + bool(record.watchdog), sum(map(len, groups))

@@ -10,7 +10,7 @@ from pmabench.conformance import behaviour, broken_wire, unopened
 from pmabench.conformance.hostile import Battle
 from pmabench.conformance.rig import Rig
 from pmabench.conformance.subject import Subject
-from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Failed, NotApplicable, Result
+from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Failed, Late, NotApplicable, Result
 
 CHECKS: dict[str, Callable[[Rig], str]] = {
     "interface": unopened.interfaces,
@@ -35,6 +35,8 @@ CHECKS: dict[str, Callable[[Rig], str]] = {
 }
 """Name -> check; what it promises is the first line of its docstring."""
 HOSTILE = "hostile answers"
+ATTEMPTS = 3
+"""A check in which a call is late is tried so often."""
 
 
 def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection[str] = ()) -> Iterator[Result]:
@@ -55,14 +57,18 @@ def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection
         yield Result(name, promise, *_verdict(subject, check))
 
 
-def _verdict(subject: Subject, check: Callable[[Rig], str]) -> tuple[str, str]:
+def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTEMPTS) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
         rig = Rig(subject.record, Path(folder), realtime=subject.realtime)
         try:
             return PASSED, check(rig)
         except NotApplicable as reason:
             return NOT_APPLICABLE, str(reason)
+        except Late as failure:
+            if attempts == 1:
+                return FAILED, f"{failure}, and so it was {ATTEMPTS} times"
         except Failed as failure:
             return FAILED, str(failure)
         finally:
             rig.close()
+    return _verdict(subject, check, attempts - 1)

@@ -21,5 +21,9 @@ class Failed(Exception):
     """The driver breaks the promise; the text says how and what to do."""
 
 
+class Late(Failed):
+    """A call took too long; a computer that has much else to do can be the reason, so it must happen again to count."""
+
+
 class NotApplicable(Exception):
     """The device has nothing of the kind; the text says what is missing."""
