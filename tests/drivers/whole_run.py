@@ -35,6 +35,7 @@ BUSY = (
     "stale",
     "has not asked",
     "no sample for",
+    "no heartbeat for",
 )
 """Ends of a run at which nothing is wrong but that processes were not given the time they need."""
 HEAD = """\
