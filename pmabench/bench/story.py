@@ -109,7 +109,9 @@ def _link(mounted: Mounted) -> Iterator[str]:
     yield "A device that does not answer for 0.2 s ends the run; every other one is vented."
     for device in mounted.bench.devices:
         if device.guarded and device.watchdog:
-            yield f"{device.name} itself vents after {seconds(device.watchdog)}."
+            moves = not device.valves and all(output.quantity == "length" for output in device.outputs)
+            does = "stops its motion" if device.outputs and moves else "vents"
+            yield f"{device.name} itself {does} after {seconds(device.watchdog)}."
         elif device.outputs:
             yield f"{device.name} keeps its last value: NO WATCHDOG."
 

@@ -79,3 +79,10 @@ def test_a_drive_without_a_watchdog_goes_on(tmp_path):
 
 def test_a_bench_in_virtual_time_pressurises_nothing():
     assert failure_story(mount_alone(BENCHES / "mock.yaml"))[0][0] == "Anything"
+
+
+def test_a_drive_vents_nothing_by_itself():
+    told = dict(failure_story(mount(BENCHES / "festo-sine.yaml", SPECIMEN)))
+    assert "terminal itself vents after 500 ms." in told["Network or cable"]
+    assert "drive itself stops its motion after 500 ms." in told["Network or cable"]
+    assert "The drive's own watchdog ends its motion." in told["The computer"]
