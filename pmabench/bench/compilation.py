@@ -23,6 +23,8 @@ class Compilation:
         """Name in a run's snapshot -> text; calibrations are added."""
         self.calibrated: dict[str, tuple[float, float]] = {}
         """Channel -> lowest and highest value [SI] that its calibration covers."""
+        self.extrapolated: list[str] = []
+        """Trips beyond what a calibration covers, each with how well it is known there."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:
             self.texts["specimen.yaml"] = document_text(specimen)

@@ -76,6 +76,12 @@ def _pressure_elsewhere(c: Compilation, channels: Mapping[str, ChannelRecord]) -
             "device that carries an output, valve, interlock or watchdog, too"
         )
 
+    if c.extrapolated:
+        yield (
+            f"trips beyond the points of a calibration: {'; '.join(c.extrapolated)}; the margin above the command "
+            "limit counts it; remedy: points up to the trip, where the reference and the muscle allow it"
+        )
+
 
 def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
     pressurising = {file.device for name, file in c.bench.outputs.items() if name in {"pressure", "dump_valve"}}

@@ -14,6 +14,8 @@ LONGEST_DELAY = 1.0
 """Longest delay of a limit that stops or vents [s]."""
 LONGEST_WATCH = 60.0
 """Longest time of an entry of the watch list [s]."""
+EXTRAPOLATED = 0.25
+"""How far beyond its ends a straight line through a calibration's points is believed, as a share of what they cover."""
 SUPPLY_MARGIN = 50e3
 """Least by which the supply lies above the highest set-point [Pa]."""
 SUPPLY_DELAY = 1.0
@@ -103,16 +105,39 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
 
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
-    """A trip lies where the channel can tell it: inside its range and inside what its calibration covers."""
+    """A trip lies where the channel can tell it: inside its range, and not far beyond what its calibration covers."""
     quantity = channel.quantity
-    spans = [("channel's range", (channel.low, channel.high))]
-    if channel.name in c.calibrated:
-        spans.append((f"calibration {channel.calibration.id}", c.calibrated[channel.name]))
-    for what, (low, high) in spans:
-        if not low < value < high:
-            span = f"{show(low, quantity)} to {show(high, quantity)}"
-            c.fault(at, f"the trip {show(value, quantity)} is not inside the {what}, {span}: it would never be seen")
-            return
+    if not channel.low < value < channel.high:
+        span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
+        c.fault(
+            at, f"the trip {show(value, quantity)} is not inside the channel's range, {span}: it would never be seen"
+        )
+    elif (beyond := _beyond(c, channel, value)) > EXTRAPOLATED:
+        low, high = c.calibrated[channel.name]
+        most = show(EXTRAPOLATED * (high - low), quantity)
+        c.fault(
+            at,
+            f"the trip {show(value, quantity)} is not inside the calibration {channel.calibration.id}, "
+            f"{show(low, quantity)} to {show(high, quantity)}, nor within {most} of it: calibrate with points nearer "
+            "to the trip, or move the trip nearer to them",
+        )
+    elif beyond > 0:
+        known = show(channel.calibration.uncertainty(value) + _extrapolation(c, channel, value), quantity)
+        c.extrapolated.append(f"{show(value, quantity)} of {channel.name} ({channel.calibration.id}; +-{known} there)")
+
+
+def _beyond(c: Compilation, channel: ChannelRecord, value: float) -> float:
+    """How far a value lies outside of what the calibration covers, as a share of that; 0 inside and without one."""
+    low, high = c.calibrated.get(channel.name, (value, value))
+    return max(low - value, value - high, 0.0) / (high - low) if high > low else 0.0
+
+
+def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> float:
+    """What a value beyond the points is known less well than one between them [SI].
+
+    A line that is off by no more than U at both ends of its points is off by U (1 + 2 d) at a share d beyond them.
+    """
+    return 2.0 * _beyond(c, channel, value) * channel.calibration.offset_uncertainty
 
 
 def _above_commands(
@@ -122,7 +147,7 @@ def _above_commands(
     output = outputs.get(LIMIT_CHANNEL[name])
     if output is None:
         return
-    margin = channel.calibration.uncertainty(high)
+    margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
     margin += c.bench.air.overshoot if name == "pressure" else 0.0
     if high <= output.high or high < output.high + margin * (1 - 1e-9):
         shown, least = show(high, channel.quantity), show(margin, channel.quantity)

@@ -15,6 +15,7 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, OutputRecord
+from pmabench.bench.trips import EXTRAPOLATED
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
@@ -163,16 +164,27 @@ def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, Out
 
 
 def uncovered(mounted: Mounted, request: Request) -> list[str]:
-    """Trip limits that a calibration with these points would not cover, which a bench refuses; each in a sentence."""
+    """Trip limits that a calibration with these points would not cover, each in a sentence with what a bench does."""
     low, high = min(request.points), max(request.points)
     trips = [trip for trip in mounted.bench.trips if trip.channel == request.channel and trip.kind == "range"]
-    return [
-        f"the trip limit {show(value, CHANNEL_QUANTITY[trip.channel])} of {trip.channel} is not between the points: "
-        "a bench refuses a calibration that does not cover it; take points beyond it, or change the limit"
-        for trip in trips
-        for value in (trip.low, trip.high)
-        if value is not None and not low < value < high
-    ]
+    found = []
+    for trip in trips:
+        quantity = CHANNEL_QUANTITY[trip.channel]
+        for value in (trip.low, trip.high):
+            if value is None or low < value < high:
+                continue
+            beyond = max(low - value, value - high)
+            line = f"the trip limit {show(value, quantity)} of {trip.channel} is not between the points"
+            if beyond <= EXTRAPOLATED * (high - low):
+                found.append(f"{line}: a bench takes it, and counts the line beyond them as less well known")
+            else:
+                other = low if value > high else high
+                nearest = (value + EXTRAPOLATED * other) / (1 + EXTRAPOLATED)
+                found.append(
+                    f"{line}: a bench refuses a calibration that ends so far from it; take points from "
+                    f"{show(other, quantity, 4)} at least to {show(nearest, quantity, 4)}, or move the limit"
+                )
+    return found
 
 
 class _Work:

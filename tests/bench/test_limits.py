@@ -132,6 +132,36 @@ def test_a_trip_beyond_what_the_calibration_covers_is_refused(tmp_path):
     assert "is not inside the calibration MOCK-F, -50 N to 1950 N" in refused(path)
 
 
+def calibration_to(tmp_path, most):
+    """The rig with a calibration of the pressure from 0 to so many kPa, U = 1.5 kPa."""
+    path = rig(tmp_path)
+    text = (tmp_path / "calibrations" / "MOCK-P.yaml").read_text()
+    points = f"points: [[3277 count, 0 kPa], [{round((most + 50) * 65.535)} count, {most} kPa]]"
+    text = "\n".join(points if line.startswith("points:") else line for line in text.splitlines()) + "\n"
+    (tmp_path / "calibrations" / "MOCK-P.yaml").write_text(text.replace("gain_uncertainty: 0.2 %", ""))
+    return path
+
+
+def test_a_calibration_up_to_the_command_limit_is_believed_up_to_the_trip(tmp_path):
+    """U (1 + 2 d): 1.5 kPa at 0 to 600 kPa is 1.75 kPa at 650 kPa and 1.65 kPa at -30 kPa."""
+    [said] = [line for line in mount(calibration_to(tmp_path, 600), SPECIMEN).lacks if "calibration" in line]
+    assert "-30 kPa of pressure (MOCK-P; +-1.65 kPa there)" in said
+    assert "650 kPa of pressure (MOCK-P; +-1.75 kPa there)" in said
+    path = tmp_path / "rig.yaml"
+    for trip, fine in ((611.61, True), (611.5, False)):  # 600 + 10 of overshoot + 1.5 (1 + 2 x 11.6 / 600)
+        path.write_text(RIG.replace("trip: 650 kPa", f"trip: {trip:.2f} kPa"))
+        if fine:
+            mount(path, SPECIMEN)
+        else:
+            assert "must lie at least" in refused(path)
+
+
+def test_a_calibration_that_ends_far_below_the_trip_is_refused(tmp_path):
+    assert not [line for line in mount(rig(tmp_path), SPECIMEN).lacks if "calibration" in line]
+    said = refused(calibration_to(tmp_path, 500))
+    assert "650 kPa is not inside the calibration MOCK-P, 0 kPa to 500 kPa, nor within 125 kPa of it" in said
+
+
 def test_the_gain_uncertainty_of_a_calibration_enters_the_margin(tmp_path):
     path = rig(tmp_path)
     calibration = tmp_path / "calibrations" / "MOCK-P.yaml"

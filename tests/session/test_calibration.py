@@ -9,7 +9,7 @@ from pmabench.base.errors import RecordError, UsageError, VerdictFailed
 from pmabench.bench.calibration import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.session.calibration import Request, calibrate
+from pmabench.session.calibration import Request, calibrate, uncovered
 from pmabench.session.calibration_file import write_calibration
 from pmabench.session.fit import DOWN, UP, Point, fit
 from pmabench.store.reader import open_run
@@ -152,3 +152,12 @@ def test_the_record_of_a_calibration_holds_every_point(tmp_path):
     assert [(p["target"], p["way"]) for p in found] == [(0.0, UP), (1e5, UP), (1e5, DOWN), (0.0, DOWN)]
     (last,) = [event.data for event in run.events if event.kind == "calibrated"]
     assert Scale(**last["scale"]) == done.fit.scale
+
+
+def test_what_a_bench_will_make_of_trips_beyond_the_points_is_told_before():
+    """The regulator reaches its command limit, 600 kPa; trips at 650 and -30 kPa. Loads to 255 N, and a trip at 1900 N."""
+    at_pressure = uncovered(mounted("mock"), CASES["pressure"][1])
+    assert len(at_pressure) == 2
+    assert all("a bench takes it" in line for line in at_pressure)
+    [at_force] = uncovered(mounted("mock"), CASES["force"][1])
+    assert "a bench refuses a calibration that ends so far from it; take points from 0 N at least to 1520 N" in at_force
