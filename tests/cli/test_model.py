@@ -1,14 +1,20 @@
 """`pmabench model`: what it prints is what the models give, in units, and what is wrong is told in sentences."""
 
 import csv
+import doctest
 import io
 import json
+import re
+import shlex
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
 from pmabench.model.library import MODELS
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def call(*args, code=0):
@@ -104,3 +110,35 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, told):
     result = call("eval", *options, code=2)
     assert told in (result.stdout if "--json" in options else result.stderr)
     assert result.stdout == "" or "--json" in options
+
+
+# -- the pages ---------------------------------------------------------------------------------------------------
+
+
+def commands_in(page):
+    text = (DOCS / page).read_text()
+    found = re.findall(r"`(pmabench model [^`]+)`", text) + re.findall(r"^(pmabench model .*)$", text, re.MULTILINE)
+    return [shlex.split(command.partition(">")[0], comments=True)[1:] for command in found]
+
+
+@pytest.mark.parametrize("page", ["models.md", "papers.md"])
+def test_every_command_of_the_pages_works(page):
+    commands = [command for command in commands_in(page) if "NAME" not in command]
+    assert len(commands) >= 4
+    for command in commands:
+        result = CliRunner().invoke(main, command)
+        assert result.exit_code == 0, (command, result.output)
+        assert "DIFFERS" not in result.stdout
+
+
+def test_the_page_of_models_names_each_once_under_its_family():
+    rows = re.findall(r"^\| ([a-zA-Z -]+) \| (`.*`) \|$", (DOCS / "models.md").read_text(), re.MULTILINE)
+    named = {(family, name) for family, names in rows for name in re.findall(r"`([a-z0-9-]+)`", names)}
+    told = {item for item in named if item[0] in {model.family for model in MODELS.values()}}
+    assert told == {(model.family, model.name) for model in MODELS.values()}
+
+
+def test_the_example_in_python_gives_what_the_page_says():
+    failures, tried = doctest.testfile(str(DOCS / "models.md"), module_relative=False)
+    assert tried == 3
+    assert failures == 0
