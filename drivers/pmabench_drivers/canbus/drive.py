@@ -103,9 +103,9 @@ class Drive(Node):
         return state
 
     def ready(self, deadline: float) -> bool:
-        """Whether it is alive, without fault and without emergency; asked for where no PDO has told it just now."""
-        if self.trouble():
-            return False
+        """Whether it is without fault; asked for where no PDO has told it just now. Raises what is wrong with it."""
+        if trouble := self.trouble():
+            raise DeviceError(self.device, trouble, self.name)
         told = monotonic() - self._told < FRESH
         state = c.state_of(self.status) if told else self.state(deadline)
         return state not in {c.State.FAULT, c.State.REACTING, c.State.NOT_READY, None}

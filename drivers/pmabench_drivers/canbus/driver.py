@@ -302,7 +302,7 @@ class CanBus:
         self._drive(output).halt(monotonic() + CALL)
 
     def level(self, name: str) -> bool:
-        """`NODE.ready`: whether the drive is alive, without fault and without emergency."""
+        """`NODE.ready`: whether the drive is without fault; an error where it is silent or sent an emergency."""
         drive_name, _, what = name.partition(".")
         drive = self._nodes.get(drive_name)
         if not isinstance(drive, Drive) or what != READY:

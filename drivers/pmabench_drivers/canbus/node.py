@@ -11,7 +11,7 @@ from pmabench_drivers.canbus.sdo import Objects, Refused
 
 BEAT = 0.1
 """Every node is told to send its heartbeat so often [s]."""
-SILENT = 3.5 * BEAT
+SILENT = 5 * BEAT
 """A node that was not heard for so long is lost [s]."""
 EVERY_SYNC = 1
 """Transmission type of a PDO that answers to each SYNC."""

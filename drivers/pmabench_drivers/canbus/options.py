@@ -20,7 +20,7 @@ OWN_NODE = 127
 DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
 """Inputs of a drive and of a transducer, after its name and a point."""
 READY = "ready"
-"""Digital input of a drive: high while it is alive, without fault and without emergency."""
+"""Digital input of a drive: high while it is without fault."""
 
 
 @dataclass(frozen=True)
