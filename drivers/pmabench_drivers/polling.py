@@ -28,7 +28,7 @@ class Samples:
 
     def _clear(self) -> None:
         self._time, self._host = array("q"), -1
-        self._columns = {name: array("d") for name in self._names}
+        self._columns = [array("d") for _ in self._names]
 
     def append(self, time: int, values: Sequence[float], host: int) -> None:
         """One sample of all channels: `time` and `host` [ns, bench time], values in the order of the names."""
@@ -36,13 +36,13 @@ class Samples:
             self._last = max(time, self._last + 1)
             self._time.append(self._last)
             self._host = host
-            for name, value in zip(self._names, values, strict=True):
-                self._columns[name].append(value)
+            for column, value in zip(self._columns, values, strict=True):
+                column.append(value)
 
     def take(self) -> Block:
         """All samples since the last call."""
         with self._lock:
-            block = Block(self._time, self._columns, self._host)
+            block = Block(self._time, dict(zip(self._names, self._columns, strict=True)), self._host)
             self._clear()
         return block
 

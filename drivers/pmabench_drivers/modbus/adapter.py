@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import select
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any
@@ -44,6 +45,15 @@ EXCEPTIONS = {
 }
 """Exception code -> what the device says with it."""
 
+CALLS = {
+    "holding": "read_holding_registers",
+    "input": "read_input_registers",
+    "coil": "read_coils",
+    "discrete": "read_discrete_inputs",
+}
+"""Table -> what the library calls reading it."""
+FAILED = 0x80
+"""Added to the function code of a refusal."""
 LAST_READ = 4
 """Function codes up to this one read."""
 
@@ -80,6 +90,9 @@ class _Tcp(ModbusTcpClient):
             try:
                 target = self.comm_params.host, self.comm_params.port
                 self.socket = socket.create_connection(target, timeout=self.comm_params.timeout_connect)
+                self.socket.setblocking(False)
+                self._ready = select.poll()
+                self._ready.register(self.socket, select.POLLIN)
             except OSError as error:
                 self.why = f"{(error.strerror or str(error)).lower()}: is it switched on, and is the address right?"
         return self.socket is not None
@@ -91,11 +104,9 @@ class _Tcp(ModbusTcpClient):
             raise ConnectionException("the connection was closed")
         if left <= 0:
             return b""
-        connection.settimeout(left)
-        try:
-            data = connection.recv(size or 4096)
-        except TimeoutError:
+        if not self._ready.poll(1e3 * left):
             return b""
+        data = connection.recv(size or 4096)
         if not data:
             raise ConnectionException("the device closed the connection")
         return data
@@ -166,16 +177,11 @@ class Line:
 
     def read(self, table: str, address: int, count: int, deadline: float, what: str = "") -> list[int]:
         """`count` registers (or bits) of a table from `address` on, before `deadline` [s, monotonic]."""
-        client, unit = self._client, self._unit_id
-        calls: dict[str, Callable[[], Any]] = {
-            "holding": lambda: client.read_holding_registers(address, count=count, device_id=unit),
-            "input": lambda: client.read_input_registers(address, count=count, device_id=unit),
-            "coil": lambda: client.read_coils(address, count=count, device_id=unit),
-            "discrete": lambda: client.read_discrete_inputs(address, count=count, device_id=unit),
-        }
-        size = (count + 7) // 8 * 8 if table in BIT_TABLES else count
-        answer = self._ask(calls[table], (READ[table], size), deadline, what)
-        return [int(value) for value in (answer.bits if table in BIT_TABLES else answer.registers)[:count]]
+        call, unit = getattr(self._client, CALLS[table]), self._unit_id
+        bits = table in BIT_TABLES
+        size = (count + 7) // 8 * 8 if bits else count
+        answer = self._ask(lambda: call(address, count=count, device_id=unit), (READ[table], size), deadline, what)
+        return [int(bit) for bit in answer.bits[:count]] if bits else answer.registers
 
     def write(
         self,
@@ -219,25 +225,29 @@ class Line:
         still: Callable[[], bool] = lambda: True,
     ) -> Any:
         """Send one request and return its answer; the library's errors become sentences."""
-        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
+        if not self._lock.acquire(blocking=False) and not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
             raise DeviceError(self._device, "the line was busy with another call until the deadline", what)
         try:
-            self._connect(deadline, what)
-            if wanted[0] <= LAST_READ:
+            if not self._client.connected:
+                self._connect(deadline, what)
+            if self._owed and wanted[0] <= LAST_READ:
                 self._wait_until_clean(wanted, deadline, what)
-            limit = min(deadline, monotonic() + self._timeout)
-            if limit <= monotonic():
+            now = monotonic()
+            limit = min(deadline, now + self._timeout)
+            if limit <= now:
                 raise DeviceError(self._device, "no time was left to ask", what)
             if not still():
                 return None
             self._client.deadline = limit
-            self._client.comm_params.timeout_connect = max(limit - monotonic(), 0.001)
+            self._client.comm_params.timeout_connect = max(limit - now, 0.001)
             try:
-                answer = next(answer for answer in self._answers(send) if self._belongs(answer, wanted))
-            except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error, StopIteration) as error:
+                answer = send()
+                while not self._belongs(answer, wanted):
+                    answer = self._next_answer()
+            except (ModbusException, OSError, TypeError, ValueError, IndexError, struct.error) as error:
                 self._lost(wanted)
                 raise Unanswered(self._device, self._why(error, limit), what) from None
-            if answer.isError():
+            if answer.function_code > FAILED:
                 if any(signature[0] == wanted[0] for signature, _until in self._owed):
                     self._lost(wanted)  # it may be the answer that is owed: then this one's is still to come
                 code = answer.exception_code
@@ -247,19 +257,19 @@ class Line:
         finally:
             self._lock.release()
 
-    def _answers(self, send: Callable[[], Any]) -> Iterator[Any]:
-        """The answer, and on a serial line those that come after one that belongs to an older question."""
-        yield send()
-        while self.is_serial and monotonic() < self._client.deadline:
-            yield self._client.transaction.sync_get_response(self._unit_id, 0)
+    def _next_answer(self) -> Any:
+        """On a serial line, what comes after an answer that belongs to an older question."""
+        if not self.is_serial or monotonic() >= self._client.deadline:
+            raise ModbusException("no other answer came")
+        return self._client.transaction.sync_get_response(self._unit_id, 0)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         """Whether an answer is the one that is waited for; one that is owed from before is struck off."""
-        if answer.isError():
-            return bool(answer.function_code == wanted[0] | 0x80)
         function = answer.function_code
         if function in {3, 4}:
             signature: Signature = (function, len(answer.registers))
+        elif function > FAILED:
+            return bool(function == wanted[0] | FAILED)
         elif function in {1, 2}:
             signature = (function, len(answer.bits))
         elif function == 5:
@@ -295,8 +305,6 @@ class Line:
                 self._client.recv(None)
 
     def _connect(self, deadline: float, what: str) -> None:
-        if self._client.connected:
-            return
         self._client.comm_params.timeout_connect = max(0.001, min(deadline - monotonic(), 2.0))
         if not self._client.connect():
             raise DeviceError(self._device, f"no connection to {self._address}: {self._client.why}", what)

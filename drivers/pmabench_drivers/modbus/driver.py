@@ -44,6 +44,8 @@ class ModbusDevice:
         self._outputs = {output.output: output for output in device.outputs}
         self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
         self._spans = spans(self._inputs)
+        polled = [register for span in self._spans for register in span.registers]
+        self._places = [polled.index(register) for register in self._inputs]
         self._samples = Samples([channel.name for channel in device.channels])
         self._cycle = Cycle(f"modbus {device.name}", self._tick, clock)
         self._following: dict[str, Segment] = {}
@@ -182,13 +184,12 @@ class ModbusDevice:
         if not self._streaming or not self._spans:
             return
         line, asked = self._opened(), self._clock.now()
-        values: dict[Register, float] = {}
+        values: list[float] = []
         for span in self._spans:
             deadline = monotonic() + self._map.timeout
-            words = line.read(span.table, span.address, span.count, deadline, span.registers[0].name)
-            values.update(zip(span.registers, span.values(words), strict=True))
+            values += span.values(line.read(span.table, span.address, span.count, deadline, span.registers[0].name))
         answered = self._clock.now()
-        row = [values[register] for register in self._inputs]
+        row = [values[place] for place in self._places]
         self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
 
     # -- commands -------------------------------------------------------------------------------------------------

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 TABLES = ("holding", "input", "coil", "discrete")
 BIT_TABLES = ("coil", "discrete")
@@ -88,15 +89,24 @@ class RegisterMap:
 
 def decode(register: Register, words: Sequence[int]) -> float:
     """The number in `words` (each 0..65535), or the bit that is meant; texts by `decode_text`."""
+    if not register.is_bit and len(words) != register.count:
+        raise ValueError(f"{register.type} takes {register.count} registers, not {len(words)}")
+    return decoder(register)(words)
+
+
+def decoder(register: Register) -> Callable[[Sequence[int]], float]:
+    """What decodes the words of one register, made once for a register that is read again and again."""
     if register.is_bit:
-        return float(bool(words[0]))
+        return lambda words: float(bool(words[0]))
     code, count = TYPES[register.type]
-    if len(words) != count:
-        raise ValueError(f"{register.type} takes {count} registers, not {len(words)}")
-    ordered = reversed(words) if register.low_word_first else words
-    data = b"".join(word.to_bytes(2, "little" if register.low_byte_first else "big") for word in ordered)
-    value = struct.unpack(f">{code}", data)[0]
-    return float((value >> register.bit) & 1) if register.bit >= 0 else float(value)
+    pack = struct.Struct(f"{'<' if register.low_byte_first else '>'}{count}H").pack
+    unpack, turned, bit = struct.Struct(f">{code}").unpack, register.low_word_first, register.bit
+
+    def number(words: Sequence[int]) -> float:
+        value = unpack(pack(*(words[::-1] if turned else words)))[0]
+        return float((value >> bit) & 1) if bit >= 0 else float(value)
+
+    return number
 
 
 def decode_text(words: Iterable[int]) -> str:
@@ -135,8 +145,12 @@ class Span:
 
     def values(self, words: Sequence[int]) -> list[float]:
         """The number of each register."""
-        first = self.address
-        return [decode(r, words[r.address - first : r.address - first + r.count]) for r in self.registers]
+        return [number(words[first:last]) for first, last, number in self._decoders]
+
+    @cached_property
+    def _decoders(self) -> list[tuple[int, int, Callable[[Sequence[int]], float]]]:
+        places = [(register, register.address - self.address) for register in self.registers]
+        return [(first, first + register.count, decoder(register)) for register, first in places]
 
 
 def spans(registers: Iterable[Register]) -> list[Span]:

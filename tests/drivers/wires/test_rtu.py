@@ -34,7 +34,7 @@ def test_it_measures_and_commands(tmp_path):
 
 
 def test_late_answers_are_never_taken_for_new_ones(tmp_path):
-    """200 requests, each answered 0.5 to 3 time-outs late: every value that comes back is the one asked for.
+    """100 requests, each answered 0.5 to 3 time-outs late: every value that comes back is the one asked for.
 
     The registers hold different numbers, and each is read in turn, so that an answer to another question shows.
     """
@@ -45,12 +45,13 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
         **{f"r{i}": {"address": 200 + i} for i in range(4)},
     }
     chance = random.Random(5)
-    record = line(tmp_path, outputs=outputs, inputs={**inputs, **line_inputs()})
+    # a busy machine must not keep an answer back for longer than the slowest that is said of the device
+    record = line(tmp_path, slowest="400 ms", outputs=outputs, inputs={**inputs, **line_inputs()})
     with emulated(record) as (emulator, [record]), opened(record) as device:
         for i in range(4):
             device._put(device._map.outputs[f"r{i}"], 1000 + i)
         right = refused = 0
-        for number in itertools.islice(itertools.cycle(range(4)), 200):
+        for number in itertools.islice(itertools.cycle(range(4)), 100):
             emulator.devices["regulator"].faults.set("delay", chance.uniform(0.5, 3.0) * TIMEOUT, count=1)
             took, outcome = timed(device._get, device._map.inputs[f"r{number}"])
             assert took < 0.3
@@ -59,9 +60,9 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
             else:
                 assert outcome == 1000 + number
                 right += 1
-    assert right + refused == 200
-    assert right >= 10
-    assert refused >= 50
+    assert right + refused == 100
+    assert right >= 5
+    assert refused >= 25
 
 
 def line_inputs():
