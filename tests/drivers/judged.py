@@ -1,11 +1,12 @@
 """What is judged of whole runs: coefficients against the plant's truth, and every way out against the emulator's log."""
 
+import os
 import signal
 import time
 
 import pytest
 
-from tests.drivers.whole_run import one_step
+from tests.drivers.whole_run import TRIES, one_step
 
 TRUTH = {
     "F_ce": lambda P: 1.08 * P - 49.0,
@@ -48,6 +49,24 @@ HARDWARE_TIMED = {"K": 0.005, "F_ce": 0.005, "B_c": 0.02, "B_r": 0.02}
 """As the simulated bench of the same plant in one process."""
 POLLED = {"K": 0.02, "F_ce": 0.02}
 B_OF_POLLED = {"B_c": 0.05, "B_r": 0.05}
+
+
+def assert_gives_back(run, protocol, relative, widest=None):
+    """A whole run that ends well, vents, and gives the coefficients back; see `assert_coefficients`.
+
+    Once more where the machine was so busy that polls took long: the intervals say that, and are too wide then.
+    """
+    for _ in range(TRIES - 1):
+        run.carried_out(protocol)
+        try:
+            return assert_coefficients(run.coefficients(), relative, widest)
+        except AssertionError:
+            if os.getloadavg()[0] < 1.5 * (os.cpu_count() or 1):
+                raise
+            print(f"again, since the machine is busy: {os.getloadavg()[0]:.1f} processes wait for {os.cpu_count()}")
+    run.carried_out(protocol)
+    return assert_coefficients(run.coefficients(), relative, widest)
+
 
 WHO = {
     "engine killed": ("engine", signal.SIGKILL, 0.1),

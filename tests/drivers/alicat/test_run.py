@@ -8,8 +8,8 @@ import pytest
 from tests.drivers.judged import (
     B_OF_POLLED,
     POLLED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -28,11 +28,10 @@ both_protocols = pytest.mark.parametrize("changes", PROTOCOLS.values(), ids=PROT
 )
 def test_coefficients_come_back(tmp_path, changes):
     with WholeRun(tmp_path, "alicat", *changes, preset="bench") as run:
-        run.carried_out(coefficients(50, repeats=2))
+        assert_gives_back(run, coefficients(50, repeats=2), POLLED, B_OF_POLLED)
         assert_vented(run)
         assert max(run.commanded()) == pytest.approx(400e3)
         assert {entry["setting"] for entry in run.entries("valves")} <= {"", "EXH"}
-        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
 def test_all_killed_the_controller_keeps_its_set_point_and_the_relay_vents(tmp_path):

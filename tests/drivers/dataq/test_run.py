@@ -10,8 +10,8 @@ from pmabench.files.shipped import shipped_folder
 from tests.drivers.judged import (
     B_OF_POLLED,
     HARDWARE_TIMED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     lost,
@@ -33,10 +33,9 @@ def test_only_the_regulator_is_the_guards():
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "dataq", preset="bench") as run:
-        run.carried_out(coefficients(500))
-        assert_vented(run)
         sharp = {"K": HARDWARE_TIMED["K"], "F_ce": HARDWARE_TIMED["F_ce"]}
-        assert_coefficients(run.coefficients(), sharp, B_OF_POLLED)  # the pressure is polled
+        assert_gives_back(run, coefficients(500), sharp, B_OF_POLLED)  # the pressure is polled
+        assert_vented(run)
 
 
 def test_all_killed_the_regulator_vents_by_its_watchdog(tmp_path):

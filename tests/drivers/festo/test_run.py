@@ -5,8 +5,8 @@ import pytest
 from tests.drivers.judged import (
     B_OF_POLLED,
     POLLED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -20,10 +20,9 @@ pytestmark = pytest.mark.realtime
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "festo", preset="bench") as run:
-        run.carried_out(coefficients(100))
+        assert_gives_back(run, coefficients(100), POLLED, B_OF_POLLED)
         assert_vented(run)
         assert max(run.commanded()) == pytest.approx(400e3)
-        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
 def test_all_killed_the_terminal_takes_its_outputs_away(tmp_path):

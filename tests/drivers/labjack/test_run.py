@@ -6,8 +6,8 @@ from tests.drivers.judged import (
     B_OF_POLLED,
     HARDWARE_TIMED,
     POLLED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -21,23 +21,21 @@ pytestmark = pytest.mark.realtime
 
 def test_coefficients_come_back_without_a_gap(tmp_path):
     with WholeRun(tmp_path, "labjack", preset="bench") as run:
-        run.carried_out(coefficients(500))
+        assert_gives_back(run, coefficients(500), HARDWARE_TIMED)
         assert_vented(run)
         assert max(run.commanded()) == pytest.approx(400e3, abs=250)  # a step of the DAC is 244 Pa
         table = run.stream("t7")
         assert table["pressure_command"].max() == pytest.approx(2.0, abs=0.01)  # V: DAC0, looped
         steps = table["time_ns"].diff().dropna()
         assert set(steps[steps < 1e9]) == {2_000_000}  # every scan of each trial, on the T7's own clock
-        assert_coefficients(run.coefficients(), HARDWARE_TIMED)
 
 
 @pytest.mark.slow
 def test_coefficients_come_back_through_a_t8(tmp_path):
     with WholeRun(tmp_path, "labjack-t8", preset="bench") as run:
-        run.carried_out(coefficients(100))
+        assert_gives_back(run, coefficients(100), POLLED, B_OF_POLLED)
         assert_vented(run)
         assert run.stream("t8")["pressure_command"].max() == pytest.approx(4.0, abs=0.01)  # V: DAC0, looped
-        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import pytest
 
 from tests.drivers.judged import (
     HARDWARE_TIMED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.realtime
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "serial-line-daq", preset="bench") as run:
-        run.carried_out(coefficients(500))
+        assert_gives_back(run, coefficients(500), HARDWARE_TIMED)
         assert_vented(run)
         sent = run.entries("set")
         assert max(entry["raw"] for entry in sent) == 1638  # 400 kPa of 4095 for 1000 kPa
@@ -30,7 +30,6 @@ def test_coefficients_come_back(tmp_path):
         assert run.stream("board")["pressure_command"].max() == 1638
         manifest = json.loads((run.record / "manifest.json").read_text())
         assert manifest["devices"]["board"]["firmware"] == "line-daq 1"
-        assert_coefficients(run.coefficients(), HARDWARE_TIMED)
 
 
 def test_all_killed(tmp_path):

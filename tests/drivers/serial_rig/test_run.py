@@ -5,8 +5,8 @@ import pytest
 from tests.drivers.judged import (
     B_OF_POLLED,
     POLLED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -20,9 +20,8 @@ pytestmark = pytest.mark.realtime
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "serial", preset="bench") as run:
-        run.carried_out(coefficients(500))
+        assert_gives_back(run, coefficients(500), POLLED, B_OF_POLLED)
         assert_vented(run)
-        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
 def test_all_killed_the_controller_keeps_its_set_point_and_the_board_vents(tmp_path):

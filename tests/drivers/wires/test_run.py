@@ -8,8 +8,8 @@ from pmabench.files.shipped import shipped_folder
 from tests.drivers.judged import (
     B_OF_POLLED,
     POLLED,
-    assert_coefficients,
     assert_dies,
+    assert_gives_back,
     assert_vented,
     assert_vents,
     e_stop,
@@ -23,12 +23,11 @@ pytestmark = pytest.mark.realtime
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "wires", preset="bench") as run:
-        run.carried_out(coefficients(100))
+        assert_gives_back(run, coefficients(100), POLLED, B_OF_POLLED)
         assert_vented(run)
         assert max(run.commanded()) == 400e3
         kept, own = run.record / "registers", shipped_folder("bench") / "registers"
         assert [path.read_text() for path in kept.iterdir()] == [(own / "pressure-regulator.yaml").read_text()]
-        assert_coefficients(run.coefficients(), POLLED, B_OF_POLLED)
 
 
 def test_all_killed(tmp_path):
