@@ -13,6 +13,7 @@ import threading
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from time import monotonic
 from typing import Any
 
@@ -109,6 +110,12 @@ class Connection:
 
     # -- life -----------------------------------------------------------------------------------------------------
 
+    def load(self) -> None:
+        """Import NI's package, which takes its time."""
+        parts = ["stream_readers", "stream_writers", "system", *(["_grpc_interpreter"] if self._options.server else [])]
+        for part in parts:
+            import_module(f"nidaqmx.{part}")
+
     def open(self) -> Identity:
         """Connect, find the device, see that it has what the bench uses, and prepare its tasks; commands nothing."""
         system = self._system()
@@ -119,7 +126,6 @@ class Connection:
             raise DeviceError(self._name, f'NI-DAQmx knows no device "{wanted}"{hint}')
         device = system.devices[wanted]
         self._refuse_missing(device)
-        self._end_leftovers()
         for output in self._options.outputs:
             self._prepare_output(output, self._range(device, output))
         for line in (*self._options.valves, *self._options.levels):
@@ -166,14 +172,14 @@ class Connection:
         return System.remote(self._session("")) if self._options.server else System.local()
 
     def _session(self, name: str, *, attach: bool = False) -> Any:
-        """How a task is named on the server, and whether it is there already."""
+        """How a task is named on the server, and whether it must be there already."""
         if not self._options.server:
             return None
         from nidaqmx import GrpcSessionOptions, SessionInitializationBehavior
 
         way = SessionInitializationBehavior
-        behaviour = way.ATTACH_TO_SERVER_SESSION if attach else way.INITIALIZE_SERVER_SESSION
-        return GrpcSessionOptions(self._channel, name, initialization_behavior=behaviour if name else way.AUTO)
+        behaviour = way.ATTACH_TO_SERVER_SESSION if attach else way.AUTO
+        return GrpcSessionOptions(self._channel, name, initialization_behavior=behaviour)
 
     # -- tasks ----------------------------------------------------------------------------------------------------
 
@@ -181,10 +187,14 @@ class Connection:
         return f"pmabench {socket.gethostname()} {self._options.device} {key}"
 
     def _task(self, key: str, *, attach: bool = False) -> Any:
+        """A task of this device; a new one unless `attach`: what a program left on the server when it died is ended."""
         from nidaqmx import Task
 
         name = self._task_name(key)
         task = Task(name, grpc_options=self._session(name, attach=attach))
+        if self._options.server and not attach and task.number_of_channels:
+            task.close()
+            task = Task(name, grpc_options=self._session(name))
         if not attach:
             self._tasks[key] = task
         return task
@@ -194,18 +204,6 @@ class Connection:
         if task is not None:
             with suppress(Exception):  # a server that is gone has no tasks
                 task.close()
-
-    def _end_leftovers(self) -> None:
-        """On a server: end what a program of this computer left there when it died."""
-        from nidaqmx.errors import RpcError
-
-        options = self._options
-        for key in ("ai", *options.outputs, *options.valves, *options.levels) if options.server else ():
-            try:
-                self._task(key, attach=True).close()
-            except RpcError as error:
-                if getattr(error.rpc_code, "name", "") != "FAILED_PRECONDITION":  # that one means: there is none
-                    raise
 
     def _prepare_output(self, output: str, limits: tuple[float, float] | None) -> None:
         """A task for one output; `limits` None: it is there already."""

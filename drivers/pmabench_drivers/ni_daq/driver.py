@@ -68,10 +68,13 @@ class NiDaq:
         link = self._link = Connection(self._device.name, self._options)
         try:
             with link.calls(OPEN):
+                link.load()
+            until = monotonic() + OPEN
+            with link.calls(OPEN):
                 identity = link.open()
             if self._options.server:
                 second = self._second = Connection(self._device.name, self._options)
-                with second.calls(CALL):
+                with second.calls(until - monotonic()):
                     second.attach()
         except DeviceError:
             self.close()

@@ -269,6 +269,7 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "GetDeviceAttributeDoubleArray": _value(EmulatedServer.numbers),
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
     "GetTaskAttributeString": _value(lambda s, r: _of_samples(s, r, {0x1276: lambda _b, _t: r.task.name})),
+    "GetTaskAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x2181: lambda _b, task: len(task.names)})),
     "GetChanAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x182C: lambda _b, _t: float(BITS)})),
     "ClearTask": _of_task(_clear),
     "StartTask": _of_task(lambda board, task, _request: board.start(task)),

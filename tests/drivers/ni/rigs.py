@@ -3,6 +3,7 @@
 import contextlib
 import time
 from dataclasses import replace
+from unittest.mock import patch
 
 import grpc
 import nidaqmx
@@ -51,10 +52,23 @@ def at(record, server):
     return replace(record, options={**record.options, "server": server})
 
 
+SLACK = {"CALL": 2.0, "ANSWER": 1.0, "STEP": 0.5, "OPEN": 10.0}
+"""Deadlines of the driver where a test is not about them: for a machine that has much else to do [s]."""
+
+
 @contextlib.contextmanager
-def rig(record=None, *, opened=True):
+def rig(record=None, *, opened=True, slack=True):
     """An emulated server and the driver in front of it: emulator, emulated server, driver."""
     record = record or daq()
+    with contextlib.ExitStack() as stack:
+        if slack:
+            stack.enter_context(patch.multiple("pmabench_drivers.ni_daq.driver", **SLACK))
+            stack.enter_context(patch("pmabench_drivers.ni_daq.sampling.CALL", 0.6))
+        yield stack.enter_context(_rig(record, opened))
+
+
+@contextlib.contextmanager
+def _rig(record, opened):
     emulator = Emulator([record], preset="ideal")
     driver = None
     try:

@@ -44,6 +44,14 @@ def _bench():
         yield parts
 
 
+@pytest.fixture(name="prompt")
+def _prompt():
+    """With the deadlines of a bench."""
+    with rig(opened=False, slack=False) as parts:
+        patiently(parts[2].open)
+        yield parts
+
+
 def sent(emulator, kind="set"):
     return emulator.log.of(kind, "daq")
 
@@ -216,7 +224,7 @@ def test_names_that_are_not_there(bench):
 
 def test_ramps_are_stepped_and_end_on_their_target(bench):
     emulator, _served, device = bench
-    device.follow("ao0", Segment("ramp", 0.0, 0.5, 1.0, rate=2.0))
+    device.follow("ao0", Segment("ramp", device._clock.now(), 0.5, 1.0, rate=0.5))
     until(lambda: sent(emulator) and sent(emulator)[-1]["raw"] == 1.0)
     values = [entry["raw"] for entry in sent(emulator)]
     assert values == sorted(values)
@@ -259,7 +267,7 @@ def test_a_switch_without_answer_is_settled_by_the_line(bench):
     served.faults.set("lost", count=1)
     device.switch("port1/line0", on=True)
     served.faults.set("silence", count=1)
-    with pytest.raises(DeviceError, match=r"did not answer within 0.1 s, and its line is high"):
+    with pytest.raises(DeviceError, match=r"did not answer within [\d.]+ s, and its line is high"):
         device.switch("port1/line0", on=False)
     served.faults.set("ignore")
     with pytest.raises(DeviceError, match="was commanded 0 and its line is high"):
@@ -282,9 +290,9 @@ def test_an_output_without_answer_is_not_known_and_sent_once(bench):
 
 
 @pytest.mark.parametrize("kind", ["silence", "lost", "delay", "truncated", "corrupted", "garbage", "hang-up"])
-def test_every_call_ends_in_time_and_the_next_one_is_right(bench, kind):
-    _emulator, served, device = bench
-    device.write("ao0", 0.5)
+def test_every_call_ends_in_time_and_the_next_one_is_right(prompt, kind):
+    _emulator, served, device = prompt
+    patiently(lambda: device.write("ao0", 0.5))
     calls = [
         lambda: device.write("ao0", 1.0),
         lambda: device.read_back("ao0"),
@@ -367,10 +375,10 @@ def test_another_computers_sampling_is_told_as_reserved(bench, monkeypatch):
         other.close()
 
 
-def test_rescue_goes_round_a_call_that_hangs(bench):
-    emulator, served, device = bench
-    device.switch("port1/line0", on=True)
-    device.write("ao0", 1.0)
+def test_rescue_goes_round_a_call_that_hangs(prompt):
+    emulator, served, device = prompt
+    patiently(lambda: device.switch("port1/line0", on=True))
+    patiently(lambda: device.write("ao0", 1.0))
     start(device, 200.0)
     served.faults.set("delay", 0.5, count=1)
     hanging = threading.Thread(target=timed, args=(lambda: device.level("port0/line0"),))

@@ -20,8 +20,8 @@ from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
 
-BOUND = 2.2
-"""What opening may take, and a little for a busy machine."""
+BOUND = 10.0
+"""No call hangs; opening may take 2 s, and the rest is for a busy machine [s]."""
 VALUES = {
     1: lambda rng: rng.choice([0.0, -1.0, 10.0, 1e300, math.nan, math.inf, rng.gauss(0, 100)]),
     4: lambda rng: rng.choice([0, 1, 2**64 - 1, rng.getrandbits(16)]),
@@ -137,7 +137,7 @@ def test_and_so_is_one_that_begins_well(hostile):
 
         for name in ("GetSystemInfoAttributeUInt32", "GetSystemInfoAttributeString", "GetDeviceAttributeString",
                      "GetDeviceAttributeDoubleArray", "GetDeviceAttributeDouble", "GetDeviceAttributeUInt32",
-                     "GetDeviceAttributeBool", "GetTaskAttributeString", "GetChanAttributeDouble", "CreateTask",
+                     "GetDeviceAttributeBool", "GetTaskAttributeString", "GetTaskAttributeUInt32", "GetChanAttributeDouble", "CreateTask",
                      "CreateAIVoltageChan", "CreateAOVoltageChan", "CreateDIChan", "CreateDOChan"):  # fmt: skip
             handler.right[name] = pass_on(name)
         opened = []

@@ -76,7 +76,7 @@ def test_a_lost_answer_is_a_gap_of_just_its_samples(call, gap):
     with rig() as (_, served, device):
         counted(served, 4)
         rate = start(device, 500.0)
-        answer, lose = served._answer, [3, 9, 15]
+        answer, lose = served._answer, [3, 9]
 
         def answer_or_not(grpc, name, request, context):
             if name == call and lose and len(device.asked) == lose[0]:
@@ -87,10 +87,14 @@ def test_a_lost_answer_is_a_gap_of_just_its_samples(call, gap):
 
         device.asked = []
         served._answer = answer_or_not
-        times, columns = gather(device, 1.5)
+        times, columns = gather(device, 0.1)
+        while lose or times[-1] - times[0] < 1.5e9:
+            more, more_columns = gather(device, 0.1)
+            times += more
+            for name, column in more_columns.items():
+                columns[name] += column
         held = check(device, times, columns, rate)
         missing = set(range(held[-1] + 1)) - set(held)
-        assert not lose
         assert len(missing) == device.lost
         assert bool(missing) == gap  # what was never asked for is still there
 
@@ -146,7 +150,8 @@ def test_errors_while_it_samples_end_it_with_the_reason(code, why):
 
 
 def test_silence_is_told_with_its_reason():
-    with rig() as (_, served, device):
+    with rig(opened=False, slack=False) as (_, served, device):
+        patiently(device.open)
         start(device, 500.0)
         gather(device, 0.1)
         served.faults.set("silence")
