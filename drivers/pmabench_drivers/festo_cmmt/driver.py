@@ -199,7 +199,7 @@ class FestoCmmt:
 
     def _sample(self) -> None:
         asked, set_point = self._clock.now(), self._path.now()
-        status = self._look(monotonic() + ANSWER)
+        status = self._opened().look_once(monotonic() + ANSWER)
         answered = self._clock.now()
         with self._turn:
             self._path.seen(status.position, (asked + answered) / 2)

@@ -30,6 +30,10 @@ class DriveLink(NamedLine):
         """What the drive tells now."""
         return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
+    def look_once(self, until: float) -> t.Status:
+        """The same in one transaction, whose time can be told."""
+        return t.Status.of(self.read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
+
     def send(self, words: Sequence[int], until: float, still: Callable[[], bool] = lambda: True) -> None:
         """Write process data once, unless `still()` is false by the time the line is free."""
         self.write(16, t.PROCESS_OUT, words, until, "process data", still)

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from tests.drivers.judged import SLACK, WHO, assert_vented
-from tests.drivers.whole_run import LONGEST, WholeRun, until
+from tests.drivers.whole_run import LONGEST, TRIES, WholeRun, until
 
 pytestmark = pytest.mark.realtime
 
@@ -45,12 +45,16 @@ def pooled(run):
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "festo-sine", preset="bench") as run:
-        run.carried_out(sines(0.5, 1, 2))
-        assert_vented(run)
+        for _ in range(TRIES):
+            run.carried_out(sines(0.5, 1, 2))
+            assert_vented(run)
+            found = pooled(run)
+            if {"K", "B"} <= {*found} or "flagged GAP" not in run.said:
+                break
+            print("again, since a busy machine left gaps in too many trials")
         moved = [entry["si"] for entry in run.entries("move")]
         assert max(moved) <= 15.001e-3
         assert min(moved) >= 0.0
-        found = pooled(run)
         # reference plant 5.1 at 300 kPa: K = 5.6 + 1e-3 P + 9.7e-6 P^2, B the mean of 1.2 + 1.6e-3 P and 1.1 + 3.4e-3 P
         true = {"K": 6773.0, "B": 1900.0}
         for symbol in ("K", "B"):
