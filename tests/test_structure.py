@@ -47,6 +47,7 @@ FOLDERS = {
     "bench": "fixtures/benches",
     "specimen": "fixtures/specimens",
     "campaign": "fixtures/campaigns",
+    "registers": "fixtures/benches/registers",
 }
 
 

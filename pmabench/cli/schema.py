@@ -11,7 +11,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map", "faults")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map", "faults", "registers")
 
 
 @click.command(name="schema")
@@ -43,12 +43,25 @@ def schema_text(kind: str) -> str:
 
 def _schema(kind: str) -> dict[str, Any]:
     """The model's schema, with `include` allowed, whose files need not hold every key themselves."""
-    schema = _of_models(kind)
+    schema = _of_driver("modbus") if kind == "registers" else _of_models(kind)
     for part in (schema, *schema.get("$defs", {}).values()):
         if "schema" in part.get("properties", {}):
             part["properties"]["include"] = {"type": "string", "description": "a file that this one is based on"}
             part["if"] = {"not": {"required": ["include"]}}
             part["then"] = {"required": part.pop("required", [])}
+            if "anyOf" in part:
+                part["then"]["anyOf"] = part.pop("anyOf")
+    return schema
+
+
+def _of_driver(name: str) -> dict[str, Any]:
+    """The schema of the map files of a driver, which its `map_schema` gives."""
+    from importlib import import_module
+
+    from pmabench.bench.registry import driver_class
+
+    module, _, driver = driver_class(name).partition(":")
+    schema: dict[str, Any] = getattr(import_module(module), driver).map_schema()
     return schema
 
 

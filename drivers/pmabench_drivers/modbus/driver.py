@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
@@ -61,6 +61,13 @@ class ModbusDevice:
         reader = Reader()
         cls.read_options(device, reader)
         return reader.problems
+
+    @classmethod
+    def map_schema(cls) -> dict[str, Any]:
+        """The JSON Schema of the file that the option `map` names."""
+        from pmabench_drivers.modbus.map_schema import map_schema
+
+        return map_schema()
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:

@@ -1,7 +1,11 @@
 """What a bench file says of a device is checked before anything is opened: all of it, each with its place."""
 
+import jsonschema
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.modbus.registers import TABLES, TYPES
 from pmabench_drivers.serial_ascii import SerialIndicator
 
 from pmabench.base.clock import RealClock
@@ -88,6 +92,54 @@ def test_a_good_map_has_no_problem_and_all_problems_come_at_once():
     assert list(ModbusDevice.check(regulator())) == []
     found = list(ModbusDevice.check(regulator(wrds=1, timeout="1 h", unit_id=300)))
     assert len(found) == 3
+
+
+BEYOND_A_SCHEMA = {
+    "a value beyond the last address",
+    "a function that is not allowed",
+    "a bit of a float",
+    "a time-out longer than a call",
+    "a channel without register",
+    "an output without register",
+    "a range that does not fit",
+    "an interlock without register",
+    "a watchdog without registers",
+    "a trigger value that does not fit",
+}
+"""What is wrong only beside other values or other files."""
+
+
+@pytest.mark.parametrize("what", [*WRONG_MAPS])
+def test_the_schema_of_maps_refuses_what_it_can(what):
+    data = {**MAP, **WRONG_MAPS[what][0]}
+    if data["watchdog"] is None:
+        del data["watchdog"]
+    fits = jsonschema.Draft202012Validator(ModbusDevice.map_schema()).is_valid(data)
+    assert fits == (what in BEYOND_A_SCHEMA)
+
+
+REGISTERS = st.fixed_dictionaries(
+    {"address": st.one_of(st.integers(-1, 65536), st.sampled_from(["0x10", "ten"]))},
+    optional={
+        "table": st.sampled_from([*TABLES, "coils"]),
+        "type": st.sampled_from(["bit", *TYPES, "text", "float"]),
+        "words": st.sampled_from(["high-first", "low-first", "big"]),
+        "bit": st.integers(-1, 32),
+        "length": st.integers(0, 61),
+        "expect": st.sampled_from([1, 2.5, "0x1F", "1F"]),
+        "read_back": st.sampled_from([True, False, "yes"]),
+    },
+)
+
+
+@settings(max_examples=200)
+@given(use=st.sampled_from(["inputs", "outputs", "identity"]), register=REGISTERS)
+def test_every_register_that_is_read_fits_the_schema(use, register):
+    """Nothing that the driver takes is marked as a mistake by an editor."""
+    name = "model" if use == "identity" else "extra"
+    data = {**MAP, use: {**MAP[use], name: register}}
+    if list(ModbusDevice.check(regulator(**{use: data[use]}))) == []:
+        jsonschema.validate(data, ModbusDevice.map_schema())
 
 
 @pytest.mark.parametrize(
