@@ -287,8 +287,10 @@ def _domain(parameter: Parameter) -> str:
 
 
 def _sentence(parameter: Parameter | None, refusal: Any) -> str:
-    if parameter is None or math.isnan(refusal.low):
+    if parameter is None or math.isnan(refusal.value):
         return f"{refusal.name}: {refusal.reason}"
+    if math.isnan(refusal.low):
+        return f"{refusal.name} = {_shown(parameter, refusal.value)}: {refusal.reason}"
     reason = f": {refusal.reason}" if refusal.reason else ""
     return f"{refusal.name} = {_shown(parameter, refusal.value)} is outside its domain, {_domain(parameter)}{reason}"
 

@@ -97,7 +97,17 @@ def test_everything_that_is_wrong_comes_at_once_with_the_nearest_name():
         (("sigmoid-length", "--set", "nominal_length=50 cm"), "15 to 40 cm were measured"),
         (("sigmoid-length", "--set", "exponent=printd"), 'did you mean "printed"?'),
         (("tondu-lopez", "--set", "radius=0 mm"), "radius = 0 mm is outside its domain, above 0 mm"),
-        (("step-response", "--set", "load=300 N"), "load: a load above F_ce"),
+        (("step-response", "--set", "load=300 N"), "load = 300 N: a load above F_ce"),
+        (
+            (
+                "polynomial-coefficients",
+                "--set",
+                "damping_relax_1=-4 N.s/m/kPa",
+                "--over",
+                "pressure=200 kPa..600 kPa by 50 kPa",
+            ),
+            "pressure = 300 kPa: the damping would be negative",
+        ),
         (("tondu-lopes",), 'did you mean "tondu-lopez"?'),
         (("tondu-lopez", "--over", "k=1..2 by 0.00001"), "at most 20000"),
         (("tondu-lopez", "--over", "k=1..2"), "FIRST..LAST by STEP"),

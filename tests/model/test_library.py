@@ -205,6 +205,13 @@ def test_table_of_the_sigmoid_length(row):
         assert (np.diff(lengths) < 0).all()
 
 
+def test_the_printed_exponent_is_nearly_a_step_which_is_why_it_is_not_the_default():
+    for L0, percent in zip((15, 20, 25, 30, 40), (97, 96, 83, 65, 95), strict=True):
+        given = {"pressure": [0.6e5, 5e5], "nominal_length": L0 * CM, "exponent": "printed"}
+        part = MODELS["sigmoid-length"].evaluate(given)["contraction"]
+        assert 100 * part[0] / part[1] == pytest.approx(percent, abs=0.6)
+
+
 @pytest.mark.parametrize("L0", [0.12, 0.50])
 def test_the_sigmoid_is_refused_for_lengths_that_nobody_measured(L0):
     with pytest.raises(OutsideDomain, match="15 to 40 cm were measured"):

@@ -305,3 +305,10 @@ def test_the_hold_of_a_sampled_loop_is_half_a_period_of_dead_time():
 def test_a_loop_without_dead_time_is_refused():
     with pytest.raises(OutsideDomain):
         value("ultimate-gain", "period", dead_time=0.0)
+
+
+def test_what_cannot_be_solved_is_refused_not_returned():
+    with pytest.raises(OutsideDomain, match="never oscillate"):
+        value("ultimate-gain", "period", dead_time=1e-18)
+    with pytest.raises(OutsideDomain, match="too fast"):
+        value("driven-chamber", "pressure", frequency=3.0, conductance_vent=1e4, length=1e-8, alpha=3.56)

@@ -173,7 +173,7 @@ def tondu_lopez_k_of_p(
     """F [N], eps_max and k [1] from P [Pa gauge], eps [1], r0 [m], theta0 [rad] and k at two pressures [Pa gauge]."""
     refuse("pressure_high", "it must be above pressure_low", pressure_high <= pressure_low)
     outside = (pressure < pressure_low * (1 - 1e-12)) | (pressure > pressure_high * (1 + 1e-12))
-    refuse("pressure", "k is known from pressure_low to pressure_high only", outside)
+    refuse("pressure", "k is known from pressure_low to pressure_high only", outside, pressure)
     k = k_low + (k_high - k_low) * (pressure - pressure_low) / (pressure_high - pressure_low)
     force, most = braid_force(pressure, contraction, radius, braid_angle, k)
     return {"force": force, "contraction_max": most, "k": k}
@@ -210,7 +210,7 @@ def strand_stretch(
     """F [N], h_max [1], D0 [m] from P [Pa gauge], h [1], S0 [m], n [1], theta0 [rad], k_p and k_s [1]."""
     a, b = braid_factors(braid_angle)
     most = (1 - k_s * np.sqrt(b / a)) / k_p
-    refuse("k_s", "strands that stretch so far leave no force even at eps = 0", most <= 0)
+    refuse("k_s", "strands that stretch so far leave no force even at eps = 0", most <= 0, k_s)
     diameter = strand_length * np.sin(braid_angle) / (turns * math.pi)
     drive = np.maximum(a * np.maximum(1 - k_p * contraction, 0) ** 2 - b * k_s**2, 0)
     return {"force": math.pi / 4 * diameter**2 * pressure * drive, "contraction_max": most, "diameter": diameter}

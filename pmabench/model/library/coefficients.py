@@ -199,7 +199,7 @@ def dmsp_40_305_contraction(
     shape = arrays[0].shape
     S = dmsp_coefficients(arrays[0], "polynomial")[0]
     force0, most = braid_force(arrays[0], np.zeros(shape), arrays[2], arrays[4], np.ones(shape))
-    refuse("load", "it is more than the muscle lifts at this pressure", arrays[1] > force0)
+    refuse("load", "it is more than the muscle lifts at this pressure", arrays[1] > force0, arrays[1])
     force = force0
     if fce_at == "xmax":
         columns = [np.atleast_1d(array).ravel() for array in (*arrays, S, most)]

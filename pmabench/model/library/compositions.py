@@ -20,7 +20,7 @@ LENGTH = Parameter("length", "L0", "length", 300 * MM, "nominal length of one", 
 
 
 def _whole(count: Array) -> None:
-    refuse("count", "a whole number is expected", count != np.round(count))
+    refuse("count", "a whole number is expected", count != np.round(count), count)
 
 
 @described(
@@ -138,8 +138,8 @@ def _balance(
         return L1 * first + L2 * second - x
 
     most = min(size * (a - b) for size, a, b in sections)
-    refuse("displacement", "it is more than both can contract", together(0.0) < -1e-12)
-    refuse("displacement", "the weaker section would be stretched beyond its nominal length", together(most) > 1e-12)
+    refuse("displacement", "it is more than both can contract", together(0.0) < -1e-12, x)
+    refuse("displacement", "the weaker section would be stretched beyond its length", together(most) > 1e-12, x)
     low, high = together(0.0), together(most)
     force = 0.0 if low <= 0 else most if high >= 0 else float(brentq(together, 0.0, most, xtol=1e-12))
     first, second = contractions(force)
@@ -227,10 +227,14 @@ def cascade(time: Array, count: Array, pressure: Array, delay: Array, hold: Arra
 def ultimate_gain(dead_time: Array, lag_regulator: Array, lag_muscle: Array, sample_period: Array) -> Values:
     """K_u k_g [1] and T_u [s] from L, T_1, T_2 and T_s [s]."""
     inputs = np.broadcast_arrays(dead_time + sample_period / 2, lag_regulator, lag_muscle)
-    found = [
-        ultimate(Loop(1.0, L, tuple(lag for lag in lags if lag > 0)))
-        for L, *lags in zip(*(np.ravel(item).tolist() for item in inputs), strict=True)
-    ]
+    try:
+        found = [
+            ultimate(Loop(1.0, L, tuple(lag for lag in lags if lag > 0)))
+            for L, *lags in zip(*(np.ravel(item).tolist() for item in inputs), strict=True)
+        ]
+    except ValueError:
+        refuse("dead_time", "it is too short to count beside the lags: two lags alone never oscillate")
+        raise
     shape = inputs[0].shape
     return {
         "loop_gain": np.array([item.gain for item in found]).reshape(shape),

@@ -107,9 +107,9 @@ def daerden_inverse(
 ) -> Values:
     """P [Pa gauge] from F [N], eps [1], D0 [m], theta0 [rad], alpha [1], A [N], B1 and B2 [1]."""
     section = section_factor(contraction, diameter, braid_angle, alpha)
-    refuse("contraction", "S(eps) is not above 0: no pressure gives a pull there", section <= 0)
+    refuse("contraction", "S(eps) is not above 0: no pressure gives a pull there", section <= 0, contraction)
     pressure = (force - rubber_force(contraction, A, B1, B2)) / section
-    refuse("force", "the rubber alone pulls more at this contraction: it would take a vacuum", pressure < -1e-6)
+    refuse("force", "the rubber alone pulls more at this contraction: it would take a vacuum", pressure < -1e-6, force)
     return {"pressure": np.maximum(pressure, 0.0)}
 
 

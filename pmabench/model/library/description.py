@@ -117,7 +117,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a value is refused: `value`, `low` and `high` are SI; NaN where a relation between inputs is broken."""
+    """Why a value is refused: `value`, `low` and `high` are SI, and NaN where they do not say it."""
 
     name: str
     reason: str
@@ -128,8 +128,10 @@ class Refusal:
 
     def __str__(self) -> str:
         """The sentence, in SI."""
-        if math.isnan(self.low):
+        if math.isnan(self.value):
             return f"{self.name}: {self.reason}"
+        if math.isnan(self.low):
+            return f"{self.name} = {self.value:.6g} (SI): {self.reason}"
         ends = f"{'above ' if self.above else ''}{self.low:.6g} to {self.high:.6g}"
         return f"{self.name} = {self.value:.6g} (SI) is outside {ends}" + (f": {self.reason}" if self.reason else "")
 
@@ -142,10 +144,14 @@ class OutsideDomain(ValueError):
         super().__init__("; ".join(map(str, refusals)))
 
 
-def refuse(name: str, reason: str, broken: ArrayLike = True) -> None:
-    """Refuse input `name` where `broken` is true anywhere."""
-    if np.any(broken):
+def refuse(name: str, reason: str, broken: ArrayLike = True, value: ArrayLike | None = None) -> None:
+    """Refuse input `name` where `broken` is true anywhere; with the `value` [SI] at the first such place."""
+    if not np.any(broken):
+        return
+    if value is None:
         raise OutsideDomain(Refusal(name, reason))
+    where, values = np.broadcast_arrays(broken, np.asarray(value, dtype=np.float64))
+    raise OutsideDomain(Refusal(name, reason, float(values[where].flat[0])))
 
 
 MODELS: dict[str, Model] = {}

@@ -18,13 +18,13 @@ PRESSURE = Parameter("pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0
 def _within(pressure: Array, low: Array, high: Array) -> None:
     refuse("pressure_high", "it must be above pressure_low", high <= low)
     outside = (pressure < low * (1 - 1e-12)) | (pressure > high * (1 + 1e-12))
-    refuse("pressure", "the coefficients hold from pressure_low to pressure_high only", outside)
+    refuse("pressure", "the coefficients hold from pressure_low to pressure_high only", outside, pressure)
 
 
-def _sound(stiffness: Array, *dampings: Array) -> None:
-    refuse("pressure", "the stiffness would not be above 0 there: the fit does not hold", stiffness <= 0)
+def _sound(pressure: Array, stiffness: Array, *dampings: Array) -> None:
+    refuse("pressure", "the stiffness would not be above 0 there: the fit does not hold", stiffness <= 0, pressure)
     for damping in dampings:
-        refuse("pressure", "the damping would be negative there: the fit does not hold", damping < 0)
+        refuse("pressure", "the damping would be negative there: the fit does not hold", damping < 0, pressure)
 
 
 def _limits(low: float, high: float) -> tuple[Parameter, ...]:
@@ -97,7 +97,7 @@ def polynomial_coefficients(
     K = stiffness_0 + P * (stiffness_1 + P * stiffness_2)
     B_c = damping_contract_0 + P * (damping_contract_1 + P * damping_contract_2)
     B_r = damping_relax_0 + P * (damping_relax_1 + P * damping_relax_2)
-    _sound(K, B_c, B_r)
+    _sound(pressure, K, B_c, B_r)
     x = np.maximum(F_ce - load, 0) / K
     return {
         "force_ce": F_ce, "stiffness": K, "damping_contract": B_c, "damping_relax": B_r,
@@ -161,7 +161,7 @@ def piecewise_coefficients(
     K_low, K_high = (stiffness_below_0, stiffness_below_1), (stiffness_above_0, stiffness_above_1)
     B_low, B_high = (damping_below_0, damping_below_1), (damping_above_0, damping_above_1)
     K, B = lines(pressure, stiffness_break, K_low, K_high), lines(pressure, damping_break, B_low, B_high)
-    _sound(K, B)
+    _sound(pressure, K, B)
     zero = 0 * pressure
     return {
         "stiffness": K,

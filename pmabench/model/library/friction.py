@@ -102,7 +102,7 @@ def hysteresis_loop(
 ) -> Values:
     """F_h of both branches and the gap [N] from contractions [1], H [N], w [1]."""
     outside = (contraction < contraction_low) | (contraction > contraction_high)
-    refuse("contraction", "it must be between the turns", outside)
+    refuse("contraction", "it must be between the turns", outside, contraction)
     turn = height * np.tanh((contraction_high - contraction_low) / (2 * width))
     down = -height + (turn + height) * np.exp(-(contraction - contraction_low) / width)
     up = height - (turn + height) * np.exp(-(contraction_high - contraction) / width)

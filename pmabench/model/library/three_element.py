@@ -136,7 +136,7 @@ def step_response(
     time: Array, force_ce: Array, load: Array, stiffness: Array, damping: Array, dead_time: Array
 ) -> Values:
     """Gives x and x_inf [m], tau [s] from t [s], F_ce and F_L [N], K [N/m], B [N.s/m], t_d [s]."""
-    refuse("load", "a load above F_ce is not lifted: the muscle would be stretched", load > force_ce)
+    refuse("load", "a load above F_ce is not lifted: the muscle would be stretched", load > force_ce, load)
     refuse("damping", "it must be above 0: without damping there is no time constant", damping <= 0)
     final, tau = (force_ce - load) / stiffness, damping / stiffness
     since = np.maximum(time - dead_time, 0)
@@ -193,6 +193,6 @@ def release_response(time: Array, displacement_start: Array, stiffness: Array, d
 )  # fmt: skip
 def coefficients_of_step(force_ce: Array, load: Array, displacement: Array, tau: Array) -> Values:
     """S [N/m], D [N.s/m] from F_ce and L [N], x_max [m], tau [s]."""
-    refuse("load", "a load above F_ce is not lifted", load >= force_ce)
+    refuse("load", "a load above F_ce is not lifted", load >= force_ce, load)
     stiffness = (force_ce - load) / displacement
     return {"stiffness": stiffness + 0 * tau, "damping": tau * stiffness}
