@@ -216,9 +216,13 @@ def tell_outcome(ui: Ui, outcome: Outcome) -> None:
 
 
 def print_outcome(outcome: Outcome) -> None:
-    """How it ended, in two lines."""
+    """How it ended, in two lines; where no vent was confirmed, what came of each action and what to do."""
     why = f": {outcome.why}" if outcome.why else ""
     click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{_vented(outcome)}")
+    if outcome.vent is not None and not outcome.vent.confirmed:
+        for action in outcome.vent.actions:
+            click.echo(f"  {action}")
+        click.echo("  nobody knows that the pressure is gone: stay away, shut the supply by hand, then pmabench vent")
     click.echo(str(outcome.folder))
 
 

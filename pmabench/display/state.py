@@ -75,6 +75,8 @@ class RunState:
         self.phase = ""
         self.trial: Trial | None = None
         self.paused = False
+        self.held: set[str] = set()
+        """Limits that hold the bench: nothing new is commanded."""
         self.wanted: set[str] = set()
         """Keys of the operator that wait for the end of the trial: `pause`, `repeat`."""
         self.prompt = ""
@@ -179,6 +181,8 @@ class RunState:
             self.prompt = ""
         elif kind == "key":
             (self.wanted.add if data.get("on") else self.wanted.discard)(str(data.get("key")))
+        elif kind == "warning" and data.get("action") in ("hold", "over"):
+            (self.held.add if data["action"] == "hold" else self.held.discard)(str(data.get("limit", "")))
         elif kind in ("pause", "goes-on"):
             self.paused = kind == "pause"
             self.wanted.discard("pause")

@@ -126,6 +126,8 @@ def _doing(state: RunState) -> Text:
         return Text()
     if state.paused:
         return Text(" PAUSED: p goes on ", WARN)
+    if state.held:
+        return Text(f" HELD by {clean(', '.join(sorted(state.held)))} ", WARN)
     wanted = [
         words for key, words in (("pause", "will pause"), ("repeat", "will repeat this trial")) if key in state.wanted
     ]

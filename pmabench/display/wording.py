@@ -98,6 +98,10 @@ def event_text(event: Event) -> tuple[str, str] | None:
     data, kind = event.data, event.kind
     if kind in _ELSEWHERE:
         return None
+    if kind == "warning" and data.get("action") in ("hold", "over"):
+        held = data["action"] == "hold"
+        reason = clean(str(data.get("reason", "")))
+        return ("held, nothing new is commanded: " if held else "") + reason, "doubt" if held else "info"
     if kind in _TOLD:
         words, entry, level = _TOLD[kind]
         lines = str(data.get(entry, "")).strip().splitlines() if entry else []

@@ -129,24 +129,25 @@ class Commander:
 
     def __init__(self, guard: Commands, commanded: Commanded, clock: Clock, wait: Callable[[], None]) -> None:
         self._guard, self._commanded, self._clock = guard, commanded, clock
-        self._wait = wait
+        self.wait = wait
+        """Returns when nothing holds the bench any more."""
 
     def set(self, output: str, value: float) -> float:
         """Command `value` [SI]; returns what the device got."""
-        self._wait()
+        self.wait()
         sent = self._guard.set(output, value)
         self._commanded.set(output, self._clock.now(), value)
         return sent
 
     def ramp(self, output: str, origin: float, target: float, rate: float) -> None:
         """From `origin` to `target` [SI] at `rate` [SI/s]."""
-        self._wait()
+        self.wait()
         self._guard.ramp(output, origin, target, rate)
         self._commanded.ramp(output, self._clock.now(), origin, target, rate)
 
     def sine(self, output: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
         """Mean + amplitude sin(2 pi f t) [SI, Hz] for whole cycles."""
-        self._wait()
+        self.wait()
         self._guard.sine(output, mean, amplitude, frequency, cycles)
         self._commanded.sine(output, self._clock.now(), mean, amplitude, frequency, cycles)
 

@@ -201,17 +201,20 @@ class Executor:
         self._value[output] = value
 
     def _set(self, step: Set) -> None:
+        self._wait_while_held()  # first: the record says when it was commanded, not when it was wanted
         before = self._value.get(step.output, 0.0)
         sent = self.guard.value_sent(step.output, step.value)
         self._command(step, step.output, "set", step.value, before, sent=sent)
         self._commander.set(step.output, step.value)
 
     def _ramp(self, step: Ramp) -> None:
+        self._wait_while_held()
         self._command(step, step.output, "ramp", step.to, step.origin, rate=step.rate)
         self._commander.ramp(step.output, step.origin, step.to, step.rate)
         self.acquisition.pass_time(step.longest())
 
     def _follow(self, step: Follow) -> None:
+        self._wait_while_held()
         self._command(
             step,
             step.output,

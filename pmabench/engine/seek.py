@@ -54,6 +54,7 @@ class Moves:
     def set(self, value: float) -> None:
         """Command a value at once."""
         value = self.inside(value)
+        self._guard.wait()  # first: the record says when it was commanded
         before = self.commanded
         self._log("set", value, value if before is None else before)
         self._guard.set(self.step.output, value)
@@ -62,6 +63,7 @@ class Moves:
     def ramp(self, origin: float, target: float, rate: float) -> float:
         """Start a ramp; returns the bench time [s] when it will be there."""
         origin, target = self.inside(origin), self.inside(target)
+        self._guard.wait()
         self._log("ramp", target, origin, rate=rate)
         self._guard.ramp(self.step.output, origin, target, rate)
         self.commanded = target

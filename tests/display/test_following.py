@@ -189,6 +189,9 @@ def test_what_the_operators_keys_bring_about_is_shown(live):
     assert "PAUSED: p goes on" in shown_after("pause", pressure=3e5)
     text = shown_after("goes-on")
     assert "PAUSED" not in text
+    held = {"reason": "far from what is commanded", "limit": "following pressure"}
+    assert "HELD by following pressure" in shown_after("warning", action="hold", **held)
+    assert "HELD" not in shown_after("warning", action="over", **held)
     assert "will" not in text
 
 
@@ -198,6 +201,13 @@ def test_what_the_operators_keys_bring_about_is_shown(live):
         ("load-check", {"ok": False, "text": "the load cell reads 70 N"}, "!", "load-check: the load cell reads 70 N"),
         ("load-check", {"ok": True, "text": "the load cell reads 59 N"}, " ", "load-check: the load cell reads 59 N"),
         ("warning", {"reason": "force 1700 N above 1600 N", "value": 1.0}, "!", "warning: force 1700 N above 1600 N"),
+        (
+            "warning",
+            {"reason": "force is high", "action": "hold"},
+            "!",
+            "held, nothing new is commanded: force is high",
+        ),
+        ("warning", {"reason": "force is inside again", "action": "over"}, " ", "force is inside again"),
         ("vent", {"result": "commanded"}, "!!", "vent commanded"),
         ("vent", {"result": "confirmed"}, " ", "vent confirmed"),
         ("ended-early", {"reason": "Traceback:\n  File x\nValueError: it"}, "!!", "ended early: ValueError: it"),

@@ -206,6 +206,30 @@ def test_a_limit_that_holds_keeps_the_next_command_back_until_it_is_over():
     assert "held for 60 s" in outcome.why
     assert free.status == "finished"
     assert any(data.get("action") == "hold" for kind, _, data in outcome.events if kind == "warning")
+    assert [data["value"] for kind, _, data in outcome.events if kind == "command"] == [1e5], (
+        "none was sent, none is told"
+    )
+
+
+def test_a_command_that_was_held_back_is_told_when_it_is_sent():
+    """The force is off by 500 N from 3.5 s on and right again at 5.5 s: what was due at 4 s comes then."""
+    hold = limit("range", "force", high=130.0, action="hold")
+    steps = (Set("a", "pressure", 1e5), Hold("a", 1.0), Set("b", "pressure", 1.2e5), Hold("b", 1.0))
+    free = [t for kind, t, _ in execute(limited(), steps).events if kind == "command"]
+    acting = Acquisition._act
+
+    def act(self, trips):
+        acting(self, trips)
+        if self.clock.now() >= 5.5:
+            self.holding.clear()
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Acquisition, "_act", act)
+        events = execute(limited(hold, errors={"force": {"offset": 500.0, "at": 3.5}}), steps).events
+    told = [t for kind, t, _ in events if kind == "command"]
+    assert told[0] == free[0]
+    assert free[1] < 5.0
+    assert 5.5 <= told[1] < 5.6
 
 
 def keys(*typed):
