@@ -40,7 +40,7 @@ def life(rig: Rig) -> str:
             told = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
             if not isinstance(told, DeviceError):
                 raise Failed(f"{what} after close() gave {told!r}; a DeviceError is expected")
-        again = rig.call("open() again", device.open).good(2.0)
+        again = rig.call("open() again", device.open).good(rig.opens_within)
         if not isinstance(again, Identity):
             raise Failed("a driver that was closed cannot be opened again")
     who = f"{again.maker} {again.model}".strip()

@@ -9,7 +9,7 @@ from pathlib import Path
 from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.bench.compile import mount_alone
 from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.registry import driver_class
+from pmabench.bench.registry import driver_class, drivers
 from pmabench.files.shipped import shipped_folder
 
 
@@ -30,7 +30,10 @@ def subjects(driver: str, bench: Path | None = None) -> Iterable[Subject]:
         target = driver_class(driver)
     except ValueError as error:
         raise UsageError(f"{error}; or give module:Class") from error
-    for path in sorted(shipped_folder("bench").glob("*.yaml")) if bench is None else [bench]:
+    names = [target, *(name for name, known in drivers().items() if known == target)]
+    shipped = sorted(shipped_folder("bench").glob("*.yaml")) if bench is None else []
+    naming = [path for path in shipped if any(name in path.read_text("utf-8") for name in names)]
+    for path in naming if bench is None else [bench]:
         try:
             compiled = mount_alone(path).bench
         except InvalidFile:

@@ -27,6 +27,6 @@ def test_without_being_opened(driver):
 @pytest.mark.realtime
 @pytest.mark.parametrize("driver", sorted(drivers()))
 def test_over_its_wire(driver, record_property):
-    count = cases(100)
+    count = cases(150)
     record_property("cases", count)
     assert not broken(driver, count, [*(name for name in CHECKS if name not in QUICK), "hostile answers"])
