@@ -9,7 +9,7 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, open_adapter
@@ -136,7 +136,9 @@ class CanBus:
             models = ["CAN adapter"]
         told = ", ".join(model.removeprefix(EMULATED) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
-        return Identity("CAN", f"{EMULATED if simulated else ''}{told}", serial, firmware, simulated=simulated)
+        return Identity(
+            "CAN", f"{EMULATED if simulated else ''}{told}", serial, firmware, simulated=simulated, clock=COMPUTER
+        )
 
     def _refuse_narrow_limits(self, deadline: float) -> None:
         """A drive whose own limits are inside of the bench's would not go where it is sent."""
