@@ -2,6 +2,7 @@
 
 import pytest
 
+from pmabench.files.shipped import shipped_folder
 from tests.drivers.judged import (
     HARDWARE_TIMED,
     assert_coefficients,
@@ -16,8 +17,15 @@ from tests.drivers.whole_run import WholeRun, coefficients, one_step
 
 pytestmark = pytest.mark.realtime
 
-OWN_LINE = ("dump_valve: {device: relay, output: dump_valve,", "dump_valve: {device: daq, output: port1/line0,")
-"""The dump valve on a line of the USB-6215 itself, as at a rig without a relay module."""
+
+def alone():
+    """Changes to the bench: no relay module, the dump valve on a line of the USB-6215 itself."""
+    text = (shipped_folder("bench") / "ni.yaml").read_text()
+    relay = text[text.index("  relay:") : text.index("channels:")]
+    return (
+        (relay, ""),
+        ("dump_valve: {device: relay, output: dump_valve,", "dump_valve: {device: daq, output: port1/line0,"),
+    )
 
 
 def test_coefficients_come_back_without_a_gap(tmp_path):
@@ -38,7 +46,7 @@ def test_all_killed(tmp_path):
 
 @pytest.mark.slow
 def test_with_the_dump_valve_on_the_device_itself(tmp_path):
-    with WholeRun(tmp_path, "ni", OWN_LINE) as run:
+    with WholeRun(tmp_path, "ni", *alone()) as run:
         run.carried_out(one_step(500))
         assert_vented(run)
         assert max(run.commanded()) == pytest.approx(300e3, abs=31)  # a step of the output is 31 Pa
@@ -50,7 +58,7 @@ def test_with_the_dump_valve_on_the_device_itself(tmp_path):
 @pytest.mark.slow
 @whoever_dies
 def test_whoever_dies(tmp_path, who):
-    with WholeRun(tmp_path, "ni", OWN_LINE) as run:
+    with WholeRun(tmp_path, "ni", *alone()) as run:
         assert_dies(run, who)
 
 
