@@ -315,3 +315,22 @@ def test_questions_that_make_no_sense_do_not_end_the_plant(client, plant):
         with pytest.raises(DeviceError):
             client._ask(question.get("do", ""), **{k: v for k, v in question.items() if k != "do"})
     assert client.read_back("pressure") == pytest.approx(300 * COUNT)
+
+
+@realtime
+def test_a_program_whose_samples_another_one_takes_is_told_so(client, plant):
+    """Two programs with states of their own do not see one another's locks, and share the plant."""
+    client.start(100.0)
+    eventually(lambda: len(client.collect().time))
+    other = Link("plant", parse_address("plant", plant.address), 5.0)
+    by = time.monotonic() + 5
+    try:
+        other.ask("hello", by, role="client", pid=1, zero=0.0, device=asdict(plant.device))
+        other.ask("start", by, rate=50.0)
+        assert "is sampled by another program now (process 1)" in failing(client.collect)
+        other.ask("stop", by)
+        assert "process 1" in failing(client.collect)
+    finally:
+        other.close()
+    client.start(100.0)
+    eventually(lambda: len(client.collect().time))

@@ -99,13 +99,15 @@ class Served:
             "is_on": lambda _, q: self._bench.is_on(str(q["output"])),
             "level": lambda _, q: self._bench.level(str(q["name"])),
             "place": self._place,
-            "start": lambda _, q: self._bench.start(float(q["rate"])),
+            "start": self._start,
             "stop": lambda _, q: self._bench.stop(),
             "rescue": self._rescue,
             "arm": self._arm,
             "feed": self._feed,
             "disarm": self._disarm,
         }
+        self._sampler = 0
+        """The process that began to sample last; 0 for none."""
         self._heard = 0.0
         self._watchdog = 0.0
         self._bitten: float | None = None
@@ -158,7 +160,17 @@ class Served:
             raise DeviceError(self.device.name, f'no command "{do}"{did_you_mean(do, self._questions)}')
         return {"value": self._questions[do](asker, question)}, b""
 
+    def _start(self, asker: Asker, question: Mapping[str, Any]) -> float:
+        self._sampler = asker.pid
+        return self._bench.start(float(question["rate"]))
+
     def _collect(self, asker: Asker) -> tuple[dict[str, Any], bytes]:
+        if self._sampler not in {0, asker.pid}:
+            raise DeviceError(
+                self.device.name,
+                f"is sampled by another program now (process {self._sampler}), and gives its samples to one at a time: "
+                "end that one, or give this bench's device another address",
+            )
         block = self._bench.collect()
         shift = round((self.clock.start - asker.zero) * 1e9)
         moment = np.asarray(block.time, dtype="<i8") + shift
