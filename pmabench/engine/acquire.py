@@ -68,8 +68,8 @@ class Acquisition:
         self.check: Callable[[], None] = lambda: None
         self._recorder = recorder
         self.commanded = Commanded()
-        self.on_trip: Callable[[str], None] = lambda _why: None
-        """Begins the safe state, from whatever thread finds the crossing."""
+        self.on_trip: Callable[[str, bool], None] = lambda _why, _latches: None
+        """Begins the safe state, from whatever thread finds its cause; whether that is one that latches the bench."""
         self.beat: Callable[[], None] = lambda: None
         """Tells the guard that the program lives, while samples are waited for."""
         self.holding: set[str] = set()
@@ -239,7 +239,8 @@ class Acquisition:
             except Exception as error:  # an error in the program ends the run as a lost device does
                 if self._tripped is None:
                     self._tripped = error
-                    self.on_trip(str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}")
+                    why = str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}"
+                    self.on_trip(why, isinstance(error, LimitTripped))
 
     def _take(self, source: Source, block: Block) -> None:
         """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""
@@ -291,7 +292,7 @@ class Acquisition:
             if trip.limit.action in ENDS:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":
-                    self.on_trip(str(trip))
+                    self.on_trip(str(trip), True)
                 self._recorder.event(
                     "trip",
                     trip.t,

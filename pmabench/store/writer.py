@@ -229,7 +229,7 @@ class RunWriter:
         self._halt()
         failure = self._finish_streams() or (None if self._told else self._failure)
         if failure is not None:
-            status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
+            status, why = "error", _with(failure, status, why)
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
         self._event("end", last, {"status": status, "why": why, **plain(end)})
         self._closed = True
@@ -239,7 +239,7 @@ class RunWriter:
                 self._events.sync()
             except OSError as error:
                 failure = failure or cannot_write(self._events.path, error)
-                status, why = "error", f"{failure}; before that: {status} {why}".rstrip()
+                status, why = "error", _with(failure, status, why)
             self._events.close()
             seal(self.folder, status, why, end)
         except (OSError, ValueError, InvalidFile) as error:
@@ -257,6 +257,11 @@ class RunWriter:
                 failure = failure or cannot_write(stream.file.path, error)
                 stream.file.close()
         return failure
+
+
+def _with(failure: RecordError, status: str, why: str) -> str:
+    """Why a run ends that could not be written, with what it would have ended by; nothing is told twice."""
+    return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 
 def _make_folder(parent: Path, name: str) -> Path:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from pmabench.base.clock import RealClock
+from pmabench.base.errors import LimitTripped, RecordError
 from pmabench.bench.interface import Block
 from pmabench.engine.acquire import Acquisition
 from pmabench.engine.recorder import NoRecord
@@ -71,3 +72,20 @@ def test_nothing_that_was_there_before_is_collected_again_during_a_run_in_real_t
         assert gc.get_freeze_count() > before + 10_000
         assert len(gc.get_objects()) < 10_000
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize(("error", "latches"), [(RecordError("full"), False), (LimitTripped("too high"), True)])
+def test_what_the_second_pair_of_eyes_finds_latches_only_as_it_does_elsewhere(made, error, latches):
+    """A full disk or a lost device vents; only a limit latches the bench, whichever thread meets it."""
+    acquisition, slow, _ = made
+    told = []
+    acquisition.on_trip = lambda why, latches: told.append((why, latches))
+
+    def collect():
+        raise error
+
+    slow.collect = collect
+    until = time.monotonic() + 10.0
+    while not told and time.monotonic() < until:
+        time.sleep(0.01)
+    assert told == [(str(error), latches)]
