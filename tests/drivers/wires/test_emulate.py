@@ -2,60 +2,27 @@
 
 import json
 import re
-import signal
 import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from itertools import pairwise
 
 import pytest
 
 from pmabench.bench.compile import mount
+from tests.drivers.emulated_bench import ask, emulate
 from tests.drivers.wires.rigs import opened
 from tests.drivers.wires.test_options import SPECIMEN, bench
+from tests.realtime import free_port
 
 pytestmark = pytest.mark.realtime
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 def own_bench(tmp_path):
     path = bench(tmp_path, "127.0.0.1:15020", f"127.0.0.1:{free_port()}")
     path.write_text(path.read_text().replace("/tmp/pmabench-wires", str(tmp_path / "ports")))
     return path
-
-
-@contextmanager
-def emulate(path, *options):
-    command = [sys.executable, "-m", "pmabench", "emulate", str(path), "--json", "-q", *options]
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
-    )
-    try:
-        text = ""
-        while not text.endswith("\n}\n"):
-            line = process.stdout.readline()
-            assert line, process.stderr.read()
-            text += line
-        yield process, json.loads(text)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def ask(address, **wanted):
-    host, port = address.split(":")
-    with socket.create_connection((host, int(port)), timeout=5) as link, link.makefile("rw") as stream:
-        stream.write(json.dumps(wanted) + "\n")
-        stream.flush()
-        return json.loads(stream.readline())
 
 
 def test_a_bench_is_served_where_its_file_says_and_the_drivers_find_it(tmp_path):
