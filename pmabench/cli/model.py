@@ -31,32 +31,25 @@ command.add_command(simulate)
 @common
 def list_models(ui: Ui) -> int | None:
     """Every model, by family."""
-    from pmabench.model.library import MODELS
+    from pmabench.model.library import FAMILIES, MODELS
 
-    models = list(MODELS.values())
-    families = list(dict.fromkeys(model.family for model in models))
+    models = sorted(MODELS.values(), key=lambda model: FAMILIES.index(model.family))
     data = {
         "schema": "pmabench.models/1",
-        "models": [
-            {"name": m.name, "family": m.family, "title": m.title, "source": m.source}
-            for family in families
-            for m in models
-            if m.family == family
-        ],
+        "models": [{"name": m.name, "family": m.family, "title": m.title, "source": m.source} for m in models],
     }
 
     def human() -> None:
         from pmabench.report.terminal import print_grid
 
+        heads = ["family", "model", "what it gives"]
         rows = []
-        for family in families:
-            for index, model in enumerate(m for m in models if m.family == family):
-                rows.append(["" if index else family, model.name, model.title])
-        print_grid(
-            ui.console(columns=120), ["family", "model", "what it gives"], rows, ("family", "model", "what it gives")
-        )
+        for before, model in zip([None, *models], models, strict=False):
+            again = before is not None and before.family == model.family
+            rows.append(["" if again else model.family, model.name, model.title])
+        print_grid(ui.console(columns=120), heads, rows, heads)
 
-    ui.result(data, human, (row["name"] for row in data["models"]))  # type: ignore[index]
+    ui.result(data, human, (model.name for model in models))
     return None
 
 

@@ -42,7 +42,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Muscle:
-    """A muscle as F = F_ce(P) - K(P) x - B(P) x' - friction sign(x'), x = contraction (papers.md 2.1; paper 0 eq. 2).
+    """A muscle as F = F_ce(P) - K(P) x - B(P) x' - friction sign(x'), x = contraction (paper 0 eq. 2).
 
     Every coefficient follows the instantaneous gauge pressure. B is `B_c` while it contracts, `B_r` while it relaxes.
     SI: F_ce [N], K [N/m], B_c and B_r [N.s/m] over P [Pa]; `length` nominal [m]; `stop` contraction at which the

@@ -1,4 +1,4 @@
-"""Ready-made plants with their sources (papers.md 5.1, 5.2), each `ideal` and `bench`; knows no driver.
+"""Ready-made plants with their sources, each `ideal` and `bench`; knows no driver.
 
 `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag, dead time, stiction and noise.
 """
@@ -18,7 +18,7 @@ N_PER_MM = 1e3
 
 
 def paper0() -> Muscle:
-    """Festo MAS-20-250 with coefficients assumed so that the ranges of paper 0 come out (papers.md 5.1), no friction.
+    """Festo MAS-20-250 with coefficients assumed so that the ranges of paper 0 come out, no friction.
 
     P in kPa: F_ce = 1.08 P - 49.0 >= 0 N; K = 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm; B_c = 1.2 + 1.6e-3 P and
     B_r = 1.1 + 3.4e-3 P N.s/mm.
@@ -33,7 +33,7 @@ def paper0() -> Muscle:
 
 
 def serres2009() -> Muscle:
-    """Festo MAS-20-250 of Serres and others 2009 (papers.md 5.2), no friction.
+    """Festo MAS-20-250 of Serres and others 2009, no friction.
 
     P in kPa: F_ce = 2.91 P + 44.6 N, below 150 kPa 3.207 P (a straight line to the origin); K = 32.7 - 0.0321 P up to
     314, 17 + 0.0179 P above, N/mm; B_c = 2.90; B_r = 1.57 up to 372, 0.311 + 0.00338 P above, N.s/mm.

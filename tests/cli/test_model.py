@@ -51,7 +51,11 @@ def test_eval_gives_the_force_in_units():
 
 def test_eval_over_a_range_is_a_table_in_all_forms():
     options = ("dmsp-40-305", "--over", "pressure=100 kPa..600 kPa by 50 kPa")
-    data = json.loads(call("eval", *options, "--json").stdout)
+    data = json.loads(call("eval", *options, "--set", "fit=polynomial", "--json").stdout)
+    assert data["inputs"] == {"fit": {"value": "polynomial", "unit": "", "given": True}}
+    other = json.loads(call("eval", *options, "--json").stdout)
+    assert other["inputs"]["fit"]["given"] is False
+    assert other["columns"] == data["columns"]
     columns = {column["name"]: column for column in data["columns"]}
     assert columns["pressure"]["values"] == pytest.approx([1e5 + 0.5e5 * i for i in range(11)])
     assert columns["stiffness"]["unit"] == "N/m"

@@ -1,4 +1,4 @@
-"""The library of models against printed tables, closed forms and independent computations (papers.md section 2)."""
+"""The library of models against printed tables, closed forms and independent computations (docs/papers.md)."""
 
 import math
 
@@ -85,7 +85,7 @@ def test_an_input_that_is_unknown_is_no_silent_default():
         MODELS["tondu-lopez"].evaluate({"presure": 1e5})
 
 
-# -- papers.md 2.2 to 2.4 ----------------------------------------------------------------------------------------
+# -- force of the braid ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("angle", [15, 25, 40, 54, 60, 75])
@@ -165,7 +165,7 @@ def test_strands_without_stretch_are_tondu_lopez_and_stretch_costs_force():
         MODELS["strand-stretch"].evaluate({"k_s": 1.6})
 
 
-# -- papers.md 2.5 to 2.7 ----------------------------------------------------------------------------------------
+# -- paper 2: length, force, arm -------------------------------------------------------------------------------------
 
 SIGMOID = """
 15 0.2835 5.407 0.1887 26.8 32.2 34.1 35.9 0.54 36.7 37.8 0.23
@@ -251,7 +251,7 @@ def test_the_arm_against_table_1_of_paper_2(row):
     assert 0.345 < highest - angle < 0.565 or load == 0.1
 
 
-# -- papers.md 2.8, 5.1, 5.3 -------------------------------------------------------------------------------------
+# -- papers 0 and 1: coefficients ------------------------------------------------------------------------------------
 
 DMSP = """
 1.0 26.65 17.35 10.09  0.651 0.379
@@ -347,7 +347,7 @@ def test_a_step_solves_the_equation_of_motion_without_mass():
     np.testing.assert_allclose(balance["acceleration"][inner], 0, atol=0.01)
 
 
-# -- papers.md 2.9, 5.5 ------------------------------------------------------------------------------------------
+# -- paper 3 ---------------------------------------------------------------------------------------------------------
 
 
 def test_daerden_with_alpha_2_and_no_rubber_is_tondu_lopez_and_does_the_work_of_its_volume():

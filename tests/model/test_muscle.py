@@ -1,4 +1,4 @@
-"""The preset muscles against the printed tables of their sources (papers.md 5.1, 5.2)."""
+"""The preset muscles against the printed tables of their sources (assumed for paper 0; Serres 2009)."""
 
 import numpy as np
 import pytest

@@ -103,7 +103,7 @@ def test_energy_of_a_stroke_balances():
 @pytest.mark.parametrize(("kind", "friction"), [("ideal", 0.0), ("bench", 10.0)])
 @pytest.mark.parametrize("force", LOADS)
 def test_a_load_lifts_at_the_pressure_of_its_weight_and_the_stiction(kind, friction, force):
-    """papers.md, feature 4: 58.86 N at 99.9 kPa, 545.44 N at 550.4 kPa, 9.3 kPa more with friction."""
+    """docs/papers.md, row 4: 58.86 N at 99.9 kPa, 545.44 N at 550.4 kPa, 9.3 kPa more with friction."""
     plant = free_end(kind=kind, force=force, mass=force / 9.81 + 2, regulator_lag=0.0, dead_time=0.0)
     lift = (force + friction + 49) / 1.08
     plant.command(ramp(0.0, 0.0, 620e3, 2e3))

@@ -30,6 +30,6 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     regulators,
     three_element,
 )
-from pmabench.model.library.description import MODELS, Model, OutsideDomain, Parameter, Refusal
+from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal
 
-__all__ = ["MODELS", "Model", "OutsideDomain", "Parameter", "Refusal"]
+__all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal"]

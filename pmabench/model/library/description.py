@@ -18,6 +18,19 @@ from numpy.typing import ArrayLike
 
 from pmabench.model.curve import Array
 
+FAMILIES = (
+    "static force",
+    "length",
+    "three-element",
+    "modified Daerden",
+    "chamber",
+    "regulator",
+    "friction and hysteresis",
+    "load",
+    "composition",
+    "loop",
+)
+"""The families in the order in which they are listed."""
 Values = dict[str, Array]
 """The outputs of a model by name [SI]."""
 P = ParamSpec("P")
@@ -155,7 +168,7 @@ def refuse(name: str, reason: str, broken: ArrayLike = True, value: ArrayLike | 
 
 
 MODELS: dict[str, Model] = {}
-"""Every model by name, in the order of the families' modules."""
+"""Every model by name."""
 
 
 def described(
@@ -174,8 +187,8 @@ def described(
 
     def enter(function: Callable[P, Values]) -> Callable[P, Values]:
         signature = inspect.signature(function)
-        if list(signature.parameters) != [p.name for p in parameters] or name in MODELS:
-            raise TypeError(f"{name}: known already, or described with other parameters than its function has")
+        if list(signature.parameters) != [p.name for p in parameters] or name in MODELS or family not in FAMILIES:
+            raise TypeError(f"{name}: known already, of no family, or not described as its function is")
 
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> Values:
