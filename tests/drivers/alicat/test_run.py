@@ -18,7 +18,7 @@ from tests.drivers.judged import (
 )
 from tests.drivers.whole_run import WholeRun, coefficients
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 PROTOCOLS = {"ascii": [], "modbus": [("protocol: ascii", "protocol: modbus\n      unit: kPa")]}
 both_protocols = pytest.mark.parametrize("changes", PROTOCOLS.values(), ids=PROTOCOLS)
 

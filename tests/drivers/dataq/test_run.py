@@ -19,7 +19,7 @@ from tests.drivers.judged import (
 )
 from tests.drivers.whole_run import LONGEST, SPECIMEN, WholeRun, coefficients, one_step
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
 
 def test_only_the_regulator_is_the_guards():

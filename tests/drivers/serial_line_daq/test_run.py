@@ -16,7 +16,7 @@ from tests.drivers.judged import (
 )
 from tests.drivers.whole_run import WholeRun, coefficients
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
 
 def test_coefficients_come_back(tmp_path):
