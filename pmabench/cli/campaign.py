@@ -32,7 +32,7 @@ def command(
         ui, find_file("campaign", file), out, operator_name=operator, yes=yes, resume=resume, session=session
     )
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
-    ui.result(data, lambda: click.echo("\n".join(str(outcome.folder) for outcome in outcomes)))
+    ui.result(data, lambda: click.echo("".join(f"{outcome.folder}\n" for outcome in outcomes), nl=False))
     return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
 
 

@@ -29,7 +29,7 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder")
-    rows = [vars(row) if not isinstance(row, dict) else row for row in catalogue(folder)]
+    rows = sorted(map(vars, catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
 
     def human() -> None:
         from pmabench.report.terminal import print_grid

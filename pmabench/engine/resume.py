@@ -146,7 +146,12 @@ def sources(folder: Path) -> dict[str, Any]:
     """Which files a run was made from, as its manifest says: `protocol`, `bench`, `specimen`, `set`."""
     from pmabench.store.folder import read_manifest
 
-    found = read_manifest(folder).get("sources")
+    manifest = read_manifest(folder)
+    if not manifest.get("trials_planned"):
+        what = f"is a run of kind {manifest.get('kind')} without trials: there is nothing to go on with"
+        then = "run the protocol again, a session comes first by itself"
+        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}; {then}")])
+    found = manifest.get("sources")
     if not isinstance(found, dict) or not {"protocol", "bench", "specimen"} <= set(found):
         raise InvalidFile(
             [Problem(str(folder), 0, 0, "does not say which files it was made from; name protocol, bench and specimen")]

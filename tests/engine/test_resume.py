@@ -4,9 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pmabench.base.errors import InvalidFile
 from pmabench.cli.prepare import prepare
-from pmabench.engine.resume import remaining
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.resume import remaining, sources
 from pmabench.protocol.plan import Ask, Ramp, Record
+from pmabench.session import ensure
+from tests.engine.benches import mounted
 
 PLANS = {
     kind: prepare(kind, "mock-actuator" if kind.startswith("sin") else "mock", "mas-20-250-paper0").plan
@@ -68,3 +72,9 @@ def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind,
             if isinstance(step, Ramp) and step.output == "displacement":
                 assert step.origin == pytest.approx(where)
                 where = step.to
+
+
+def test_a_session_is_told_to_be_none_to_go_on_with(tmp_path):
+    session = ensure(mounted("mock-session"), ConfirmedBeforehand(), tmp_path / "runs").in_session["run"]
+    with pytest.raises(InvalidFile, match="of kind session without trials: .* run the protocol again"):
+        sources(tmp_path / "runs" / session)
