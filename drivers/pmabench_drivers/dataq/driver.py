@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterable
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, DeviceRecord, Identity
 from pmabench_drivers.dataq.options import read_options, scan_inputs
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, Lost, Scans, divisors, packet, volts
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.pace import Pace
-from pmabench_drivers.polling import Samples
-from pmabench_drivers.serial_port import SerialPort
+from pmabench_drivers.serial_stream import PATIENCE, SerialStream
 
 BAUD = 115200
 """Of no meaning on USB."""
@@ -23,37 +21,31 @@ END = b"\r"
 STOP = b"stop\r"
 ANSWER = 0.1
 """Longest wait for the echo of a command [s]."""
-PATIENCE = 0.5
-"""So long nothing may come before `collect` says so [s]."""
 LOSSES, WITHIN = 3, 5.0
 """More losses than this within so many seconds are an error."""
 SLIP = 0.1
 """More than this the scans of a whole second may not be later than they were: scans are missing [s]."""
 
 
-class Dataq:
+class Dataq(SerialStream):
     """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)
         reader.refuse(device.name)
-        self._device, self._clock = device, clock
         self._inputs = scan_inputs(device)
         self._spans = [self._options.span(source) for source in self._inputs]
         self._columns = [self._inputs.index(channel.input) for channel in device.channels]
-        self._port: SerialPort | None = None
         self._dividend, self._rate = DIVIDEND, 0.0
-        self._begin()
+        super().__init__(device, clock, BAUD)
 
-    def _begin(self) -> None:
-        self._samples = Samples([channel.name for channel in self._device.channels])
+    def _forget(self) -> None:
+        super()._forget()
         self._losses: list[float] = []
         self.lost = 0
         """How often the stream broke and was begun again; each stands as a gap in the times."""
         self._newest = -1.0
-        self._failure = ""
-        self._heard = monotonic()
         self._begin_scans()
 
     def _begin_scans(self) -> None:
@@ -70,44 +62,27 @@ class Dataq:
         read_options(device, reader)
         return reader.problems
 
-    def open(self) -> Identity:
+    def _greet(self) -> Identity:
         """Stop what is under way, see that it is the right device, and give it the scan list."""
-        self.close()
-        self._port = SerialPort(self._device.name, self._device.address, BAUD, self._clock)
-        try:
-            self._quiet()
-            identity = self._identity()
-            self._ask("encode 0")
-            for position, source in enumerate(self._inputs):
-                number = int(source.removeprefix("a"))
-                self._ask(f"slist {position} {self._options.ranges.get(source, 0) << 8 | number}")
-                if self._options.model.decimates:
-                    self._ask(f"filter {number} {self._options.filter}")
-            self._ask(f"slist {len(self._inputs)} {DIGITAL}")
+        self._quiet()
+        identity = self._identity()
+        self._ask("encode 0")
+        for position, source in enumerate(self._inputs):
+            number = int(source.removeprefix("a"))
+            self._ask(f"slist {position} {self._options.ranges.get(source, 0) << 8 | number}")
             if self._options.model.decimates:
-                self._ask("deca 1")
-        except DeviceError:
-            self.close()
-            raise
+                self._ask(f"filter {number} {self._options.filter}")
+        self._ask(f"slist {len(self._inputs)} {DIGITAL}")
+        if self._options.model.decimates:
+            self._ask("deca 1")
         return identity
-
-    def close(self) -> None:
-        """Stop scanning and let go of the port."""
-        port = self._port
-        if port is not None:
-            self.stop()
-            self._port = None
-            port.close()
 
     def start(self, rate: float) -> float:
         """Scan at the rate nearest to `rate` [Hz] that the device can divide; returns it."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
-        port = self._opened()
-        self.stop()
+        port = self._ready(rate)
         srate, dec = divisors(self._options.model, rate, self._dividend)
         self._rate = self._dividend / (srate * dec)
-        self._begin()
+        self._forget()
         self._ask(f"srate {srate}")
         if self._options.model.decimates:
             self._ask(f"dec {dec}")
@@ -117,23 +92,12 @@ class Dataq:
         port.listen(self._take)
         return self._rate
 
-    def collect(self) -> Block:
-        """What came since the last call; an error where nothing comes, too much is lost, or the rate is another."""
-        port = self._opened()
-        why = port.gone or self._failure
-        if not why and port.listening and monotonic() - self._heard > max(PATIENCE, 3 / self._rate):
-            why = f"has sent no scan for {PATIENCE:g} s"
-        if why:
-            raise DeviceError(self._device.name, why)
-        return self._samples.take()
+    @property
+    def _patience(self) -> float:
+        return max(PATIENCE, 3 / self._rate)
 
-    def stop(self) -> None:
-        """End scanning; harmless when repeated."""
-        port = self._port
-        if port is not None and port.listening:
-            port.hush()
-            with contextlib.suppress(DeviceError):  # a port that is lost sends nothing either
-                self._quiet()
+    def _missing(self) -> str:
+        return "has sent no scan"
 
     # -- the stream -------------------------------------------------------------------------------------------------
 
@@ -226,8 +190,3 @@ class Dataq:
             raise DeviceError(self._device.name, f'tells "{dividend[:20]}" as what its rate divides')
         self._dividend = int(dividend)
         return Identity("DATAQ", model, serial[:40], firmware[:40], simulated=model.startswith(EMULATED))
-
-    def _opened(self) -> SerialPort:
-        if self._port is None:
-            raise DeviceError(self._device.name, "is not open")
-        return self._port

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 import re
 from collections.abc import Iterable
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, DeviceRecord, Identity
 from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
 from pmabench_drivers.ild1420.options import read_options
 from pmabench_drivers.ild1420.wire import Decoder, distance, misset
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.pace import Pace
-from pmabench_drivers.polling import Samples
-from pmabench_drivers.serial_port import SerialPort
+from pmabench_drivers.serial_stream import SerialStream
 
 PROMPT = b"->"
 """Ends each answer; inside a stream of values the two bytes cannot follow each other."""
 ANSWER = 0.15
 """Longest wait for an answer [s]."""
-PATIENCE = 0.5
-"""So long nothing usable may come before `collect` says so [s]."""
 LONGEST = 10.0
 """A jump of the counter over more than this is no loss [s]."""
 SLIP = 0.3
@@ -33,26 +28,23 @@ _ERROR = re.compile(rb"E\d{2,3}[^\r\n]*")
 _FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?$", re.MULTILINE)
 
 
-class Ild1420:
+class Ild1420(SerialStream):
     """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)
         reader.refuse(device.name)
-        self._device, self._clock = device, clock
-        self._port: SerialPort | None = None
-        self._begin()
+        super().__init__(device, clock, self._options.baud)
 
-    def _begin(self) -> None:
-        self._samples = Samples([channel.name for channel in self._device.channels])
+    def _forget(self) -> None:
+        super()._forget()
         self._decoder = Decoder()
         self._numbering = Numbering(int(LONGEST * self._options.rate))
         self._pace = Pace(SLIP)
         self._origin: float | None = None
         self._newest = 0.0
-        self._heard = monotonic()
-        self._problem, self._failure = "", ""
+        self._problem = ""
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -66,37 +58,20 @@ class Ild1420:
         """The rate at which it measures [Hz]."""
         return read_options(device, Reader()).rate
 
-    def open(self) -> Identity:
-        """Quiet the sensor, see that it is the right one, and set what a true record needs; nothing is saved in it."""
-        self.close()
-        self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
-        try:
-            self._quiet()
-            told = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
-            identity = self._identity(dict(_FIELD.findall(told)))
-            self._ask(f"MEASRATE {self._options.rate / 1000:g}")
-            for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
-                self._ask(setting)
-        except DeviceError:
-            self.close()
-            raise
+    def _greet(self) -> Identity:
+        """Quiet the sensor, see that it is the right one, and set what a true record needs."""
+        self._silence()
+        told = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
+        identity = self._identity(dict(_FIELD.findall(told)))
+        self._ask(f"MEASRATE {self._options.rate / 1000:g}")
+        for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
+            self._ask(setting)
         return identity
-
-    def close(self) -> None:
-        """Quiet the sensor and let go of the port."""
-        port = self._port
-        if port is not None:
-            self.stop()
-            self._port = None
-            port.close()
 
     def start(self, rate: float) -> float:
         """Begin to measure, at the sensor's own rate whatever is asked for [Hz]."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
-        port = self._opened()
-        self.stop()
-        self._begin()
+        port = self._ready(rate)
+        self._forget()
         answer = self._ask("OUTPUT RS422", rest=True)
         self._heard = monotonic()
         if answer:
@@ -104,24 +79,8 @@ class Ild1420:
         port.listen(self._take)
         return self._options.rate
 
-    def collect(self) -> Block:
-        """What came since the last call; an error where the sensor is silent, set wrong, or not at its rate."""
-        port = self._opened()
-        why = port.gone or self._failure
-        if not why and port.listening and monotonic() - self._heard > PATIENCE:
-            why = self._problem or "sends no measurement that can be read"
-            why = f"{why} for {PATIENCE:g} s"
-        if why:
-            raise DeviceError(self._device.name, why)
-        return self._samples.take()
-
-    def stop(self) -> None:
-        """End the stream; harmless when repeated."""
-        port = self._port
-        if port is not None and port.listening:
-            port.hush()
-            with contextlib.suppress(DeviceError):  # a port that is lost sends nothing either
-                self._ask("OUTPUT NONE")
+    def _missing(self) -> str:
+        return self._problem or "sends no measurement that can be read"
 
     @property
     def lost(self) -> int:
@@ -162,10 +121,14 @@ class Ild1420:
     # -- questions --------------------------------------------------------------------------------------------------
 
     def _quiet(self) -> None:
+        """End the stream."""
+        self._ask("OUTPUT NONE")
+
+    def _silence(self) -> None:
         """End a stream that somebody left behind; its bytes may drown one answer."""
         for last in (False, False, True):
             try:
-                self._ask("OUTPUT NONE")
+                self._quiet()
                 break
             except DeviceError:
                 if last:
@@ -203,8 +166,3 @@ class Ild1420:
             told.get("Version", "")[:40],
             simulated=model.startswith(EMULATED),
         )
-
-    def _opened(self) -> SerialPort:
-        if self._port is None:
-            raise DeviceError(self._device.name, "is not open")
-        return self._port
