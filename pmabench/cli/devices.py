@@ -84,15 +84,43 @@ def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
 
 
 @command.command(name="probe")
-@click.argument("bench")
+@click.argument("bench", required=False)
+@click.option("--driver", help="Without a bench file: a driver's name, or module:Class; needs --address.")
+@click.option("--address", help="Where its device is, as a bench file says it.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="An option of the driver.")
 @click.option("--self-test", "test", is_flag=True, help="Try the bench under a small pressure; needs --specimen.")
 @click.option("--specimen", help="The specimen that is mounted; its limits hold during the self-test.")
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt of the self-test counts as answered; the record says so.")
 @common
-def probe(ui: Ui, bench: str, specimen: str | None, out: Path, operator: str, *, test: bool, yes: bool) -> int | None:
-    """Open the devices of BENCH, show who answers and one value of each channel, and close; nothing is commanded."""
+def probe(
+    ui: Ui,
+    bench: str | None,
+    driver: str | None,
+    address: str | None,
+    options: tuple[str, ...],
+    specimen: str | None,
+    out: Path,
+    operator: str,
+    *,
+    test: bool,
+    yes: bool,
+) -> int | None:
+    """Open the devices of BENCH, show who answers and one value of each channel, and close; nothing is commanded.
+
+    With --driver and --address: the one device there, before there is a bench file.
+    """
+    if (bench is None) == (driver is None) or (driver is None) != (address is None) or (test and bench is None):
+        raise UsageError("give a BENCH, or --driver and --address of one device")
+    if driver is not None and address is not None:
+        from pmabench.cli.devices_alone import who_answers
+
+        identities = who_answers(driver, address, options)
+        data = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
+        ui.result(data, lambda: _print_probe(ui, identities, []))
+        return None
+    bench = str(bench)
     if test:
         if specimen is None:
             raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
@@ -148,6 +176,8 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
     ]
     heads = ["device", "answers as", "serial", "firmware", ""]
     print_grid(console, heads, rows, heads)
+    if not channels:
+        return
     console.print()
     table = []
     for row in channels:

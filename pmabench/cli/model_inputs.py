@@ -59,6 +59,8 @@ def _value(parameter: Parameter, text: str) -> float | str:
             return float(text)
         except ValueError:
             raise ValueError(f'"{text}" is no number; a pure number is expected, for instance "1.2"') from None
+    if parameter.quantity == "pressure" and "(" in text:
+        raise ValueError(f'"{text}": pressures of models are gauge, the atmosphere alone is absolute; write "300 kPa"')
     return parse_quantity(text, parameter.quantity)
 
 

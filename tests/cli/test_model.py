@@ -112,6 +112,7 @@ def test_everything_that_is_wrong_comes_at_once_with_the_nearest_name():
             ),
             "pressure = 300 kPa: the damping would be negative",
         ),
+        (("tondu-lopez", "--set", "pressure=3 bar(a)"), "pressures of models are gauge"),
         (("tondu-lopes",), 'did you mean "tondu-lopez"?'),
         (("tondu-lopez", "--over", "k=1..2 by 0.00001"), "at most 20000"),
         (("tondu-lopez", "--over", "k=1..2"), "FIRST..LAST by STEP"),

@@ -51,7 +51,7 @@ TEMPERATURE = Parameter("temperature", "T", "temperature", 293.0, "of the air", 
         "dP/dt = [-(k P_abs / V) V_eps eps' + (k r T / V) (q_in - q_out)] / (1 + (k P_abs / V) V_P)",
         "P_abs = P + P_atm;  r = 287 J/(kg K)",
     ),
-    source="paper 3 eqs. 14-16",
+    source="paper 3, chamber equation",
     parameters=(
         PRESSURE, VOLUME,
         Parameter("volume_slope", "V_eps", "volume", 271.0 * CM3, "dV/deps"),

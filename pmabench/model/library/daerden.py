@@ -119,7 +119,7 @@ def daerden_inverse(
         "V = (pi / 4) D0^2 l0 [1 / sin^2 theta0 - (1 - eps)^alpha / tan^2 theta0] (1 - eps)",
         "dV/deps = (pi / 4) D0^2 l0 [(alpha + 1) (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0]",
     ),
-    source="paper 3 eqs. 11-13",
+    source="paper 3, volume of the muscle",
     parameters=(CONTRACTION, DIAMETER, LENGTH, BRAID_ANGLE, ALPHA),
     outputs=(
         Output("volume", "V", "volume", "volume inside"),

@@ -23,7 +23,7 @@ DISPLACEMENT = Output("displacement", "x", "length", "contraction")
 @described(
     "three-element", FAMILY, "Acceleration and force of mass, damper and spring (paper 0)",
     equation=("M x'' + B x' + K x = F_ce - F_L", "F = F_ce - K x - B x' (what the cell at the fixed end reads)"),
-    source="paper 0 eqs. 1-2; paper 1 without the mass",
+    source="paper 0 eq. 2; paper 1 without the mass",
     parameters=(
         FORCE_CE, LOAD, STIFFNESS, DAMPING, MASS,
         Parameter("displacement", "x", "length", 20 * MM, "contraction", 0.0, 1.0, "it is stretched"),
@@ -111,7 +111,7 @@ def three_element_strain(
 @described(
     "step-response", FAMILY, "Contraction after a step of pressure from rest, without mass",
     equation=("x = x_inf (1 - exp(-(t - t_d) / tau)) for t >= t_d, else 0;  x_inf = (F_ce - F_L) / K;  tau = B / K",),
-    source="paper 0, contraction study; paper 1, eqs. 12-15 [closed form of the first-order equation]",
+    source="paper 0, contraction study; paper 1: closed form of the equation without mass",
     parameters=(
         TIME, FORCE_CE, LOAD, STIFFNESS, DAMPING,
         Parameter("dead_time", "t_d", "time", 0.0, "from the step to the first motion", 0.0),
