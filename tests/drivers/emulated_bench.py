@@ -40,11 +40,13 @@ def own_bench(tmp_path, name, *changes, session=False):
 def emulate(path, *options):
     """`pmabench emulate` as a process: the process, and what it says of itself.
 
-    It stands for hardware, which waits for nobody: where that is allowed it goes before what else the machine has to do.
+    It stands for hardware, which waits for nobody: it has a session of its own (of which Linux gives each its share of
+    the processors) and where that is allowed it goes first.
     """
     command = [sys.executable, "-m", "pmabench", "emulate", str(path), "--json", "-q", *options]
+    pipe = subprocess.PIPE
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+        command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, bufsize=1, start_new_session=True
     )
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, process.pid, -10)

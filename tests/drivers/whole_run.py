@@ -133,9 +133,10 @@ class WholeRun:
                 [sys.executable, "-m", "pmabench", "run", *given, "--no-color"],
                 stdout=said,
                 stderr=subprocess.STDOUT,
+                start_new_session=True,
                 env={**os.environ, "PMABENCH_STATE": str(self.folder / "state" / f"{self._began:.0f}")},
             )
-        with suppress(OSError):  # a computer at a bench has nothing else to do; what it starts gets the same
+        with suppress(OSError):  # a computer at a bench has nothing else to do
             os.setpriority(os.PRIO_PROCESS, self.process.pid, -5)
         threading.Thread(target=self._hands, args=(self.process,), daemon=True).start()
 
