@@ -1,5 +1,11 @@
 """Whole runs on the emulated USB-6215 and relay module, in real time: engine, guard and drivers as at a real bench."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
+
 import pytest
 
 from pmabench.files.shipped import shipped_folder
@@ -58,8 +64,31 @@ def test_with_the_dump_valve_on_the_device_itself(tmp_path):
 @pytest.mark.slow
 @whoever_dies
 def test_whoever_dies(tmp_path, who):
+    with WholeRun(tmp_path, "ni") as run:
+        assert_dies(run, who, watchdog=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["engine killed", "engine frozen", "guard killed", "guard frozen"])
+def test_whoever_dies_at_a_rig_without_relay_module(tmp_path, who):
     with WholeRun(tmp_path, "ni", *alone()) as run:
         assert_dies(run, who)
+
+
+@pytest.mark.slow
+def test_all_killed_at_a_rig_without_relay_module_vents_nothing(tmp_path):
+    """The truth that `check` tells: the device holds pressure and valve, until somebody vents."""
+    with WholeRun(tmp_path, "ni", *alone()) as run:
+        run.pressurised(one_step(100))
+        run.signal("both", signal.SIGKILL)
+        time.sleep(2.0)
+        assert run.commanded()[-1] >= 199e3
+        assert run.entries("switch")[-1]["on"] is True
+        vent = [sys.executable, "-m", "pmabench", "vent", str(run.path), "--no-color"]
+        environment = {**os.environ, "PMABENCH_STATE": str(tmp_path / "state")}
+        done = subprocess.run(vent, capture_output=True, text=True, env=environment, timeout=60)
+        assert run.commanded()[-1] == 0.0, done.stdout + done.stderr
+        assert run.entries("switch")[-1]["on"] is False
 
 
 @pytest.mark.slow
