@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pmabench_drivers.canbus import CanBus
+from pmabench_drivers.canbus.cia402 import State
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
@@ -196,9 +197,20 @@ def test_a_fault_from_before_is_acknowledged_once_and_a_new_one_is_not():
             driver.write(POSITION, 100.0)
 
 
+def test_a_fault_that_no_emergency_told_is_not_acknowledged_in_a_run_either():
+    with rig(bus(watchdog=0.0)) as (_emulator, served, driver):
+        driver.write(POSITION, 0.0)
+        node(served).objects[0x603F, 0].value = 0x3210
+        node(served)._enter(State.FAULT)
+        with pytest.raises(DeviceError, match="in fault, error code 3210h: voltage; the next run acknowledges it"):
+            driver.write(POSITION, 100.0)
+        assert node(served).drive_state is State.FAULT
+
+
 def test_a_fault_whose_cause_stays_is_told_with_its_code():
     with rig(opened=False) as (_emulator, served, driver):
         drive = node(served)
+        assert until(lambda: served._booted)
         drive.fault(0x8611)
         drive._reset_fault = lambda: None
         driver.open()

@@ -9,6 +9,7 @@ from tests.drivers.whole_run import WholeRun, until
 pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.slow
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "can", preset="bench") as run:
         run.carried_out(sines(0.5, 1, 2))
