@@ -117,7 +117,7 @@ def probe(
         from pmabench.cli.devices_alone import who_answers
 
         identities = who_answers(driver, address, options)
-        data = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
+        data: dict[str, Any] = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
         ui.result(data, lambda: _print_probe(ui, identities, []))
         return None
     bench = str(bench)

@@ -66,6 +66,28 @@ def test_the_exit_code_says_that_a_check_failed():
     assert (done.exit_code, "module:Class" in done.stderr) == (2, True)
 
 
+def test_who_answers_is_asked_without_a_bench_file():
+    from pmabench_drivers.emulator import Emulator
+
+    record = subject(DRIVER, EXAMPLE / "bench.yaml").record
+    emulator = Emulator([replace(record, address="127.0.0.1:0")])
+    try:
+        address = emulator.devices[record.name].address
+
+        def probed(*more):
+            return CliRunner().invoke(main, ["devices", "probe", "--driver", DRIVER, "--address", address, *more])
+
+        told = json.loads(probed("--option", "rate=100 Hz", "--json").stdout)["devices"]["device"]
+        assert (told["model"], told["simulated"], told["verified"]) == ("emulated EX-1", True, "emulator only")
+        assert not emulator.log.of("set")
+        wrong = probed("--option", "rat=100 Hz")
+        assert (wrong.exit_code, 'did you mean "rate"?' in wrong.stderr) == (4, True)
+        both = CliRunner().invoke(main, ["devices", "probe", "mock", "--driver", "modbus"])
+        assert (both.exit_code, "--driver and --address" in both.stderr) == (2, True)
+    finally:
+        emulator.close()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_is_what_its_name_says(kind):
     chance, data, before = Random(1), b"0123456789", b"abc"
