@@ -42,7 +42,7 @@ ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
 
-    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (papers.md 2.1), fitted to all trials at once over short
+    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short
     moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"

@@ -1,6 +1,6 @@
 """How far the coefficients of a pooled fit can be trusted, by cause; knows no protocol.
 
-(analysis.md 1.6.) *Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
+*Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
 once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off.
 """

@@ -2,7 +2,7 @@
 
     F_L = F_ce(P) - K(P) x - B(P) x' - F_c sign(x'),   B = B_c contracting, B_r relaxing
 
-(papers.md 2.1 with Coulomb friction), every coefficient a polygon over pressure: its values at knots, with straight
+(paper 0, with Coulomb friction), every coefficient a polygon over pressure: its values at knots, with straight
 lines between. Linear in all of them.
 """
 

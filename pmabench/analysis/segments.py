@@ -1,7 +1,7 @@
 """Cuts trials into short gated segments, the rows of the pooled fit; knows samples and loads, no coefficient.
 
 A segment is a stretch of about 40 ms in which the muscle moves one way, faster than a gate, off its support, without a
-flagged sample. Averages over it stand for the equation of motion in weak form (performance.md (c), c4).
+flagged sample. Averages over it stand for the equation of motion in weak form.
 """
 
 from __future__ import annotations

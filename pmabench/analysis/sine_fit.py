@@ -335,7 +335,7 @@ def _calibration(scales: Scales, gains: Mapping[str, float], slope: float | None
 
 
 def _truth(muscle: Muscle, omega: float, A: float) -> dict[str, float]:
-    """What a muscle gives at speed amplitude omega A [m/s] (papers.md 2.1 along a sine)."""
+    """What a muscle gives at speed amplitude omega A [m/s] (paper 0, along a sine)."""
     loss = muscle.B * omega + 4 * muscle.F_c / (pi * A)
     return {
         "K": muscle.K,

@@ -75,7 +75,7 @@ class _Points:
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """F_ce [N] over pressure from lift, set-down and their mean, and half their difference [N] as friction.
 
-    With the load F_L on its support, F_ce(P) - f = F_L at lift and F_ce(P) + f = F_L at set-down (papers.md 2.1 at
+    With the load F_L on its support, F_ce(P) - f = F_L at lift and F_ce(P) + f = F_L at set-down (paper 0 at
     x = 0 with friction f): the mean pressure of the two at each load belongs to F_ce = F_L. Lines by least squares of
     P on F_L, as it is P that carries the error. No options are known.
     """

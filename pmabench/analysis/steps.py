@@ -1,6 +1,6 @@
 """The papers' way (method `step-exponential`): exponentials through steps of displacement, then K, F_ce and B = K tau.
 
-It takes the pressure for a step, which biases B where the regulator is slow (papers.md fact 6); kept for comparison.
+It takes the pressure for a step, which biases B where the regulator is slow; kept for comparison.
 Knows samples and commands; no interval but the scatter over loads.
 """
 
@@ -24,7 +24,7 @@ ITERATIONS = 60
 
 @dataclass(frozen=True)
 class Exponential:
-    """x(t) = start, then start + (end - start)(1 - exp(-(t - t_d) / tau)) from t_d on (papers.md 2.1)."""
+    """x(t) = start, then start + (end - start)(1 - exp(-(t - t_d) / tau)) from t_d on (paper 0)."""
 
     start: float
     end: float

@@ -22,7 +22,7 @@ from pmabench.store.records import Array, ChannelInfo, Command, RunData, TrialDa
 RATE = 500.0
 G = 9.81
 LOADS = tuple(58.86 + 49.05 * i for i in range(11))
-"""6, 11 .. 56 kg as weights [N] (papers.md fact 10)."""
+"""6, 11 .. 56 kg as weights [N]."""
 PRESSURES = tuple(1e3 * p for p in range(150, 501, 50))
 UNITS = {
     "pressure": ("pressure", "Pa", 1e6 / 65535, 1500.0),

@@ -1,4 +1,4 @@
-"""The reduction of contraction-relaxation runs returns the plant's coefficients (papers.md 5.1, 5.2) with its intervals."""
+"""The reduction of contraction-relaxation runs returns the plant's coefficients with its intervals."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_on_ideal_the_papers_way_agrees():
 
 def test_on_bench_the_papers_way_is_biased_and_says_so():
     _, analysis = campaign("serres2009", "bench")
-    # papers.md fact 6: +39 % and more on the faster muscle; F_ce low by the friction held at rest (2.1)
+    # +39 % and more on the faster muscle; F_ce low by the friction held at rest (2.1)
     assert errors(analysis, SERRES, "B_c", PAPERS).min() > 0.2
     low = [e.value - SERRES["F_ce"](P) for P, e in of(analysis, "F_ce", PAPERS).items()]
     assert all(-10.0 < off < -5.0 for off in low)
@@ -284,7 +284,7 @@ def test_a_declared_sensor_lag_is_taken_into_account():
     told = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.010)}
     wrong = errors(reduce([delayed], {"replays": 0}), PAPER0, "B_c")
     right = errors(reduce([replace(delayed, channels=told)], {"replays": 0}), PAPER0, "B_c")
-    # performance.md c3: a pressure 10 ms late costs about 3 % of B
+    # a pressure 10 ms late costs about 3 % of B
     assert np.median(wrong) < -0.01
     assert np.abs(right).max() < 0.02
 

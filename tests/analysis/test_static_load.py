@@ -21,7 +21,7 @@ def study(kind: str) -> tuple[RunData, Analysis]:
 
 
 def F_ce(P: float) -> float:
-    """papers.md 5.1."""
+    """The plant paper0."""
     return 1.08e-3 * P - 49.0
 
 
@@ -119,7 +119,7 @@ def test_one_load_makes_no_line():
 
 def test_a_bent_f_ce_is_doubted():
     analysis = reduce([static_run(rig("serres2009"))])
-    # papers.md 5.2: 3.207 P below 150 kPa, 2.91 P + 44.6 above; the loads reach 173 kPa
+    # serres2009: 3.207 P below 150 kPa, 2.91 P + 44.6 above; the loads reach 173 kPa
     assert any(f.level == "doubt" and "is no line" in f.text for f in analysis.findings)
 
 

@@ -1,4 +1,4 @@
-"""Exponentials, the regression of K, dead times and curves against closed forms (papers.md 2.1)."""
+"""Exponentials, the regression of K, dead times and curves against closed forms (paper 0)."""
 
 from __future__ import annotations
 

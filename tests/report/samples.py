@@ -1,4 +1,4 @@
-"""Made-up analyses and runs of plant 5.1 (papers.md), in the shape that the reductions give; nothing is fitted here."""
+"""Made-up analyses and runs of the plant paper0, in the shape that the reductions give; nothing is fitted here."""
 
 from __future__ import annotations
 
