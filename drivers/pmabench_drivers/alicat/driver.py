@@ -16,7 +16,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.alicat.options import ASCII, read_options
 from pmabench_drivers.alicat.reading import NO_VALUE, OVER, Reading, trouble
-from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 
@@ -216,11 +216,7 @@ class AlicatController:
     def follow(self, output: str, segment: Segment) -> None:
         """Step along the segment at the poll rate, from its start on, or from now on if that has passed."""
         self._output(output)
-        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
-        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         link = self._opened()
         self._following = segment
         if not self._cycle.running:

@@ -22,6 +22,7 @@ from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
 from pmabench_drivers.festo_cmmt.path import Path
 from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
+from pmabench_drivers.modbus.segments import refuse_nonsense
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
@@ -234,12 +235,7 @@ class FestoCmmt:
     def follow(self, output: str, segment: Segment) -> None:
         """A ramp as one task of the drive, a sine streamed in its cycle; from now on if the start has passed."""
         self._scale(output)
-        ends = (segment.start, segment.origin, segment.target, segment.amplitude)
-        paces = (segment.rate, segment.frequency, segment.cycles)
-        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
             self._whole(value, output)
         if segment.kind == "ramp" and segment.start <= self._clock.now():

@@ -15,7 +15,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.modbus.map_file import Options, read_options, write_function
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
-from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
@@ -251,11 +251,7 @@ class ModbusDevice:
     def follow(self, output: str, segment: Segment) -> None:
         """Step along the segment at the poll rate, from its start on, or from now on if that has passed."""
         record = self._output(output)
-        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
-        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
             self._words(self._map.outputs[record.output], value)
         self._opened()

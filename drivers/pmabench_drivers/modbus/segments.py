@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import math
 
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
+
+
+def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
+    """DeviceError where a segment is neither a ramp nor a sine, or has a number that is none, or no rate."""
+    ends = (segment.start, segment.origin, segment.target, segment.amplitude)
+    paces = (segment.rate, segment.frequency, segment.cycles)
+    if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
+        raise DeviceError(device, f"cannot follow {segment}", output)
+    if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+        raise DeviceError(device, f"a {segment.kind} needs a rate above zero", output)
 
 
 def stepped(segment: Segment, now: float, resolution: float = 0.0) -> tuple[float | None, bool]:

@@ -15,7 +15,7 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
-from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.ni_daq.connection import Connection, Unanswered
 from pmabench_drivers.ni_daq.options import read_options
 from pmabench_drivers.ni_daq.sampling import Sampling
@@ -201,11 +201,7 @@ class NiDaq:
     def follow(self, output: str, segment: Segment) -> None:
         """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
         self._known(output)
-        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
-        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         reach = abs(segment.origin) + abs(segment.amplitude) if segment.kind == "sine" else abs(segment.target)
         if not max(reach, abs(segment.origin)) <= 10.0 + 1e-9:
             raise DeviceError(self._device.name, f"cannot follow to {reach:g} V", output)

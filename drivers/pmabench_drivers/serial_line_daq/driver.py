@@ -9,7 +9,7 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
-from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 from pmabench_drivers.serial_line_daq.link import Link, Unanswered
@@ -237,11 +237,7 @@ class SerialLineDaq:
     def follow(self, output: str, segment: Segment) -> None:
         """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
         self._output(output)
-        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
-        if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, ends)):
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         reach = (
             (segment.origin, segment.target)
             if segment.kind == "ramp"
