@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,8 +23,11 @@ class Subject:
     """The bench file's name."""
 
 
-def subjects(driver: str, bench: Path | None = None) -> Iterable[Subject]:
-    """Every device of a driver (its name, or `module:Class`) in a bench file, or in all shipped ones."""
+def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
+    """Every device of a driver (its name, or `module:Class`) in a bench file, or in all shipped ones.
+
+    Raises InvalidFile where no bench file with one can be used, UsageError where the driver is not known.
+    """
     try:
         target = driver_class(driver)
     except ValueError as error:
@@ -33,16 +35,18 @@ def subjects(driver: str, bench: Path | None = None) -> Iterable[Subject]:
     names = [target, *(name for name, known in drivers().items() if known == target)]
     shipped = sorted(shipped_folder("bench").glob("*.yaml")) if bench is None else []
     naming = [path for path in shipped if any(name in path.read_text("utf-8") for name in names)]
+    found: list[Subject] = []
+    unusable: list[InvalidFile] = []
     for path in naming if bench is None else [bench]:
         try:
             compiled = mount_alone(path).bench
-        except InvalidFile:
-            if bench is not None:
-                raise
-            continue  # a shipped bench of a driver that is not installed here
-        for record in compiled.devices:
-            if record.driver == target:
-                yield Subject(record, compiled.realtime, path.name)
+        except InvalidFile as error:
+            unusable.append(error)
+            continue
+        found += [Subject(r, compiled.realtime, path.name) for r in compiled.devices if r.driver == target]
+    if unusable and not found:
+        raise unusable[0]
+    return found
 
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
