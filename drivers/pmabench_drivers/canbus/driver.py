@@ -27,6 +27,8 @@ CALL = 0.18
 OPEN = 1.9
 PATIENCE = 0.25
 """So long [s] SYNCs may go unanswered before `collect` says so; what is lost till then is a gap in the samples."""
+CATCH_UP = 1.5
+"""After a stall of the computer a drive is led back to its sine at most so many times as fast as the sine itself."""
 EMULATED_ADAPTER = "SIM0"
 """Serial number of an emulated adapter: what comes over it is never taken for a real muscle."""
 ROOM = 0.02
@@ -256,7 +258,8 @@ class CanBus:
             output, drive = self._outputs[name], self._drive(name)
             if value is None:
                 continue
-            drive.lead_to(value, self._fastest(output) * self._options.sync)
+            own = 2 * math.pi * segment.frequency * abs(segment.amplitude)
+            drive.lead_to(value, min(CATCH_UP * own, self._fastest(output)) * self._options.sync)
             if over and round(drive.lead) == round(value) and self._following.get(name) is segment:
                 self._following.pop(name, None)
 

@@ -12,7 +12,7 @@ PATIENCE = 2
 class Rows:
     """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come.
 
-    All nodes sample at the SYNC: in the middle between its sending and the first answer, as near as can be known.
+    All nodes sample at the SYNC: after it was sent and before the first answer (`host`); `time` is the middle.
     """
 
     def __init__(self, wanted: Collection[int], done: Callable[[int, int], None]) -> None:
@@ -59,5 +59,5 @@ class Rows:
             self._first = self._first or host
             if self._open:
                 return
-            time, self.in_a_row = (self._sent + self._first) // 2, 0
-        self._done(time, host)
+            time, first, self.in_a_row = (self._sent + self._first) // 2, self._first, 0
+        self._done(time, first)

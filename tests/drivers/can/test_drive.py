@@ -81,22 +81,22 @@ def test_a_ramp_is_the_drives_own_and_a_sine_goes_target_by_target():
         assert until(lambda: driver._nodes["drive"].position == 5000)
         before = len(emulator.log.of("move"))
         driver.collect()
-        driver.follow(POSITION, sine(driver, 5000, 2000, 2.0, 2))
+        segment = sine(driver, 5000, 2000, 2.0, 2)
+        driver.follow(POSITION, segment)
         assert until(lambda: not driver._following)
         time.sleep(0.1)
-        sent = [entry["si"] for entry in emulator.log.of("move")[before:]]
+        moves = emulator.log.of("move")[before:]
+        at, sent = (np.array([entry[key] for entry in moves]) for key in ("t", "si"))
         assert len(sent) > 50  # of 100 SYNCs in a second, those at which it moved
-        assert max(sent) == pytest.approx(0.007, abs=3e-5)
-        assert min(sent) == pytest.approx(0.003, abs=3e-5)
+        assert 0.006 < max(sent) <= 0.007
+        assert 0.003 <= min(sent) < 0.004
         assert sent[-1] == pytest.approx(0.005)
-        assert max(abs(np.diff(sent))) <= 0.2 * 0.01 + 1e-6  # never faster than the bench allows
-        block = driver.collect()
-        measured = np.array(block.columns["displacement"])
-        at = np.array(block.time) * 1e-9
-        moving = abs(measured - 5000) > 100
-        begun = at[moving][0] - np.arcsin(min(1.0, abs(measured[moving][0] - 5000) / 2000)) / (4 * np.pi)
-        wanted = 5000 + 2000 * np.sin(4 * np.pi * (at[moving] - begun))
-        assert np.sqrt(np.mean((measured[moving] - wanted) ** 2)) < 300  # the sine that was asked for
+        assert max(abs(np.diff(sent))) <= 1.5 * 4 * np.pi * 0.002 * 0.01 + 2e-6  # led back gently after a stall
+        wanted = 0.005 + 0.002 * np.sin(4 * np.pi * (at + 0.01 - driver._clock.start - segment.start))
+        assert np.median(abs(sent - wanted)) < 3e-4  # the sine that was asked for, one SYNC ahead
+        measured = driver.collect().columns["displacement"]
+        assert 6000 < max(measured) <= 7010
+        assert 2990 <= min(measured) < 4000
 
 
 def test_samples_are_on_sync_and_on_the_computers_clock():
@@ -156,8 +156,9 @@ def test_without_the_heartbeat_the_drive_stops_by_itself():
             assert until(lambda: emulator.log.of("watchdog"))
         [entry] = emulator.log.of("watchdog")
         assert 0.2 < entry["t"] - silent < 1.0
-        assert node(served).drive_state.value == "quick stop active"
-        assert emulator.log.of("halt")[0]["t"] - entry["t"] < 0.1
+        assert until(lambda: node(served).drive_state.value == "quick stop active")
+        assert until(lambda: emulator.log.of("halt"))
+        assert emulator.log.of("halt")[0]["t"] - entry["t"] < 0.5
         with pytest.raises(DeviceError, match="emergency 8130h: it heard no heartbeat any more"):
             collects(driver)
 

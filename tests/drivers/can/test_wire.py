@@ -100,7 +100,7 @@ def test_a_row_is_whole_when_everything_has_answered_to_its_sync():
     rows.arrived(1, 1150)
     assert not rows.may_sync()
     rows.arrived(2, 1200)
-    assert done == [(1050, 1200)]  # sampled between the SYNC and the first answer
+    assert done == [(1050, 1100)]  # sampled between the SYNC and the first answer
     assert rows.may_sync()
 
 
