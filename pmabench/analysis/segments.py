@@ -134,14 +134,20 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
     """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
 
-    Displacement, which tells the segments, stays where it is: in its place the others move the other way.
+    Displacement, which tells the segments, stays where it is: in its place the others move the other way. No sample
+    becomes unusable by it, so that the same segments come of both: beside a hole values stay as they are.
     """
+
+    def later(values: Array, by: float) -> Array:
+        taken = _later(samples.t, values, by)
+        return np.where(np.isfinite(taken), taken, values)
+
     if "displacement" in channels:
         channels, by = [name for name in ("pressure", "force") if name not in channels], -by
-    P = _later(samples.t, samples.P, by) if "pressure" in channels else samples.P
+    P = later(samples.P, by) if "pressure" in channels else samples.P
     force = samples.force
     if force is not None and "force" in channels:
-        force = _later(samples.t, force, by)
+        force = later(force, by)
     return _finite(replace(samples, P=P, force=force))
 
 

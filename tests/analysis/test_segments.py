@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.segments import Gate, Noise, Samples, cut, noise_seen, velocity
+from pmabench.analysis.segments import Gate, Noise, Samples, cut, moved, noise_seen, velocity
 
 RATE = 500.0
 B, K, F_CE, F_L, TAU = 1500.0, 6000.0, 300.0, 100.0, 0.25
@@ -105,3 +105,15 @@ def test_noise_of_a_channel_that_is_interpolated_counts_for_the_samples_that_the
     means = P[100:19_100].reshape(-1, 20).mean(axis=1)
     assert noise == pytest.approx(500 * np.sqrt(10), rel=0.1)
     assert means.std() == pytest.approx(noise / np.sqrt(20), rel=0.25)
+
+
+@pytest.mark.parametrize("channel", ["pressure", "displacement", "force"])
+def test_a_clock_that_is_moved_loses_no_segment_where_samples_come_unevenly(channel):
+    """A polled device on a busy machine: steps of 1 ms to 5 ms at 500 Hz. Lost segments would be taken for the clock."""
+    even = exponential()
+    t = even.t + 1.5e-3 * np.random.default_rng(8).uniform(-1, 1, len(even.t))
+    x = (F_CE - F_L) / K * (1 - np.exp(-t / TAU))
+    uneven = replace(even, t=t, x=x)
+    before, after = (cut([one], RATE, Gate()) for one in (uneven, moved(uneven, [channel], 1e-6)))
+    assert after.t.tolist() == before.t.tolist()
+    assert len(before) > 10
