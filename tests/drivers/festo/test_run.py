@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "festo", preset="bench") as run:
-        assert_gives_back(run, coefficients(100), POLLED, B_OF_POLLED)
+        assert_gives_back(run, coefficients(100, repeats=2), POLLED, B_OF_POLLED)
         assert_vented(run)
         assert max(run.commanded()) == pytest.approx(400e3)
 
