@@ -9,6 +9,7 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, Scale
 from tests.drivers.festo_cmmt.rigs import drive, served
+from tests.drivers.whole_run import until
 from tests.drivers.wires.rigs import timed
 
 
@@ -137,10 +138,8 @@ def test_another_stack_reads_and_moves_the_same():
             assert told()[0] & (1 << 2 | 1 << 3 | 1 << 9 | 1 << 11) == 1 << 2 | 1 << 9 | 1 << 11
             client.write_registers(0, [0x047F, 0x9100, *rest])
             assert told()[0] & 1 << 12
-            deadline = 2000
-            while not told()[0] & 1 << 10 and deadline:
-                deadline -= 1
-            assert told()[5:7] == [0xD8F0, 0xFFFF]
+            place = [0xD8F0, 0xFFFF]
+            assert until(lambda: (words := told())[0] & 1 << 10 and words[5:7] == place, 5)
             assert client.write_registers(400, [250, 0]).isError() is False
             assert client.read_holding_registers(400, count=2).registers == [250, 0]
             assert client.read_holding_registers(150, count=1).exception_code == 2
