@@ -56,7 +56,7 @@ class CanBus:
         self._signals = Signals(self._options, [channel.input for channel in device.channels])
         self._takers: dict[int, Callable[[bytes, float], None]] = {}
         self._following: dict[str, Segment] = {}
-        self._rows = Rows((), self._row)
+        self._rows = Rows((), self._row, 0)
         self._every, self._count = 0, 0
         self._armed = False
         self._tick_failing: tuple[float, DeviceError] | None = None
@@ -111,7 +111,7 @@ class CanBus:
                 for identifier, take in node.mapped.items():
                     self._takers[identifier] = self._pdo(identifier, take)
                 wanted |= set(node.mapped)
-            self._rows = Rows(wanted, self._row)
+            self._rows = Rows(wanted, self._row, round(self._options.sync / 2 * 1e9))
             self._refuse_narrow_limits(deadline)
             self._refuse_missing_velocity()
             return self._identity()

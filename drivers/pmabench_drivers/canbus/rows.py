@@ -13,10 +13,11 @@ class Rows:
     """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come.
 
     All nodes sample at the SYNC: after it was sent and before the first answer (`host`); `time` is the middle.
+    Where the first answer took longer than `slowest` [ns], when they sampled is not known well enough: a gap.
     """
 
-    def __init__(self, wanted: Collection[int], done: Callable[[int, int], None]) -> None:
-        self._wanted, self._done = frozenset(wanted), done
+    def __init__(self, wanted: Collection[int], done: Callable[[int, int], None], slowest: int) -> None:
+        self._wanted, self._done, self._slowest = frozenset(wanted), done, slowest
         self._lock = threading.Lock()
         self._open: set[int] = set()
         self._sent = self._first = self._waited = 0
@@ -60,4 +61,7 @@ class Rows:
             if self._open:
                 return
             time, first, self.in_a_row = (self._sent + self._first) // 2, self._first, 0
+            if first - self._sent > self._slowest:
+                self.lost += 1
+                return
         self._done(time, first)

@@ -94,7 +94,7 @@ class Done(list):
 
 def test_a_row_is_whole_when_everything_has_answered_to_its_sync():
     done = Done()
-    rows = Rows({1, 2}, done)
+    rows = Rows({1, 2}, done, 200)
     rows.begin(1000)
     rows.arrived(1, 1100)
     rows.arrived(1, 1150)
@@ -106,7 +106,7 @@ def test_a_row_is_whole_when_everything_has_answered_to_its_sync():
 
 def test_a_late_answer_belongs_to_no_later_sync():
     done = Done()
-    rows = Rows({1}, done)
+    rows = Rows({1}, done, 200)
     rows.begin(1000)
     assert [rows.may_sync() for _ in range(3)] == [False, False, True]  # given up: a gap
     rows.arrived(1, 1900)
@@ -114,3 +114,16 @@ def test_a_late_answer_belongs_to_no_later_sync():
     rows.begin(2000)
     rows.arrived(1, 2100)
     assert done == [(2050, 2100)]
+
+
+def test_a_row_whose_moment_is_not_known_well_enough_is_a_gap():
+    done = Done()
+    rows = Rows({1, 2}, done, 200)
+    rows.begin(1000)
+    rows.arrived(1, 1201)
+    rows.arrived(2, 1210)
+    assert (done, rows.lost) == ([], 1)
+    rows.begin(2000)
+    rows.arrived(2, 2200)
+    rows.arrived(1, 2900)  # only the first answer says when the SYNC was there at the latest
+    assert (done, rows.lost) == ([(2100, 2200)], 1)
