@@ -80,7 +80,7 @@ class FestoCmmt:
     def _forget(self) -> None:
         self._command: t.Command | None = None
         """What is sent in each cycle; None: nothing was commanded yet."""
-        self._every, self._count = 0, 0
+        self._every, self._slot, self._begun = 0, -1, 0.0
         self._found = 0.0
         self._release = False
         self._per_second = 1.0
@@ -152,7 +152,7 @@ class FestoCmmt:
         self._failing_since = self._failure = None
         self._samples.take()
         every = max(1, round(self._options.rate / rate))
-        self._count, self._every = 0, every
+        self._begun, self._slot, self._every = self._clock.now(), -1, every
         return self._options.rate / every
 
     def collect(self) -> Block:
@@ -205,11 +205,12 @@ class FestoCmmt:
         with self._turn:
             self._path.seen(status.position, (asked + answered) / 2)
         if self._every:
-            if self._count % self._every == 0:
+            slot = math.floor((asked - self._begun) * self._options.rate / self._every)
+            if self._every == 1 or slot > self._slot:  # a cycle that fell out delays a sample, and drops none
+                self._slot = slot
                 known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
                 row = [known[name] for name in self._inputs]
                 self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
-            self._count += 1
         command = self._command
         if command is not None and command.on and not status.has(t.ENABLED):
             raise DeviceError(self._device.name, self._off(status))
