@@ -68,8 +68,8 @@ def test_air_that_fails_unseen_is_said(tmp_path):
 def test_a_drive_without_a_watchdog_goes_on(tmp_path):
     driven = (
         "free_end: actuator\nweights: null\nactuator: {stroke: [-2 mm, 60 mm], speed: 500 mm/s, force: 1500 N}\n"
-        "devices:\n  drive: {driver: mock}\n"
-        "outputs:\n  displacement: {device: drive, output: x, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
+        "devices:\n  drive: {driver: mock, options: {free_end: actuator}}\n"
+        "outputs:\n  displacement: {device: drive, output: displacement, scale: [[0 mm, 0 mm], [60 mm, 60 mm]]}\n"
         "limits:\n  displacement: {command: 50 mm}\n"
         "safe_state:\n  - {drive_quick_stop: displacement, within: 200 ms}\n  - {open: dump_valve, within: 1 s}\n"
         "  - {set: pressure, to: 0 kPa, within: 1 s}\n  - {confirm: pressure, below: 20 kPa, within: 5 s}\n"
