@@ -240,7 +240,7 @@ class WholeRun:
         """A signal to `engine`, `guard` or `both`."""
         guards = self.guards()
         assert guards
-        for pid in {"engine": [self.process.pid], "guard": guards, "both": [self.process.pid, *guards]}[who]:
+        for pid in {"engine": [self.process.pid], "guard": guards, "both": [*guards, self.process.pid]}[who]:
             os.kill(pid, number)
 
     # -- hands ----------------------------------------------------------------------------------------------------
