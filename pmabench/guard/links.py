@@ -66,6 +66,8 @@ class Links:
         self._owner = Owner if threads else Direct
         self._owners: dict[str, Direct | Owner] = {}
         self._fed: dict[str, Call] = {}
+        self.sampling: set[str] = set()
+        """Which devices were told to sample."""
 
     def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
         """Open the devices side by side, and make the calls that `first` names as soon as each is open.
@@ -198,6 +200,7 @@ class Links:
     def stream(self, name: str, rate: float) -> float:
         """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
         device = self.need(name, Stream, "takes no samples")
+        self.sampling = self.sampling | {name} if rate else self.sampling - {name}
         return float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
 
     def collect(self, name: str) -> Block:

@@ -290,6 +290,9 @@ class Service:
             self._ended = {"how": how, "why": why}
             self.guard.latest.clear()
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
+        for name in {*self._streams()} - self.guard.links.sampling:  # what confirms the vent must be measured
+            with suppress(PmaError):
+                self.guard.links.stream(name, 1 / LOOK)
         self._step(time.monotonic())
 
     def _step(self, now: float) -> None:

@@ -17,7 +17,7 @@ OURS = {
 """All modules of the program that the guard loads, besides the driver that it is told."""
 DECIDES = ("guard", "links", "limits", "safe", "course", "owner")
 """What decides and commands (docs/decisions/0011): at most 600 lines. The rest is how the engine reaches it."""
-DECIDING, AROUND = 600, 360
+DECIDING, AROUND = 600, 370
 """Lines of code that may be there; they may become fewer, and more only for a reason."""
 
 

@@ -43,6 +43,7 @@ def pooled(run):
     }
 
 
+@pytest.mark.slow
 def test_coefficients_come_back(tmp_path):
     with WholeRun(tmp_path, "festo-sine", preset="bench") as run:
         for _ in range(TRIES):
