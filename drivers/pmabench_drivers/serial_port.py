@@ -6,6 +6,8 @@ Knows no protocol. pyserial is loaded when a port is opened.
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import threading
 from collections.abc import Callable
 from time import monotonic
@@ -24,6 +26,19 @@ MOST = 20_000
 """More than this is never kept while an answer is waited for [bytes]."""
 
 
+def hand_over(port: Any, data: bytes, seconds: float) -> None:
+    """Hand bytes to an open port of pyserial, each once; raises OSError where it takes none for `seconds`.
+
+    Its own `write` says "Write timeout" though every byte went out, where the program stood still for so long.
+    """
+    deadline = monotonic() + seconds
+    while data:
+        with contextlib.suppress(BlockingIOError):
+            data = data[os.write(port.fileno(), data) :]
+        if data and not select.select([], [port.fileno()], [], max(0.0, deadline - monotonic()))[1]:
+            raise TimeoutError(f"it takes no bytes for {seconds:g} s")
+
+
 class SerialPort:
     """An open port of one program alone; every call is bounded. Raises DeviceError."""
 
@@ -32,7 +47,7 @@ class SerialPort:
 
         self._device, self._address, self._clock = device, address, clock
         try:
-            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, write_timeout=PUSH, exclusive=True)
+            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, exclusive=True)
         except (OSError, ValueError) as error:
             busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
             why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
@@ -45,7 +60,7 @@ class SerialPort:
     def send(self, data: bytes) -> None:
         """Hand bytes to the port, once."""
         try:
-            self._port.write(data)
+            hand_over(self._port, data, PUSH)
         except (OSError, TypeError) as error:
             raise DeviceError(self._device, f"cannot send to {self._address}: {_strerror(error)}") from None
 

@@ -23,10 +23,13 @@ from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
 from pmabench_drivers.alicat.reading import HELD, Reading
 from pmabench_drivers.serial_ascii.lines import Splitter, Unreadable, Wrong
 from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, readable
+from pmabench_drivers.serial_port import hand_over
 
 if TYPE_CHECKING:
     from serial import Serial
 
+PUSH = 0.1
+"""Longest time to hand a command to the port [s]."""
 PIECE = 0.005
 """Longest single wait for bytes [s]."""
 QUIET = 0.15
@@ -180,9 +183,7 @@ class AsciiLink:
         import serial
 
         try:
-            self._port = serial.Serial(
-                self._address, baudrate=self._options.baud, timeout=PIECE, write_timeout=0.1, exclusive=True
-            )
+            self._port = serial.Serial(self._address, baudrate=self._options.baud, timeout=PIECE, exclusive=True)
         except (OSError, ValueError) as error:
             busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
             why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
@@ -314,7 +315,7 @@ class AsciiLink:
         return found
 
     def _send(self, command: str) -> None:
-        self._opened().write(f"{self._options.letter}{command}\r".encode("ascii"))
+        hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
 
     def _receive(self) -> bool:
         """Take what comes within a short time; whether anything came."""

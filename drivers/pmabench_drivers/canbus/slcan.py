@@ -14,6 +14,7 @@ from time import monotonic
 from typing import Any
 
 from pmabench_drivers.canbus.frames import Frame
+from pmabench_drivers.serial_port import hand_over
 
 RATES = {
     10_000: "S0",
@@ -78,7 +79,7 @@ class Slcan:
         else:
             import serial
 
-            self._port = serial.Serial(channel, 115200, timeout=0.01, write_timeout=PUSH, exclusive=True)
+            self._port = serial.Serial(channel, 115200, timeout=0.01, exclusive=True)
             time.sleep(RESTART)
         self._rest, self._frames = b"", deque[Frame]()
         self.serial = ""
@@ -112,7 +113,7 @@ class Slcan:
         if self._socket is not None:
             self._socket.sendall(data)
         else:
-            self._port.write(data)
+            hand_over(self._port, data, PUSH)
 
     def _read(self, wait: float) -> bytes:
         if self._socket is not None:

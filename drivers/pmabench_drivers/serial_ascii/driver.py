@@ -16,6 +16,7 @@ from pmabench_drivers.polling import JOIN, Cycle, Samples
 from pmabench_drivers.serial_ascii.lines import LineReader, Splitter, Unreadable, Wrong
 from pmabench_drivers.serial_ascii.options import read_options
 from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, readable
+from pmabench_drivers.serial_port import hand_over
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -77,7 +78,6 @@ class SerialIndicator:
                 parity=options.parity,
                 stopbits=options.stop_bits,
                 timeout=PIECE,
-                write_timeout=options.timeout,
                 exclusive=True,
             )
         except (OSError, ValueError) as error:
@@ -176,7 +176,7 @@ class SerialIndicator:
         """Send, and collect until a line is whole: the lines, and what stands behind them."""
         port, terminator = self._opened(), self._options.terminator
         deadline = monotonic() + timeout
-        port.write(question)
+        hand_over(port, question, timeout)
         data = b""
         while terminator not in data and len(data) <= LONGEST_LINE and monotonic() < deadline:
             data += port.read(1)

@@ -16,6 +16,7 @@ from pmabench.base.errors import DeviceError
 from pmabench_drivers.serial_ascii.lines import Splitter
 from pmabench_drivers.serial_ascii.pattern import readable
 from pmabench_drivers.serial_line_daq.wire import END, REASONS, NoLine, decode, encode
+from pmabench_drivers.serial_port import hand_over
 
 PIECE = 0.02
 """Longest single wait for bytes [s]."""
@@ -36,7 +37,7 @@ class Link:
 
         self._device, self._address, self._on_sample = device, address, on_sample
         try:
-            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, write_timeout=PUSH, exclusive=True)
+            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, exclusive=True)
         except (OSError, ValueError) as error:
             busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
             why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
@@ -104,7 +105,7 @@ class Link:
         if self.gone or self._ended:
             raise DeviceError(self._device, f"lost {self._address}: {self.gone or 'closed'}")
         try:
-            self._port.write(line)
+            hand_over(self._port, line, PUSH)
         except (OSError, TypeError) as error:
             raise DeviceError(self._device, f"cannot send to {self._address}: {_strerror(error)}") from None
 
