@@ -22,20 +22,11 @@ def _own_state(tmp_path, monkeypatch):
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
 
 
-RIGS = (
-    "alicat",
-    "can",
-    "dataq",
-    "festo",
-    "festo_cmmt",
-    "ild1420",
-    "labjack",
-    "ni",
-    "serial_line_daq",
-    "serial_rig",
-    "wires",
-)
-"""Drivers whose tests over a wire wait in real time."""
+DRIVERS = (
+    "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
+)  # fmt: skip
+RIGS = (*(f"tests/drivers/{name}/" for name in DRIVERS), "tests/session/test_realtime.py")
+"""Where tests over a wire, and a whole session, wait in real time."""
 
 
 def _rig_of_this_commit():
@@ -53,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
     chosen = _rig_of_this_commit()
     left_out = []
     for item in items:
-        rig = next((rig for rig in RIGS if f"tests/drivers/{rig}/" in item.nodeid), None)
+        rig = next((rig for rig in RIGS if rig in item.nodeid), None)
         waits = item.get_closest_marker("realtime") is not None and rig is not None
         if (waits and (rig != chosen or item.get_closest_marker("slow"))) or "test_coverage.py" in item.nodeid:
             left_out.append(item)

@@ -1,11 +1,11 @@
-"""The whole suite takes one in six of the tests here that wait in real time, by the hash of the commit; all by name."""
+"""The whole suite takes one in twelve of the tests here that wait in real time, by the hash of the commit; all by name."""
 
 import subprocess
 from pathlib import Path
 
 import pytest
 
-SHARE = 6
+SHARE = 12
 
 
 def pytest_collection_modifyitems(config, items):

@@ -1,6 +1,6 @@
 """Every driver that is installed keeps the promises of a driver.
 
-The whole suite tries one in six over its wire (conftest.py); `pytest tests/conformance` and `make reliability
+The whole suite tries one in twelve over its wire (conftest.py); `pytest tests/conformance` and `make reliability
 PART=hostile` try all.
 """
 

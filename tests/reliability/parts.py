@@ -36,7 +36,7 @@ PARTS = (
     Part("vent", "S7, S9, S10", "vent from outside; two starts at once", 20, ("tests/engine/test_vent_from_outside.py",)),
     Part("resume", "R7", "run killed and gone on with until done", 200, ("tests/engine/test_killed_and_resumed.py",)),
     Part("branches", "all of S", "branches of the guard's code", 1, ("tests/guard/test_branches.py",)),
-    Part("rigs", "S3, S4, S6, S7b", "each driver over its wire, whole runs, everything killed", 10_000, ("tests/drivers",)),
+    Part("rigs", "S3, S4, S6, S7b", "each driver over its wire, whole runs, everything killed", 10_000, ("tests/drivers", "tests/session/test_realtime.py")),
     Part("hostile", "hostile input", "damaged answers to each driver, and every promise of a driver", 10_000, ("tests/conformance",)),
     Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
 )  # fmt: skip
