@@ -47,8 +47,17 @@ class Samples:
         return block
 
 
+BEHIND = 4
+"""So many deadlines are made up one after the other; a computer gives its processors away for a few milliseconds."""
+
+
 class Cycle:
-    """Calls `tick` in a thread of its own at start + k / rate; a deadline that has passed is missed, never made up."""
+    """Calls `tick` in a thread of its own at start + k / rate.
+
+    Deadlines that passed while the computer did something else are made up, the newest `BEHIND` of them; those that
+    passed in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
+    What is not made up is counted.
+    """
 
     def __init__(self, name: str, tick: Callable[[], None], clock: Clock) -> None:
         self._name, self._tick, self._clock = name, tick, clock
@@ -82,12 +91,16 @@ class Cycle:
     def _run(self, rate: float, halt: threading.Event) -> None:
         start, due = self._clock.now(), 0
         while not halt.is_set():
+            began = self._clock.now()
             try:
                 self._tick()
             except Exception as error:  # the caller learns it at the next collect
                 self.broken = error
                 return
-            passed = floor((self._clock.now() - start) * rate)
-            self.missed += max(0, passed - due)
-            due = max(due, passed) + 1
+            due += 1
+            ended = self._clock.now()
+            made_up = BEHIND if (ended - began) * rate < 1.0 else 0
+            lost = max(0, floor((ended - start) * rate) + 1 - due - made_up)
+            self.missed += lost
+            due += lost
             halt.wait(max(0.0, start + due / rate - self._clock.now()))

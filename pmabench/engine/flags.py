@@ -21,64 +21,71 @@ LATE_ONLY = 1.75
 CARRIED = 0.25
 """Lateness from which on a sample makes the step to the next one shorter [periods]; less is the clock's own."""
 MISSING = 0.75
-"""So many periods beyond two make of two steps a lost sample, and not a late one [1]."""
+"""So many periods beyond what the steps should be make a lost sample, and not a late one [1]."""
+WAITING = 5
+"""No more samples wait for what the next one tells: polls that are made up come a few at once, or not at all."""
 
 
 class Spacing:
     """Whether samples are missing before a sample (GAP), or it only came late (LATE), from block to block.
 
-    A poll at absolute deadlines that is late by x periods makes one step of 1 + x and the next of 1 - x; where a sample
-    is missing two steps are three periods. So where x is near 1 the sample after tells, and until it is there the last
-    one is `open`.
+    Polls at absolute deadlines that are late by x periods make one step of 1 + x and, with those that are made up, the
+    next ones shorter by x in all; where a sample is missing they stay longer. So where x is near 1 or more the samples
+    after tell, and until they are there the last ones are `open`.
     """
 
     def __init__(self, rate: float) -> None:
         self._period = 1e9 / rate
         self._last: int | None = None
         self._late = 0.0
-        self._apart: float | None = None
-        """The step of the sample that is open, from its predecessor's deadline [periods]."""
+        self._open: list[float] = []
+        """How late the samples that are open would be, if none were missing [periods]."""
 
     @property
-    def open(self) -> bool:
-        """Whether the flag of the newest sample is told by the next one."""
-        return self._apart is not None
+    def open(self) -> int:
+        """Of how many of the newest samples the next one tells the flag."""
+        return len(self._open)
 
-    def look(self, time_ns: Iterable[int]) -> tuple[int, list[int]]:
-        """The flag of the sample that was open, and those of the samples at `time_ns`; 0 where one is open now."""
-        before = 0
-        flags: list[int] = []
+    def look(self, time_ns: Iterable[int]) -> tuple[list[int], list[int]]:
+        """The flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
+
+        0 where a sample is open now.
+        """
+        were = self.open
+        flags = [0] * were
         for time in time_ns:
             step = 1.0 if self._last is None else (time - self._last) / self._period
             self._last = time
-            decided = self._decide(step)
-            if flags:
-                flags[-1] |= decided
-            else:
-                before = decided
+            if self._open and step < MISSING <= self._open[-1] + step - 1.0 and self.open < WAITING:
+                self._open.append(self._open[-1] + step - 1.0)
+                flags.append(0)
+                continue
+            told = self._decide(step)
+            flags[len(flags) - len(told) :] = told
             step += self._late
+            flags.append(int(Flag.LATE) if APART < step <= LATE_ONLY else 0)
             if step > LATE_ONLY:
-                self._apart, self._late = step, 0.0
+                self._open, self._late = [step - 1.0], 0.0
             else:
                 self._late = step - 1.0 if step - 1.0 > CARRIED else 0.0
-            flags.append(int(Flag.LATE) if APART < step <= LATE_ONLY else 0)
-        return before, flags
+        return flags[:were], flags[were:]
 
-    def settle(self) -> int:
-        """The flag of the sample that is open, where no other one will tell."""
+    def settle(self) -> list[int]:
+        """The flags of the samples that are open, where no other one will tell."""
         return self._decide(1.0)
 
-    def _decide(self, step: float) -> int:
-        if self._apart is None:
-            return 0
-        apart, self._apart = self._apart, None
-        beyond = apart + step - 2.0
-        if beyond < MISSING:
-            self._late = apart - 1.0
-            return int(Flag.LATE)
-        late = apart - 1.0 - floor(beyond + 1.0 - MISSING)
-        self._late = late if late > CARRIED else 0.0
-        return int(Flag.GAP)
+    def _decide(self, step: float) -> list[int]:
+        """The flags of the samples that are open, by the `step` [periods] to the one after them."""
+        late, self._open = self._open, []
+        if not late:
+            return []
+        beyond = late[-1] + step - 1.0
+        lost = floor(beyond + 1.0 - MISSING) if beyond >= MISSING else 0
+        self._late = late[-1] - lost if not lost or late[-1] - lost > CARRIED else 0.0
+        told = [int(Flag.LATE) if x - lost > APART - 1.0 else 0 for x in late]
+        if lost:
+            told[0] = int(Flag.GAP)
+        return told
 
 
 class Ranges:

@@ -44,7 +44,7 @@ class Source:
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 
-        The newest waits where the next one tells whether it is late or samples are missing before it.
+        The newest ones wait where the next one tells whether they are late or samples are missing before them.
         """
 
     def ahead(self, newest: int, arrived: float) -> float:
@@ -53,14 +53,15 @@ class Source:
         self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead
 
-    def tell(self, flag: int) -> None:
-        """Give the sample that waits what the next one has told of it."""
-        if flag and self._rows:
-            time_ns, columns, flags, arrival = self._rows[-1]
-            self._rows[-1] = time_ns, columns, flags | flag, arrival
+    def tell(self, flags: Sequence[int]) -> None:
+        """Give the samples that wait, the newest last, what the next one has told of them."""
+        for place, flag in enumerate(flags, len(self._rows) - len(flags)):
+            if flag and place >= 0:  # what came before the recording began is not kept
+                time_ns, columns, before, arrival = self._rows[place]
+                self._rows[place] = time_ns, columns, before | flag, arrival
 
     def keep(self, time_ns: int, columns: Mapping[str, Sequence[float]], flags: int, host: int | None) -> int:
-        """Keep a single sample; how many are kept and can be handed over, 0 while the newest waits."""
+        """Keep a single sample; how many are kept and can be handed over, 0 while the newest wait."""
         self._rows.append((time_ns, columns, flags, host))
         return 0 if self.spacing.open else len(self._rows)
 
@@ -78,13 +79,16 @@ class Source:
     def pieces(
         self, time_ns: NDArray[np.int64], raw: Mapping[str, Any], flags: NDArray[np.uint16], host: int | None
     ) -> Iterator[Piece]:
-        """What was kept and then this block, but for a newest sample that waits for the next block."""
-        yield from self.kept()
-        told = len(time_ns) - self.spacing.open
+        """What was kept and then this block, but for the newest samples that wait for the next block."""
+        told = max(0, len(time_ns) - self.spacing.open)
         columns = {name: raw[name] for name in self.recorded}
         if told == len(time_ns):
+            yield from self.kept()
             yield Piece(time_ns, columns, flags, host)
             return
         if told:
+            yield from self.kept()
             yield Piece(time_ns[:told], {name: column[:told] for name, column in columns.items()}, flags[:told], None)
-        self.keep(int(time_ns[told]), {name: column[told:] for name, column in columns.items()}, int(flags[told]), host)
+        for i in range(told, len(time_ns)):
+            one = {name: column[i : i + 1] for name, column in columns.items()}
+            self.keep(int(time_ns[i]), one, int(flags[i]), host)

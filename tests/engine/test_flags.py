@@ -22,11 +22,10 @@ def flags(periods, cuts=()):
     spacing, found = Spacing(RATE), []
     for first, last in pairwise(edges):
         before, block = spacing.look(times[first:last])
-        if found:
-            found[-1] |= before
+        found[len(found) - len(before) :] = map(int.__or__, found[len(found) - len(before) :], before)
         found += block
-    found[-1] |= spacing.settle()
-    return found
+    last = spacing.settle()
+    return found[: len(found) - len(last)] + list(map(int.__or__, found[len(found) - len(last) :], last))
 
 
 CASES = {
@@ -39,6 +38,11 @@ CASES = {
     "one is missing and the next late by 0.3": ([0, 1, 3.3, 4, 5], [0, 0, G, 0, 0]),
     "one is late by 0.6, the next missing": ([0, 1, 2.6, 4, 5], [0, 0, L, G, 0]),
     "two come together after a silence": ([0, 1, 3.6, 3.61, 4, 5], [0, 0, L, L, 0, 0]),
+    "two are made up after a stall": ([0, 1, 4.1, 4.15, 4.2, 5, 6], [0, 0, L, L, 0, 0, 0]),
+    "three are made up, each late": ([0, 1, 5.7, 5.8, 5.9, 6.0, 6.1, 7], [0, 0, L, L, L, L, 0, 0]),
+    "one is missing, one made up": ([0, 1, 4.1, 4.15, 5, 6], [0, 0, G, 0, 0, 0]),
+    "six are missing, four made up": ([0, 1, 12.1, 12.2, 12.3, 12.4, 12.5, 13], [0, 0, G, L, L, L, 0, 0]),
+    "the last are made up": ([0, 1, 4.1, 4.15], [0, 0, G, 0]),
     "late by 0.4": ([0, 1, 2.4, 3, 4], [0, 0, 0, 0, 0]),
     "the last is late": ([0, 1, 2.6], [0, 0, L]),
     "before the last one is missing": ([0, 1, 3], [0, 0, G]),
@@ -63,6 +67,30 @@ def test_polls_at_absolute_deadlines_are_told_apart_from_missing_ones(data):
         k += 2
     cuts = data.draw(st.lists(st.integers(0, len(periods)), max_size=10))
     assert flags(periods, cuts) == told
+
+
+@given(stalls=st.lists(st.tuples(st.integers(5, 30), st.floats(1.0, 12.0)), max_size=6), data=st.data())
+def test_polls_of_a_computer_that_stalls_are_missing_only_where_they_were_not_made_up(stalls, data):
+    """The rule of `drivers`: up to four deadlines are made up at once, 0.03 periods apart; older ones are missed."""
+    periods, told, k = [0.0], [0], 0
+    for even, stall in stalls:
+        periods += [k + i + 1.0 for i in range(even)]
+        told += [0] * even
+        k += even
+        now, lost = k + 1 + stall, max(0, int(stall) - 4)
+        periods.append(now)
+        k += 1
+        told.append(G if lost else L)
+        k += lost
+        while now + 0.03 > k + 1:
+            now, k = now + 0.03, k + 1
+            periods.append(now)
+            told.append(L if now - k > 0.5 else 0)
+    periods += [k + 1.0, k + 2.0]
+    told += [0, 0]
+    found = flags(periods, data.draw(st.lists(st.integers(0, len(periods)), max_size=10)))
+    assert [bool(f & G) for f in found] == [bool(f & G) for f in told]
+    assert sum(bool(f & L) for f in found) == pytest.approx(sum(bool(f & L) for f in told), abs=len(stalls))
 
 
 @pytest.mark.parametrize("off", [0.98, 0.9999, 1.0001, 1.02])

@@ -1,0 +1,51 @@
+"""Polls at absolute deadlines: none is lost when the computer stands still for a few, and what is lost is counted."""
+
+import threading
+from math import floor
+
+import pytest
+from pmabench_drivers import polling
+
+
+class Waited(threading.Event):
+    """A clock [periods] that is waited on; `busy[k]` is how long the computer does something else before tick k."""
+
+    def __init__(self, busy, slow, ticks):
+        super().__init__()
+        self.time, self._busy, self._slow, self._ticks, self.taken = 0.0, busy, slow, ticks, []
+
+    def wait(self, timeout=None):
+        self.time += timeout + self._busy.get(len(self.taken), 0.0)
+        return self.is_set()
+
+    def now(self):
+        return self.time
+
+    def tick(self):
+        self.time += self._slow.get(len(self.taken), 0.01)
+        self.taken.append(self.time)
+        if len(self.taken) == self._ticks:
+            self.set()
+
+
+def polled(*, busy=(), slow=(), ticks=40):
+    halt = Waited(dict(busy), dict(slow), ticks)
+    cycle = polling.Cycle("test", halt.tick, halt)
+    cycle._run(1.0, halt)
+    return halt.taken, cycle.missed
+
+
+@pytest.mark.parametrize(("long", "lost"), [(0.5, 0), (1.5, 0), (4.5, 0), (5.5, 1), (20.5, 16)])
+def test_four_deadlines_are_made_up_and_older_ones_counted(long, lost):
+    taken, missed = polled(busy={10: long})
+    assert missed == lost
+    assert floor(taken[-1]) + 1 == len(taken) + lost
+    assert taken[-1] - floor(taken[-1]) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("long", [1.25, 2.5, 30.25])
+def test_a_device_slower_than_its_rate_rests_until_the_next_deadline(long):
+    taken, missed = polled(slow=dict.fromkeys(range(40), long))
+    begun = [time - long for time in taken]
+    assert begun == [floor(time) for time in begun]
+    assert missed == begun[-1] + floor(long) - 39
