@@ -47,15 +47,15 @@ class Samples:
         return block
 
 
-BEHIND = 4
-"""So many deadlines are made up one after the other; a computer gives its processors away for a few milliseconds."""
+BEHIND = 0.02
+"""Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
 
 
 class Cycle:
     """Calls `tick` in a thread of its own at start + k / rate.
 
-    Deadlines that passed while the computer did something else are made up, the newest `BEHIND` of them; those that
-    passed in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
+    Deadlines that passed while the computer did something else are made up as far as `BEHIND`; those that passed
+    in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
     What is not made up is counted.
     """
 
@@ -89,7 +89,7 @@ class Cycle:
             thread.join(wait)
 
     def _run(self, rate: float, halt: threading.Event) -> None:
-        start, due = self._clock.now(), 0
+        start, due, most = self._clock.now(), 0, max(1, floor(BEHIND * rate))
         while not halt.is_set():
             began = self._clock.now()
             try:
@@ -99,7 +99,7 @@ class Cycle:
                 return
             due += 1
             ended = self._clock.now()
-            made_up = BEHIND if (ended - began) * rate < 1.0 else 0
+            made_up = most if (ended - began) * rate < 1.0 else 0
             lost = max(0, floor((ended - start) * rate) + 1 - due - made_up)
             self.missed += lost
             due += lost

@@ -22,7 +22,7 @@ CARRIED = 0.25
 """Lateness from which on a sample makes the step to the next one shorter [periods]; less is the clock's own."""
 MISSING = 0.75
 """So many periods beyond what the steps should be make a lost sample, and not a late one [1]."""
-WAITING = 5
+WAITING = 12
 """No more samples wait for what the next one tells: polls that are made up come a few at once, or not at all."""
 
 

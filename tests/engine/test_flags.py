@@ -71,7 +71,7 @@ def test_polls_at_absolute_deadlines_are_told_apart_from_missing_ones(data):
 
 @given(stalls=st.lists(st.tuples(st.integers(5, 30), st.floats(1.0, 12.0)), max_size=6), data=st.data())
 def test_polls_of_a_computer_that_stalls_are_missing_only_where_they_were_not_made_up(stalls, data):
-    """The rule of `drivers`: up to four deadlines are made up at once, 0.03 periods apart; older ones are missed."""
+    """The rule of `drivers` at 200 Hz: four deadlines are made up at once, 0.03 periods apart; older ones are missed."""
     periods, told, k = [0.0], [0], 0
     for even, stall in stalls:
         periods += [k + i + 1.0 for i in range(even)]
