@@ -6,7 +6,6 @@ from math import floor
 import pytest
 from pmabench_drivers import polling
 
-
 RATE = 256.0
 """A power of two, so that periods and seconds are exact: five deadlines are made up [Hz]."""
 
