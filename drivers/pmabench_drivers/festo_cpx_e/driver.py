@@ -302,7 +302,7 @@ class FestoCpxE(ModbusDevice):
                 except DeviceError:
                     held = 0
                 words = _with_bit(register, value, held)
-            second.write(16, register.address, words, until, output)
+            second.overrule(16, register.address, words, until, output)
         finally:
             second.close()
 

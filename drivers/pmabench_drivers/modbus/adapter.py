@@ -207,6 +207,19 @@ class Line:
         echo = words[0] if function in {5, 6} else len(words)
         self._ask(calls[function], (function, address, echo), deadline, what, still)
 
+    def overrule(self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "") -> None:
+        """Write, and once more if the device then holds something else.
+
+        What another connection was sending when it was cut may be carried out after this one's first write.
+        """
+        self.write(function, address, words, deadline, what)
+        try:
+            held = self.read("coil" if function in {5, 15} else "holding", address, len(words), deadline, what)
+        except DeviceError:
+            return  # one that cannot be read was written; whether the bench is safe is measured
+        if held != list(words):
+            self.write(function, address, words, deadline, what)
+
     def cut(self) -> None:
         """End a call that hangs in another thread; the next one connects anew."""
         self._client.cut()

@@ -242,7 +242,7 @@ class ModbusDevice:
             line.cut()
         second = self._new_line()
         try:
-            second.write(function, register.address, words, deadline, output)
+            second.overrule(function, register.address, words, deadline, output)
         finally:
             second.close()
 

@@ -345,6 +345,26 @@ def test_rescue_ends_a_ramp(rig):
     assert zero == len(after) - 1
 
 
+def test_rescue_has_the_last_word_over_a_step_of_the_first_connection_that_is_carried_out_late():
+    """A peer that carries a step of the ramp out between the rescue and the look at what it holds."""
+    written = []
+
+    def reply(request):
+        function, pdu = request[7], request[7:]
+        if function == 16:
+            written.append(struct.unpack(">f", pdu[6:10])[0])
+            late = 40.0 if len(written) == 1 else written[-1]
+            reply.held = struct.pack(">f", late)
+        answer = pdu[:5] if function == 16 else b"\x03\x04" + reply.held
+        return request[:4] + struct.pack(">HB", len(answer) + 1, 7) + answer
+
+    with Peer(reply) as peer:
+        device = ModbusDevice(replace(regulator(peer.address), options={"map": {**MAP, "identity": {}}}), RealClock())
+        device.rescue("pressure", 0.0)
+    assert written == [0.0, 0.0]
+    assert reply.held == struct.pack(">f", 0.0)
+
+
 def test_names_that_the_map_does_not_have(rig):
     device = rig[2]
     with pytest.raises(DeviceError, match='no output "presure"; did you mean "pressure"'):
