@@ -202,6 +202,7 @@ if TYPE_CHECKING:
     Time: TypeAlias = float
     Frequency: TypeAlias = float
     Ratio: TypeAlias = float
+    Angle: TypeAlias = float
     Gain: TypeAlias = float
     Stiffness: TypeAlias = float
     Damping: TypeAlias = float
@@ -219,6 +220,7 @@ else:
     Time = _type("time")
     Frequency = _type("frequency")
     Ratio = _type("ratio")
+    Angle = _type("angle")
     Gain = _type("gain")
     Stiffness = _type("stiffness")
     Damping = _type("damping")

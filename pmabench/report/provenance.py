@@ -22,6 +22,7 @@ SPECIMEN: tuple[tuple[str, str, str], ...] = (
     ("nominal_length", "nominal length", "length"),
     ("inner_diameter", "inner diameter", "length"),
     ("braid_angle", "braid angle", "angle"),
+    ("mass", "mass", "mass"),
 )
 
 

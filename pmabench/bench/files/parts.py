@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from pmabench.files.quantity import Length, Pressure, PressureRate, Ratio, Time, raw_quantity
+from pmabench.files.quantity import Angle, Length, Mass, Pressure, PressureRate, Ratio, Time, raw_quantity
 
 Reading = Annotated[
     tuple[float, str],
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     LengthAbove0: TypeAlias = float
     TimeAbove0: TypeAlias = float
     RatioAbove0: TypeAlias = float
+    AngleAbove0: TypeAlias = float
+    MassAbove0: TypeAlias = float
     RatioNotBelow0: TypeAlias = float
 else:
     PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
@@ -48,4 +50,6 @@ else:
     LengthAbove0 = Annotated[Length, AfterValidator(above_zero)]
     TimeAbove0 = Annotated[Time, AfterValidator(above_zero)]
     RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
+    AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
+    MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
     RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]

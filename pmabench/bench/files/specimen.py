@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from pmabench.bench.files.parts import LengthAbove0, PressureAbove0, RatioAbove0, Text
+from pmabench.bench.files.parts import AngleAbove0, LengthAbove0, MassAbove0, PressureAbove0, RatioAbove0, Text
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Damping, Force, Pressure, Stiffness
 
@@ -68,7 +68,10 @@ class SpecimenFile(Strict):
     serial: Text
     nominal_length: LengthAbove0
     inner_diameter: LengthAbove0
-    braid_angle: Text | None = None
+    braid_angle: AngleAbove0 | None = None
+    """Of the braid to the muscle's axis at the nominal length; F_ce of paper 1 is computed from it."""
+    mass: MassAbove0 | None = None
+    """Of the muscle; half of its weight loads one that hangs (paper 1)."""
     cycles_before: int = 0
     mounted: MountedFile
     limits: SpecimenLimits
