@@ -13,7 +13,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.files.document import Document, Location, Strict
-from pmabench.files.quantity import Frequency, Length, Pressure
+from pmabench.files.quantity import Frequency, Length, Pressure, Speed
 
 MOST_POINTS = 20_000
 
@@ -50,6 +50,7 @@ PressureAxis = Annotated[
 ]
 FrequencyAxis = Annotated[list[Frequency], Field(min_length=1)]
 LengthAxis = Annotated[list[Length], Field(min_length=1)]
+SpeedAxis = Annotated[list[Speed], Field(min_length=1)]
 
 
 class Repeat(Strict):

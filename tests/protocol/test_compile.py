@@ -11,7 +11,7 @@ from pmabench.bench.compile import mount
 from pmabench.protocol.campaign import plan_campaign
 from pmabench.protocol.compile import make_plan
 from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
-from pmabench.protocol.sinusoidal_displacement import predicted_force
+from pmabench.protocol.driven import predicted_force
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECIMEN = ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
