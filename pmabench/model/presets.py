@@ -1,26 +1,18 @@
 """Ready-made plants with their sources, each `ideal` and `bench`; knows no driver.
 
 `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag, dead time, stiction and noise.
-A hysteresis belongs to the muscle: both have it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from pmabench.model.curve import Curve
-from pmabench.model.driven import Actuator, DrivenPlant
-from pmabench.model.hysteresis import Hysteresis
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
-from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
 from pmabench.model.sensors import Noise
-
-if TYPE_CHECKING:
-    from pmabench.model.daerden_muscle import DaerdenMuscle
 
 N_PER_MM = 1e3
 
@@ -56,11 +48,6 @@ def serres2009() -> Muscle:
 
 
 MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009}
-"""Those of the three-element model."""
-PLANTS = (*MUSCLES, "daerden")
-"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
-DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
-"""Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 
 BENCH_FRICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
 BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
@@ -74,38 +61,11 @@ KINDS = ("ideal", "bench")
 class Setup:
     """All parameters of a simulated bench."""
 
-    muscle: Muscle | DaerdenMuscle
+    muscle: Muscle
     regulator: Regulator
     noise: Noise
     follow_lag: float
     """First-order lag of a displacement actuator behind its command [s]."""
-    hysteresis: Hysteresis | None = None
-    """Felt at a driven end."""
-
-    def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant:
-        """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
-
-        Raises
-        ------
-        ValueError
-            For a muscle that has only a driven end.
-        """
-        if not isinstance(self.muscle, Muscle):
-            raise ValueError(f"the muscle {self.muscle.name} is for a driven free end")
-        return Plant(self.muscle, self.regulator, force=force, mass=mass, start=start)
-
-    def driven(self, actuator: Actuator, position: float = 0.0, start: float = 0.0) -> DrivenPlant:
-        """The plant with its free end at `position` [m], held by `actuator`, from `start` [s] on.
-
-        The actuator goes no further than the muscle's formulas hold, and follows with `follow_lag`.
-        """
-        actuator = replace(actuator, lag=self.follow_lag)
-        if not isinstance(self.muscle, Muscle):
-            low, high = (share * self.muscle.length for share in self.muscle.reach)
-            actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
-        return DrivenPlant(
-            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, position=position, start=start
-        )
 
 
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
