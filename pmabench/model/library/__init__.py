@@ -7,7 +7,9 @@
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
 | `coefficients` | published coefficients over pressure |
-| `fitted` | polynomials and joined lines with coefficients of one's own |
+| `fitted` | parabolas and joined lines with coefficients of one's own |
+| `polynomials` | polynomials of any order up to six with centre and scale |
+| `open_coefficients` | length and arm angle of paper 2 with their coefficients as inputs, for fits |
 | `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
 | `friction` | Coulomb with stiction, a rate-independent hysteresis |
@@ -27,6 +29,8 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     fitted,
     friction,
     loads,
+    open_coefficients,
+    polynomials,
     regulators,
     three_element,
 )

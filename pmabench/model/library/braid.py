@@ -106,6 +106,7 @@ def chou_hannaford(pressure: Array, strand_length: Array, turns: Array, braid_an
         "eps_max = (1 - sqrt(b / a)) / k = (1 - 1 / (sqrt(3) cos theta0)) / k",
     ),
     source="Tondu and Lopez, in paper 1 eqs. 5-8, paper 2 eq. 7, paper 4 eqs. 3-4",
+    fitted=("radius", "braid_angle", "k"),
     parameters=(
         PRESSURE, CONTRACTION, RADIUS, BRAID_ANGLE,
         Parameter(
@@ -146,6 +147,7 @@ def tondu_lopez(pressure: Array, contraction: Array, radius: Array, braid_angle:
         "k(P) = k_low + (k_high - k_low) (P - P_low) / (P_high - P_low)",
     ),
     source="paper 1 eqs. 5-8 with k(P); the straight line between two measured pressures is ours",
+    fitted=("radius", "braid_angle", "k_low", "k_high"),
     parameters=(
         PRESSURE, CONTRACTION, RADIUS, BRAID_ANGLE,
         Parameter("pressure_low", "P_low", "pressure", 1 * BAR, "gauge pressure at which k is k_low", 0.0, 1e6),
@@ -186,6 +188,7 @@ def tondu_lopez_k_of_p(
         "h = eps;  k_s = S(P) / S0;  h_max = (1 - k_s sqrt(b0 / a0)) / k_p",
     ),
     source="paper 4 eqs. 5-6 (Blasiak)",
+    fitted=("k_p", "k_s"),
     parameters=(
         PRESSURE, CONTRACTION,
         Parameter("strand_length", "S0", "length", 250 * MM, "length of a strand without load", 0.0, above=True),

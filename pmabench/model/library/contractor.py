@@ -76,6 +76,7 @@ def sigmoid_length(pressure: Array, nominal_length: Array, exponent: str) -> Val
         "q = 1 + exp(-p / 1 bar);  a = 3 / tan^2 theta0;  b = 1 / sin^2 theta0;  eps_max = (1 - sqrt(b / a)) / q",
     ),
     source="paper 2 eqs. 8-9",
+    fitted=("radius", "braid_angle", "threshold"),
     parameters=(
         Parameter("pressure", "p", "pressure", 5 * BAR, "gauge pressure", 0.0, 5 * BAR, RANGE_BAR),
         CONTRACTION, RADIUS, BRAID_ANGLE,

@@ -52,6 +52,7 @@ def rubber_force(contraction: Array, A: Array, B1: Array, B2: Array) -> Array:
         "S = (pi / 4) D0^2 [3 (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0]",
     ),
     source="paper 3 eqs. 6, 8-10",
+    fitted=("diameter", "braid_angle", "alpha", "A", "B1", "B2"),
     parameters=(PRESSURE, CONTRACTION, DIAMETER, BRAID_ANGLE, ALPHA, A, B1, B2),
     outputs=(
         Output("force", "F", "force", "mean of the two branches; hysteresis is a model of its own"),
@@ -120,6 +121,7 @@ def daerden_inverse(
         "dV/deps = (pi / 4) D0^2 l0 [(alpha + 1) (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0]",
     ),
     source="paper 3, volume of the muscle",
+    fitted=("diameter", "braid_angle", "alpha"),
     parameters=(CONTRACTION, DIAMETER, LENGTH, BRAID_ANGLE, ALPHA),
     outputs=(
         Output("volume", "V", "volume", "volume inside"),

@@ -110,6 +110,8 @@ class Model:
     notes: tuple[str, ...]
     """What one should know: where the print is wrong, what is not refused and why."""
     function: Callable[..., Values]
+    fitted: tuple[str, ...] = ()
+    """The inputs that a fit to measurements takes as unknown, where nothing else is said."""
 
     def evaluate(self, values: Mapping[str, ArrayLike | str] | None = None) -> Values:
         """The outputs [SI] for `values` [SI] by parameter name, the others at their reference values.
@@ -182,12 +184,14 @@ def described(
     outputs: tuple[Output, ...],
     references: tuple[Reference, ...],
     notes: tuple[str, ...] = (),
+    fitted: tuple[str, ...] = (),
 ) -> Callable[[Callable[P, Values]], Callable[P, Values]]:
     """Put a function into the library: its calls are checked against the domains of `parameters`."""
 
     def enter(function: Callable[P, Values]) -> Callable[P, Values]:
         signature = inspect.signature(function)
-        if list(signature.parameters) != [p.name for p in parameters] or name in MODELS or family not in FAMILIES:
+        known = [p.name for p in parameters]
+        if list(signature.parameters) != known or name in MODELS or family not in FAMILIES or set(fitted) - set(known):
             raise TypeError(f"{name}: known already, of no family, or not described as its function is")
 
         @wraps(function)
@@ -200,7 +204,9 @@ def described(
                 found = function(**inputs)  # type: ignore[call-arg]
             return {key: np.asarray(value, dtype=np.float64) for key, value in found.items()}
 
-        MODELS[name] = Model(name, family, title, equation, source, parameters, outputs, references, notes, checked)
+        MODELS[name] = Model(
+            name, family, title, equation, source, parameters, outputs, references, notes, checked, fitted
+        )
         return checked
 
     return enter

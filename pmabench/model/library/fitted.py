@@ -1,6 +1,4 @@
-"""Coefficients over pressure that somebody fitted: polynomials and joined lines, with the pressures that they hold "
-"for.
-"""
+"""Coefficients over pressure that somebody fitted: parabolas and joined lines, with the pressures they hold for."""
 
 from __future__ import annotations
 
@@ -15,7 +13,8 @@ KPA, N_MM = 1e3, 1e3
 PRESSURE = Parameter("pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0.0, INF, "gauge pressure of a muscle")
 
 
-def _within(pressure: Array, low: Array, high: Array) -> None:
+def within(pressure: Array, low: Array, high: Array) -> None:
+    """Refuse pressures outside of what a fit holds for, all [Pa gauge]."""
     refuse("pressure_high", "it must be above pressure_low", high <= low)
     outside = (pressure < low * (1 - 1e-12)) | (pressure > high * (1 + 1e-12))
     refuse("pressure", "the coefficients hold from pressure_low to pressure_high only", outside, pressure)
@@ -27,7 +26,8 @@ def _sound(pressure: Array, stiffness: Array, *dampings: Array) -> None:
         refuse("pressure", "the damping would be negative there: the fit does not hold", damping < 0, pressure)
 
 
-def _limits(low: float, high: float) -> tuple[Parameter, ...]:
+def limits(low: float, high: float) -> tuple[Parameter, ...]:
+    """The inputs pressure_low and pressure_high [Pa gauge]."""
     return (
         Parameter("pressure_low", "P_low", "pressure", low, "lowest pressure of the fit", 0.0),
         Parameter("pressure_high", "P_high", "pressure", high, "highest pressure of the fit", 0.0),
@@ -50,8 +50,12 @@ def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -
         "x = (F_ce - F_L) / K;  tau = B / K;  P_low <= P <= P_high",
     ),
     source="form of paper 0's curve fits; reference values are those of mas-20-250-paper0",
+    fitted=(
+        "force_0", "force_1", "stiffness_0", "stiffness_1", "stiffness_2", "damping_contract_0",
+        "damping_contract_1", "damping_contract_2", "damping_relax_0", "damping_relax_1", "damping_relax_2",
+    ),
     parameters=(
-        PRESSURE, LOAD, *_limits(100 * KPA, 600 * KPA),
+        PRESSURE, LOAD, *limits(100 * KPA, 600 * KPA),
         *_coefficient("force", "F", "force", (-49.0, 1.08)),
         *_coefficient("stiffness", "K", "stiffness", (5.6 * N_MM, 1.0e-3 * N_MM, 9.7e-6 * N_MM)),
         *_coefficient("damping_contract", "B_c", "damping", (1.2 * N_MM, 1.6e-3 * N_MM, 0.0)),
@@ -92,7 +96,7 @@ def polynomial_coefficients(
 ) -> Values:
     """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau [s]; P [Pa gauge], F_L [N], coefficients SI per Pa**n."""
     P = pressure
-    _within(P, pressure_low, pressure_high)
+    within(P, pressure_low, pressure_high)
     F_ce = np.maximum(force_0 + force_1 * P, 0)
     K = stiffness_0 + P * (stiffness_1 + P * stiffness_2)
     B_c = damping_contract_0 + P * (damping_contract_1 + P * damping_contract_2)
@@ -113,8 +117,12 @@ def polynomial_coefficients(
         "jump = upper less lower line where they join;  P_low <= P <= P_high",
     ),
     source="form of Serres and others 2009; reference values are theirs (B: relaxation)",
+    fitted=(
+        "stiffness_below_0", "stiffness_below_1", "stiffness_above_0", "stiffness_above_1", "damping_below_0",
+        "damping_below_1", "damping_above_0", "damping_above_1",
+    ),
     parameters=(
-        PRESSURE, *_limits(150 * KPA, 550 * KPA),
+        PRESSURE, *limits(150 * KPA, 550 * KPA),
         *_coefficient("stiffness_below", "Ka", "stiffness", (32.7 * N_MM, -0.0321 * N_MM)),
         Parameter("stiffness_break", "P_K", "pressure", 314 * KPA, "where the lines of K join", 0.0),
         *_coefficient("stiffness_above", "Kb", "stiffness", (17.0 * N_MM, 0.0179 * N_MM)),
@@ -153,7 +161,7 @@ def piecewise_coefficients(
     damping_above_1: Array,
 ) -> Values:
     """K [N/m], B [N.s/m], tau [s] and the jumps; P and joins [Pa gauge], coefficients SI per Pa**n."""
-    _within(pressure, pressure_low, pressure_high)
+    within(pressure, pressure_low, pressure_high)
 
     def lines(P: Array, join: Array, low: tuple[Array, Array], high: tuple[Array, Array]) -> Array:
         return np.where(join <= P, high[0] + high[1] * P, low[0] + low[1] * P)

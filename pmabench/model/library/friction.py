@@ -81,6 +81,7 @@ def hysteresis_branch(contraction: Array, reversal: Array, force_start: Array, h
         "F_t = H tanh((eps_high - eps_low) / (2 w)) at the turns;  gap = expanding - contracting",
     ),
     source="Dahl 1968; height and width assumed so that the gap of paper 3, about 60 N, comes out",
+    fitted=("height", "width"),
     parameters=(
         Parameter("contraction", "eps", "ratio", 0.085, "contraction", -0.1, 0.5),
         Parameter("contraction_low", "eps_low", "ratio", -0.03, "lower turn", -0.1, 0.5),

@@ -43,6 +43,7 @@ def limited_step(since: Array, step: Array, lag: Array, rate: Array) -> Array:
         "90 % of the step at t90 = t_d + T ln 10",
     ),
     source="paper 0, MPPE regulator: 0.22 s of no stated definition, 90 % of the step (T = 0.0955 s) or T itself",
+    fitted=("lag", "dead_time"),
     parameters=(
         TIME, START, TARGET, LAG,
         Parameter("vent_ratio", "", "count", 1.0, "T while venting by T while filling", 0.0, above=True),
@@ -71,6 +72,7 @@ def regulator_first_order(
     "regulator-second-order", FAMILY, "Second-order lag with dead time: may overshoot",
     equation=("P'' + 2 zeta w P' + w^2 P = w^2 P1(t - t_d);  w = 2 pi f_n;  from rest at P0",),
     source="closed form of the linear equation; usual for servo valves",
+    fitted=("natural_frequency", "damping_ratio", "dead_time"),
     parameters=(
         TIME, START, TARGET,
         Parameter("natural_frequency", "f_n", "frequency", 4.0, "without damping", 0.0, above=True),
@@ -108,6 +110,7 @@ def regulator_second_order(
         "R = R_fill or R_vent by the direction of the step",
     ),
     source="closed form; the rate as in the sines of the public data set mit-2-151",
+    fitted=("lag",),
     parameters=(TIME, START, TARGET, LAG, RATE_FILL, RATE_VENT, DEAD_TIME),
     outputs=(PRESSURE,),
     references=(

@@ -24,6 +24,7 @@ DISPLACEMENT = Output("displacement", "x", "length", "contraction")
     "three-element", FAMILY, "Acceleration and force of mass, damper and spring (paper 0)",
     equation=("M x'' + B x' + K x = F_ce - F_L", "F = F_ce - K x - B x' (what the cell at the fixed end reads)"),
     source="paper 0 eq. 2; paper 1 without the mass",
+    fitted=("force_ce", "stiffness", "damping"),
     parameters=(
         FORCE_CE, LOAD, STIFFNESS, DAMPING, MASS,
         Parameter("displacement", "x", "length", 20 * MM, "contraction", 0.0, 1.0, "it is stretched"),
@@ -112,6 +113,7 @@ def three_element_strain(
     "step-response", FAMILY, "Contraction after a step of pressure from rest, without mass",
     equation=("x = x_inf (1 - exp(-(t - t_d) / tau)) for t >= t_d, else 0;  x_inf = (F_ce - F_L) / K;  tau = B / K",),
     source="paper 0, contraction study; paper 1: closed form of the equation without mass",
+    fitted=("stiffness", "damping", "dead_time"),
     parameters=(
         TIME, FORCE_CE, LOAD, STIFFNESS, DAMPING,
         Parameter("dead_time", "t_d", "time", 0.0, "from the step to the first motion", 0.0),
@@ -147,6 +149,7 @@ def step_response(
     "release-response", FAMILY, "Relaxation after the pressure is let off, without mass",
     equation=("x = x0 exp(-t / tau_r);  tau_r = B_r / K",),
     source="paper 1, relaxation",
+    fitted=("displacement_start", "damping"),
     parameters=(
         TIME,
         Parameter("displacement_start", "x0", "length", 40 * MM, "contraction before", 0.0),

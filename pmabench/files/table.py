@@ -1,0 +1,225 @@
+"""Tables that people write as CSV with units in the header: numbers with their places; knows no model, no report.
+
+A head is `pressure [kPa]`, `pressure (kPa)` or `P_kPa`; a line that begins with `#` before the head says where the
+table is from.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.files.quantity import NUMBER, unit_factor
+
+Array = NDArray[np.float64]
+LARGEST = 50_000_000
+"""Bytes of a file that is read."""
+MOST_ROWS = 200_000
+MOST_PROBLEMS = 50
+_NUMBER = re.compile(NUMBER)
+_BRACKETS = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A text with its place; line and column count from 1."""
+
+    text: str
+    line: int
+    column: int
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: the whole head, what stands before its unit, the unit (None where none is written), the cells."""
+
+    head: Cell
+    name: str
+    unit: str | None
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as it is written."""
+
+    path: Path
+    source: str
+    """What the lines with `#` before the head say."""
+    columns: tuple[Column, ...]
+
+    def problem(self, cell: Cell, message: str) -> Problem:
+        """Something that is wrong at a cell."""
+        return Problem(str(self.path), cell.line, cell.column, message)
+
+    def only(self, name: str, text: str) -> Table:
+        """The rows whose cell in column `name` is `text`; ValueError that says what there is."""
+        from pmabench.base.errors import did_you_mean
+
+        found = [column for column in self.columns if name in (column.name, column.head.text)]
+        if not found:
+            raise ValueError(f'{self.path} has no column "{name}"{did_you_mean(name, [c.name for c in self.columns])}')
+        rows = [row for row, cell in enumerate(found[0].cells) if cell.text == text]
+        if not rows:
+            values = dict.fromkeys(cell.text for cell in found[0].cells)
+            raise ValueError(f'{self.path}: no row has "{text}" in column "{name}"{did_you_mean(text, values)}')
+        columns = tuple(Column(c.head, c.name, c.unit, tuple(c.cells[row] for row in rows)) for c in self.columns)
+        return Table(self.path, self.source, columns)
+
+
+def read_table(path: Path) -> Table:
+    """The table in `path`, split at commas, semicolons or tabs, whichever the head has most of.
+
+    Raises InvalidFile with every row that has not as many cells as the head.
+    """
+    try:
+        if path.is_file() and path.stat().st_size > LARGEST:
+            raise invalid(path, f"is larger than {LARGEST // 1_000_000} MB; give a table, not a record")
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise invalid(path, "is no text in UTF-8; save it as CSV in UTF-8") from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    source = []
+    while lines and lines[0][1].lstrip().startswith("#"):
+        source.append(lines.pop(0)[1].lstrip("# \t").strip())
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith("#")]
+    if len(lines) < 2:
+        raise invalid(path, 'holds no table; a head like "pressure [kPa], force [N]" and rows of numbers are expected')
+    if len(lines) > MOST_ROWS:
+        raise invalid(path, f"has {len(lines) - 1} rows; at most {MOST_ROWS} are read")
+    mark = max(",;\t", key=lines[0][1].count)
+    heads = _split(*lines[0], mark)
+    problems, rows = [], []
+    for number, line in lines[1:]:
+        cells = _split(number, line, mark)
+        if len(cells) == len(heads):
+            rows.append(cells)
+            continue
+        hint = "; a decimal comma? write a point" if mark == "," and len(cells) > len(heads) else ""
+        told = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
+        problems.append(Problem(str(path), number, 1, told))
+    names = [head.text for head in heads]
+    for place, head in enumerate(heads):
+        if head.text and head.text in names[:place]:
+            problems.append(Problem(str(path), head.line, head.column, f'a second column "{head.text}"'))
+    if problems:
+        raise InvalidFile(problems[:MOST_PROBLEMS])
+    columns = []
+    for place, head in enumerate(heads):
+        name, unit = split_head(head.text)
+        columns.append(Column(head, name, unit, tuple(row[place] for row in rows)))
+    return Table(path, " ".join(source), tuple(columns))
+
+
+def split_head(head: str) -> tuple[str, str | None]:
+    """`pressure [kPa]` to ("pressure", "kPa"); without brackets the unit is None."""
+    match = _BRACKETS.fullmatch(head)
+    if match is None:
+        return head.strip(), None
+    unit = match["square"] if match["square"] is not None else match["round"]
+    return match["name"].strip(), unit.strip()
+
+
+def _split(number: int, line: str, mark: str) -> list[Cell]:
+    """The cells of a line; `mark` inside double quotes does not part them."""
+    cells, start, quoted = [], 0, False
+    for place, sign in enumerate(line + mark):
+        if sign == '"':
+            quoted = not quoted
+        elif sign == mark and (not quoted or place == len(line)):
+            raw = line[start:place]
+            text = raw.strip()
+            if len(text) > 1 and text[0] == text[-1] == '"':
+                text = text[1:-1].replace('""', '"').strip()
+            cells.append(Cell(text, number, start + len(raw) - len(raw.lstrip()) + 1))
+            start = place + 1
+    return cells
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a column may stand for: its names (the first is the one in messages) and its quantity."""
+
+    names: tuple[str, ...]
+    quantity: str
+
+
+def meaning(column: Column, wanted: Sequence[Wanted]) -> tuple[Wanted, str | None] | None:
+    """Which of `wanted` a head names, and its unit; `P_kPa` is P in kPa where nothing is called P_kPa."""
+    for item in wanted:
+        if column.name in item.names:
+            return item, column.unit
+    name, line, unit = column.name.rpartition("_")
+    if line and unit and column.unit is None:
+        for item in wanted:
+            if name in item.names and item.quantity and _is_unit(unit, item.quantity):
+                return item, unit
+    return None
+
+
+def _is_unit(unit: str, quantity: str) -> bool:
+    try:
+        unit_scale(unit, quantity)
+    except ValueError:
+        return False
+    return True
+
+
+def unit_scale(unit: str | None, quantity: str) -> float:
+    """SI units in one `unit` of `quantity`; a ratio or a pure number may have none. ValueError says what is wrong."""
+    if unit in (None, "", "1", "-") and quantity in ("ratio", "count"):
+        return 1.0
+    if unit is None or unit in ("", "-"):
+        raise ValueError(f"the head needs a unit of {quantity}")
+    if re.search(r"\((?:g|a|abs|gauge)\)|abs", unit) and quantity == "pressure":
+        raise ValueError(f'"{unit}": pressures are gauge; take the atmosphere off and write "kPa"')
+    return unit_factor(unit, quantity)
+
+
+def numbers(
+    table: Table, columns: Sequence[tuple[Column, str, str | None]], check: Callable[[int, float], str] | None = None
+) -> tuple[list[Array], list[int]]:
+    """The columns (column, quantity, unit) [SI] without rows that have an empty cell in one, and those rows' places.
+
+    `check` may say of the value [SI] of a column, by its place, what is wrong with it. Raises InvalidFile with every
+    cell that is no number.
+    """
+    problems: list[Problem] = []
+    found: list[Array] = []
+    rows = len(table.columns[0].cells)
+    kept = [row for row in range(rows) if all(column.cells[row].text for column, _, _ in columns)]
+    for place, (column, quantity, unit) in enumerate(columns):
+        try:
+            scale = unit_scale(unit, quantity)
+        except ValueError as error:
+            problems.append(table.problem(column.head, f"{column.head.text}: {error}"))
+            continue
+        values = np.empty(len(kept))
+        for at, row in enumerate(kept):
+            cell = column.cells[row]
+            number = float(cell.text) * scale if _NUMBER.fullmatch(cell.text) else float("nan")
+            wrong = "" if isfinite(number) else _no_number(cell.text)
+            if not wrong and check is not None:
+                wrong = check(place, number)
+            if wrong:
+                problems.append(table.problem(cell, f"{column.name}: {wrong}"))
+            values[at] = number
+        found.append(values)
+    if problems:
+        raise InvalidFile(problems[:MOST_PROBLEMS])
+    return found, kept
+
+
+def _no_number(text: str) -> str:
+    if re.fullmatch(r"[+-]?\d+,\d+", text):
+        return f'"{text}" has a decimal comma; write a point'
+    return f'"{text}" is no number'
