@@ -276,15 +276,15 @@ def test_sections_that_cannot_balance_are_refused(x, reason):
 
 def test_a_cascade_of_one_is_a_single_muscle_up_and_down():
     t = np.linspace(0, 10, 201)
-    given = {"time": t, "count": 1, "hold": 4.0, "pressure": 3e5, "displacement_max": 0.05}
-    x = MODELS["cascade"].evaluate(given)["displacement"]
+    x = MODELS["cascade"].evaluate({"time": t, "count": 1, "hold": 4.0, "pressure": 3e5, "load": 5.0})["displacement"]
     coefficients = MODELS["dmsp-40-305"].evaluate({"pressure": 3e5})
     K, D_c, D_r = (float(coefficients[key]) for key in ("stiffness", "damping_contract", "damping_relax"))
-    up = value("step-response", "displacement", time=t, force_ce=0.05 * K, stiffness=K, damping=D_c)
+    top = value("dmsp-40-305-contraction", "displacement", pressure=3e5, load=5.0)
+    up = value("step-response", "displacement", time=t, force_ce=float(top) * K, stiffness=K, damping=D_c)
     np.testing.assert_allclose(x[t <= 4], up[t <= 4], rtol=1e-12)
-    top = float(x[t == 4][0])
+    start = float(x[t == 4][0])
     down = value(
-        "release-response", "displacement", time=t[t >= 4] - 4, displacement_start=top, stiffness=K, damping=D_r
+        "release-response", "displacement", time=t[t >= 4] - 4, displacement_start=start, stiffness=K, damping=D_r
     )
     np.testing.assert_allclose(x[t >= 4], down, rtol=1e-12)
 
@@ -295,6 +295,28 @@ def test_a_cascade_adds_its_muscles_one_delay_apart():
     five = value("cascade", "sum", time=t, count=5)
     shifted = sum(np.where(t >= i, np.interp(t - i, t, one), 0) for i in range(5))
     np.testing.assert_allclose(five, shifted, atol=1e-9)
+
+
+def test_muscles_of_a_cascade_have_pressures_of_their_own():
+    given = {"time": 100.0, "count": 3, "delay": 0.0, "hold": 1e3, "pressure": 2e5, "pressure_step": 1e5, "load": 5.0}
+    found = MODELS["cascade"].evaluate(given)
+    each = [0.0570, 0.0659, 0.0709]  # at 2, 3, 4 bar: the digest's table for F_ce at x = 0, 5 N
+    assert float(found["sum"]) == pytest.approx(3)
+    assert float(found["displacement"]) == pytest.approx(sum(each), abs=2e-4)
+    assert float(found["force_ce"]) == pytest.approx(4 * 885.4, abs=1)
+    assert float(found["force_ce_sum"]) == pytest.approx(9 * 885.4, abs=2)
+    assert float(found["force"]) == pytest.approx(5.0, abs=1e-6)
+    with pytest.raises(OutsideDomain, match="1 to 6 bar"):
+        value("cascade", "sum", count=3, pressure=5e5, pressure_step=1e5)
+
+
+@pytest.mark.parametrize("time", [0.2, 1.0, 2.5, 9.9])
+def test_the_force_of_a_chain_is_that_of_one_muscle(time):
+    one, four = (MODELS["cascade"].evaluate({"time": time, "count": n, "delay": 0.0}) for n in (1, 4))
+    assert float(four["displacement"]) == pytest.approx(4 * float(one["displacement"]), rel=1e-12)
+    assert float(four["force"]) == pytest.approx(float(one["force"]), rel=1e-9)
+    assert float(one["force"]) == pytest.approx(5312.24 - 69590 * float(one["displacement"]), abs=0.5)
+    assert float(four["force_ce_sum"]) == pytest.approx(4 * float(four["force_ce"]))
 
 
 def test_the_hold_of_a_sampled_loop_is_half_a_period_of_dead_time():

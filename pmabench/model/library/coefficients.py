@@ -105,6 +105,8 @@ DMSP_PRESSURE = Parameter(
     "pressure", "P", "pressure", 6 * BAR, "gauge pressure", 1 * BAR, 6 * BAR,
     "fitted on 1 to 6 bar; below 0.594 bar the damping of relaxation would be negative",
 )  # fmt: skip
+DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE = 20 * MM, 305 * MM, 26.5 * DEG
+"""Radius and length [m], nominal, and a braid angle at eps = 0 [rad] that fits the printed stiffness (assumed)."""
 FIT = Parameter("fit", "fit", "", "polynomial", "sixth order, or the straight lines", choices=("polynomial", "line"))
 
 
@@ -164,10 +166,12 @@ def dmsp_40_305(pressure: Array, fit: str) -> Values:
     parameters=(
         DMSP_PRESSURE,
         Parameter("load", "L", "force", 5.0, "load, half the muscle's weight when it hangs", 0.0, INF, "", "assumed"),
-        Parameter("radius", "r0", "length", 20 * MM, "radius at eps = 0", 0.0, 1.0, "", "nominal", above=True),
-        Parameter("nominal_length", "L0", "length", 305 * MM, "nominal length", 0.0, 10.0, "", "nominal", above=True),
+        Parameter("radius", "r0", "length", DMSP_RADIUS, "radius at eps = 0", 0.0, 1.0, "", "nominal", above=True),
         Parameter(
-            "braid_angle", "theta0", "angle", 26.5 * DEG, "angle of the braid to the axis at eps = 0", 0.0,
+            "nominal_length", "L0", "length", DMSP_LENGTH, "nominal length", 0.0, 10.0, "", "nominal", above=True
+        ),
+        Parameter(
+            "braid_angle", "theta0", "angle", DMSP_ANGLE, "angle of the braid to the axis at eps = 0", 0.0,
             BRAID_ANGLE.high, BRAID_ANGLE.reason, "assumed", above=True,
         ),
         Parameter("fce_at", "", "", "x0", "where F_ce is taken", choices=("x0", "xmax")),

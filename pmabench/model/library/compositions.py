@@ -7,10 +7,18 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
+from pmabench.model.chain_force import held_force
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, CONTRACTION, DEG, MM, PRESSURE, RADIUS, braid_factors
 from pmabench.model.library.braid import braid_force as force_of
-from pmabench.model.library.coefficients import DMSP_PRESSURE, dmsp_40_305
+from pmabench.model.library.coefficients import (
+    DMSP_ANGLE,
+    DMSP_LENGTH,
+    DMSP_PRESSURE,
+    DMSP_RADIUS,
+    dmsp_40_305,
+    dmsp_40_305_contraction,
+)
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.loop import Loop, ultimate
 
@@ -147,22 +155,30 @@ def _balance(
 
 
 @described(
-    "cascade", FAMILY, "Equal DMSP-40-305 switched on and off one after another",
+    "cascade", FAMILY, "DMSP-40-305 end to end, switched on and off one after another",
     equation=(
-        "muscle i on from (i - 1) delay to (i - 1) delay + hold: 1 - exp(-t / tau_c), then falling with tau_r",
-        "sum over i in units of one x_max;  tau_c and tau_r as in dmsp-40-305 at the pressure",
+        "muscle i at P + (i - 1) P_step, on from (i - 1) delay to (i - 1) delay + hold",
+        "on: x_i = x_max (1 - exp(-t / tau_c)), off: falling with tau_r;  x = sum of x_i",
+        "x_max as in dmsp-40-305-contraction, tau_c and tau_r as in dmsp-40-305, each at the muscle's pressure",
+        "force F of the chain held at x: sum of min(max((F_ce - F) / S, 0), L0) = x, F >= 0",
     ),
     source="paper 1, cascade simulation: open loop, horizontal, no friction, no interaction",
     parameters=(
         Parameter("time", "t", "time", 3.0, "since the first is switched on", 0.0),
-        COUNT, DMSP_PRESSURE,
+        Parameter("count", "N", "count", 3.0, "number of muscles", 1.0, 100.0, "a whole number of 1 to 100"),
+        DMSP_PRESSURE,
+        Parameter("pressure_step", "P_step", "pressure", 0.0, "pressure from one to the next", -INF),
         Parameter("delay", "", "time", 1.0, "from one to the next", 0.0, INF, "", "printed"),
         Parameter("hold", "", "time", 10.0, "each is on for this time", 0.0),
-        Parameter("displacement_max", "x_max", "length", 76.3 * MM, "final contraction of one", 0.0),
+        Parameter("load", "L", "force", 0.0, "load", 0.0),
+        Parameter("fce_at", "", "", "x0", "where F_ce is taken", choices=("x0", "xmax")),
     ),
     outputs=(
-        Output("sum", "", "count", "contraction of the chain in units of one x_max"),
+        Output("sum", "", "count", "contraction of the chain, each muscle in units of its own x_max"),
         Output("displacement", "x", "length", "contraction of the chain"),
+        Output("force_ce_sum", "", "force", "sum of F_ce, paper 1's total F_ce: a sum of coefficients, no force"),
+        Output("force_ce", "F_ce", "force", "F_ce of the chain: that of its strongest muscle"),
+        Output("force", "F", "force", "force with which the chain pulls if it is held where it is"),
     ),
     references=(
         Reference("sum", "0.94017", "", 1.0, "computed from the printed polynomials", {"time": 1.0}),
@@ -173,23 +189,49 @@ def _balance(
         Reference("sum", "1.80514", "", 1.0, "the same", {"time": 12.0}),
         Reference("sum", "0.26450", "", 1.0, "the same", {"time": 15.0}),
         Reference("sum", "0.01077", "", 1.0, "the same", {"time": 20.0}),
+        Reference("force_ce", "5312", "N", 1.0, "885.4 N/bar at 6 bar: that of one muscle"),
+        Reference("force_ce_sum", "15937", "N", 1.0, "by hand: three times 5312.24 N"),
     ),
     notes=(
         "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of "
         "coefficients.",
+        "Muscles of other kinds, with steps and delays of their own: pmabench cascade.",
     ),
 )  # fmt: skip
-def cascade(time: Array, count: Array, pressure: Array, delay: Array, hold: Array, displacement_max: Array) -> Values:
-    """Sum [1] and x [m] from t [s], N [1], P [Pa gauge], delay and hold [s], x_max [m]."""
+def cascade(
+    time: Array,
+    count: Array,
+    pressure: Array,
+    pressure_step: Array,
+    delay: Array,
+    hold: Array,
+    load: Array,
+    fce_at: str,
+) -> Values:
+    """Sums [1, m, N] and forces [N] from t [s], N [1], P and P_step [Pa gauge], delay and hold [s], L [N]."""
     _whole(count)
-    found = dmsp_40_305(pressure, "polynomial")
-    total = np.zeros(np.broadcast_shapes(*(np.shape(item) for item in (time, count, pressure, delay, hold))))
-    for index in range(int(np.max(count))):
-        begin = index * delay
-        risen = -np.expm1(-np.clip(time - begin, 0, hold) / found["tau_contract"])
-        one = risen * np.exp(-np.maximum(time - begin - hold, 0) / found["tau_relax"])
-        total = total + one * (index < count)
-    return {"sum": total + 0 * displacement_max, "displacement": total * displacement_max}
+    inputs = (time, count, pressure, pressure_step, delay, hold, load)
+    time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*inputs)
+    shape, most = time.shape, int(np.max(count))
+    ratio, x, F_ce, S = (np.zeros((most, *shape)) for _ in range(4))
+    for index in range(most):
+        there = index < count
+        own = np.where(there, pressure + index * pressure_step, pressure)
+        tau = dmsp_40_305(own, "polynomial")
+        sizes = (np.asarray(size) for size in (DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE))
+        muscle = dmsp_40_305_contraction(own, load, *sizes, fce_at)
+        since = time - index * delay
+        risen = -np.expm1(-np.clip(since, 0, hold) / tau["tau_contract"])
+        ratio[index] = there * risen * np.exp(-np.maximum(since - hold, 0) / tau["tau_relax"])
+        x[index], S[index] = ratio[index] * muscle["displacement"], muscle["stiffness"]
+        F_ce[index] = there * (since >= 0) * (since < hold) * muscle["force_ce"]
+    total = x.sum(axis=0)
+    flat = (item.reshape(most, -1) for item in (F_ce, S))
+    force = held_force(*flat, np.full(most, DMSP_LENGTH), total.ravel())
+    return {
+        "sum": ratio.sum(axis=0), "displacement": total, "force_ce_sum": F_ce.sum(axis=0),
+        "force_ce": F_ce.max(axis=0), "force": force.reshape(shape),
+    }  # fmt: skip
 
 
 @described(
