@@ -5,7 +5,8 @@ place starts at the device (`options` or `address`) or at the top of the bench f
 by name). It must touch no device and import nothing heavy.
 
 Another one, `fastest(device: DeviceRecord)`, may tell the highest rate at which it samples with these options [Hz], so
-that a protocol that asks for more is warned of; it is asked only where nothing is wrong with the options.
+that a protocol that asks for more is warned of, and `lacks(device: DeviceRecord)` yields what of these options may
+surprise, each going on after "this bench has"; both are asked only where nothing is wrong with the options.
 
 The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place. So does the
 text of a DBC file (messages of a CAN bus), which the option `dbc` names.
@@ -63,6 +64,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
             c.fault(("interlocks", index, "input", "input"), message)
         else:
             c.fault((*at, *place), message)
+    if not wrong and hasattr(driver, "lacks"):
+        c.told_by_drivers += driver.lacks(device)
     fastest = getattr(driver, "fastest", None)
     if fastest is None or wrong:
         return device

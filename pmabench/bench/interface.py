@@ -8,7 +8,8 @@ beside them in the records and is done above the driver. Raises only `pmabench.b
 In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
 write is retried; after a time-out the line is drained, so that no answer belongs to an older question. `collect` never
 waits for a sample: a polled device has a thread of its own that polls. A class method `check(device)` may name what is
-wrong with the options before anything is opened, another one `fastest(device)` how fast it samples at most with them:
+wrong with the options before anything is opened, others, `fastest(device)` and `lacks(device)`,
+how fast it samples at most with them, and what of them may surprise:
 `pmabench.bench.driver_options`.
 """
 

@@ -64,6 +64,8 @@ class AlicatController:
     A set-point at or below the output's safe value vents: over Modbus with the exhaust of a dual-valve controller.
     """
 
+    emulator = "pmabench_drivers.alicat.emulator"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)

@@ -43,6 +43,7 @@ class CanBus:
     """
 
     verified = "emulator only"
+    emulator = "pmabench_drivers.canbus.emulated"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()

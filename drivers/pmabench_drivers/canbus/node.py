@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from time import monotonic, sleep
 
@@ -21,7 +22,7 @@ STARTS = 0.5
 Send = Callable[[int, bytes], None]
 
 
-class Node:
+class Node(ABC):
     """One node of the bus. `mapped` are its TPDOs in use: identifier -> what takes the data."""
 
     profile = 0
@@ -58,9 +59,9 @@ class Node:
             sleep(0.005)
         self._watched = True
 
+    @abstractmethod
     def set_up(self, deadline: float) -> None:
         """Whatever the kind of node needs, PDOs first of all."""
-        raise NotImplementedError
 
     def error(self, message: str) -> DeviceError:
         """An error of this node."""

@@ -30,6 +30,8 @@ SLIP = 0.1
 class Dataq(SerialStream):
     """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
 
+    emulator = "pmabench_drivers.dataq.emulator"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)

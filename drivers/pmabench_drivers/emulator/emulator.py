@@ -15,35 +15,20 @@ from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
 
-SERVERS = {
-    "pmabench_drivers.festo_cmmt:FestoCmmt": "pmabench_drivers.festo_cmmt.emulated",
-    "pmabench_drivers.festo_cpx_e:FestoCpxE": "pmabench_drivers.festo_cpx_e.emulated",
-    "pmabench_drivers.alicat:AlicatController": "pmabench_drivers.alicat.emulator",
-    "pmabench_drivers.canbus:CanBus": "pmabench_drivers.canbus.emulated",
-    "pmabench_drivers.dataq:Dataq": "pmabench_drivers.dataq.emulator",
-    "pmabench_drivers.ild1420:Ild1420": "pmabench_drivers.ild1420.emulator",
-    "pmabench_drivers.labjack:LabJack": "pmabench_drivers.labjack.emulated",
-    "pmabench_drivers.modbus:ModbusDevice": "pmabench_drivers.emulator.modbus_server",
-    "pmabench_drivers.ni_daq:NiDaq": "pmabench_drivers.ni_daq.emulated",
-    "pmabench_drivers.serial_ascii:SerialIndicator": "pmabench_drivers.emulator.indicator",
-    "pmabench_drivers.serial_line_daq:SerialLineDaq": "pmabench_drivers.serial_line_daq.emulator",
-}
-"""Driver -> the module whose `serve(device, plant, log)` makes the device that it talks to.
-
-It writes what it exchanges to `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by
-`ports.listen`. What has a watchdog has `expire_watchdog()`, which says whether it was armed.
-"""
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """What can go wrong with the plant."""
 
 
 def server_of(driver: str) -> str:
-    """The module with the `serve` of a driver, of the table or named by the class's `emulator`; empty: it has none."""
+    """The module that the driver's class names as its `emulator`; empty: it has none.
+
+    Its `serve(device, plant, log)` makes the device that the driver talks to. That writes what it exchanges to
+    `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by `ports.listen`. What has a watchdog
+    has `expire_watchdog()`, which says whether it was armed.
+    """
     module, _, name = driver.partition(":")
-    if driver in SERVERS or not name:
-        return SERVERS.get(driver, "")
     try:
-        return str(getattr(getattr(import_module(module), name), "emulator", ""))
+        return str(getattr(getattr(import_module(module), name), "emulator", "")) if name else ""
     except (ImportError, AttributeError):
         return ""
 

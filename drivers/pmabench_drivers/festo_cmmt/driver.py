@@ -47,6 +47,8 @@ class FestoCmmt:
     A ramp is one positioning task with its velocity; a sine is streamed, a target and a velocity in each cycle.
     """
 
+    emulator = "pmabench_drivers.festo_cmmt.emulated"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options: CmmtOptions = read_options(device, reader)

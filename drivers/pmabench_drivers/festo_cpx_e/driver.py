@@ -63,6 +63,8 @@ class FestoCpxE(ModbusDevice):
     Raw values are counts of the data format "sign + 15 bit"; the scaling is the bench's.
     """
 
+    emulator = "pmabench_drivers.festo_cpx_e.emulated"
+
     _options: CpxOptions
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:

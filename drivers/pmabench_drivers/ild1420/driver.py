@@ -31,6 +31,8 @@ _FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?
 class Ild1420(SerialStream):
     """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
 
+    emulator = "pmabench_drivers.ild1420.emulator"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)

@@ -41,6 +41,8 @@ class LabJack(ModbusDevice):
     Raw values are volts at the terminals; `DAC0` and `DAC1` take volts.
     """
 
+    emulator = "pmabench_drivers.labjack.emulated"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._t7 = read_options(device, reader)

@@ -6,7 +6,7 @@ One thread of its own polls the inputs and steps ramps and sines; calls and poll
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,8 @@ class ModbusDevice:
 
     Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
     """
+
+    emulator = "pmabench_drivers.emulator.modbus_server"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
@@ -73,6 +75,17 @@ class ModbusDevice:
     def fastest(cls, device: DeviceRecord) -> float:
         """Highest rate at which it is polled [Hz]."""
         return cls.read_options(device, Reader()).map.rate
+
+    @classmethod
+    def lacks(cls, device: DeviceRecord) -> Iterator[str]:
+        """A serial line on which a late answer may still come when the run has given the device up."""
+        slowest = cls.read_options(device, Reader()).map.slowest if device.address.startswith("/") else 0.0
+        if slowest > PATIENCE:
+            yield (
+                f"no second chance on the serial line of {device.name}: after one lost answer nothing is read for "
+                f"{1e3 * slowest:g} ms (slowest), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
+                f"a slowest of at most {1e3 * PATIENCE:g} ms, where the device's manual allows it"
+            )
 
     @classmethod
     def read_options(cls, device: DeviceRecord, reader: Reader) -> Options:

@@ -38,6 +38,8 @@ PATIENCE = 0.25
 class NiDaq:
     """Inputs `ai0`... [V], outputs `ao0`, `ao1` [V], lines `port0/line0`...; by NI-DAQmx here or NI's gRPC server."""
 
+    emulator = "pmabench_drivers.ni_daq.emulated"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)

@@ -35,6 +35,8 @@ class SerialIndicator:
     Each named group of the pattern is an input; `unit` and `status` are checked in every line.
     """
 
+    emulator = "pmabench_drivers.emulator.indicator"
+
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()
         self._options = read_options(device, reader)

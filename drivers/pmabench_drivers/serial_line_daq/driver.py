@@ -49,6 +49,7 @@ class SerialLineDaq:
     """
 
     verified = "emulator and compiled sketch, no board"
+    emulator = "pmabench_drivers.serial_line_daq.emulator"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         reader = Reader()

@@ -233,3 +233,13 @@ def test_mistakes_in_the_bench_file_are_told_there(tmp_path):
 @pytest.mark.parametrize("name", ["registers/nothing.yaml", "../elsewhere.yaml", "/etc/passwd", "registers"])
 def test_a_map_that_cannot_be_read_is_one_problem(tmp_path, name):
     assert len(problems(bench(tmp_path, "registers/pressure-regulator.yaml", name))) == 1
+
+
+@pytest.mark.parametrize(
+    ("address", "slowest", "told"),
+    [("/dev/ttyUSB0", "1 s", True), ("/dev/ttyUSB0", "200 ms", False), ("127.0.0.1:502", "1 s", False)],
+)
+def test_a_serial_line_on_which_one_lost_answer_ends_a_run_is_told(address, slowest, told):
+    lines = list(ModbusDevice.lacks(regulator(address, slowest=slowest)))
+    assert bool(lines) is told
+    assert all("slowest" in line and "250 ms" in line for line in lines)
