@@ -13,8 +13,10 @@ from pmabench.cli.model_table import print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
     from pmabench.model.curve import Array
+    from pmabench.model.driven import DrivenPlant
     from pmabench.model.motion import Motion
     from pmabench.model.overrides import Overrides
+    from pmabench.model.plant import Plant
     from pmabench.model.signal import Wave
 
 MOST_ROWS = 20_000
@@ -42,8 +44,8 @@ COLUMNS = (
 )
 """Name, quantity and field of `Motion` of what is printed."""
 CHANGES = {
-    "friction": "count", "F_s": "force", "F_c": "force", "regulator_lag": "time", "dead_time": "time",
-    "vent_ratio": "count", "dead_band": "pressure", "leak": "rate",
+    "friction": "count", "F_s": "force", "F_c": "force", "hysteresis": "force", "regulator_lag": "time",
+    "dead_time": "time", "vent_ratio": "count", "dead_band": "pressure", "leak": "rate",
 }  # fmt: skip
 """What --set takes, as in the options of the mock bench."""
 
@@ -76,7 +78,7 @@ def simulate(
     *,
     as_csv: bool,
 ) -> int | None:
-    """Simulate PLANT (paper0, serres2009) from rest: true values in time, without sensors."""
+    """Simulate PLANT (paper0, serres2009; daerden with --drive) from rest: true values in time, without sensors."""
     from pmabench.base.errors import UsageError
 
     problems: list[str] = []
@@ -139,19 +141,17 @@ def _simulated(
     import numpy as np
 
     from pmabench.model import signal
-    from pmabench.model.driven import Actuator, DrivenPlant
-    from pmabench.model.plant import Plant
+    from pmabench.model.driven import Actuator
     from pmabench.model.presets import preset
 
     setup = preset(plant, kind, changes)
     times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
     bench: Plant | DrivenPlant
     if driven is None:
-        bench = Plant(setup.muscle, setup.regulator, force=weight[0], mass=weight[1])
+        bench = setup.free(force=weight[0], mass=weight[1])
     else:
         mean, amplitude, frequency = driven
-        actuator = Actuator(lag=setup.follow_lag)
-        bench = DrivenPlant(setup.muscle, setup.regulator, actuator, position=mean)
+        bench = setup.driven(Actuator(), position=mean)
         bench.move(signal.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
     bench.command(waves)
     return bench.advance(float(times[-1]), times)

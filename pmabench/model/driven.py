@@ -3,8 +3,10 @@
 Physics
 -------
 x(t) is where the actuator is: the commanded position, limited in speed and stroke, behind a first-order follow error.
-The cell at the fixed end reads F = F_ce(P) - K(P) x - B(P) x' - F_c sign x', and 0 where that is negative: a muscle
-cannot push. The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s counts as no motion.
+The cell at the fixed end reads F = F_0(P, x) - B(P) x' - F_c sign x' + F_h, and 0 where that is negative: a muscle
+cannot push. F_0 is what the muscle pulls at rest (F_ce(P) - K(P) x, or S(eps) P + F_e(eps)); F_h is a hysteresis by
+the way gone alone, if it has one. The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s
+counts as no motion.
 Where F passes the actuator's force it stalls: it holds its place until it is commanded again.
 """
 
@@ -14,13 +16,14 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from pmabench.model.curve import Array
+from pmabench.model.hysteresis import Branch, Hysteresis
 from pmabench.model.motion import Motion
-from pmabench.model.muscle import Muscle
+from pmabench.model.muscle import Friction
 from pmabench.model.regulator import Regulated, Regulator
 from pmabench.model.signal import Wave, to_nanosecond
 
@@ -94,6 +97,20 @@ class Actuator:
         return to_nanosecond(meet)
 
 
+class DrivenMuscle(Protocol):
+    """What a driven end asks of a muscle; P [Pa], x [m] and v [m/s] are arrays of one shape."""
+
+    @property
+    def friction(self) -> Friction:
+        """Of which F_c is felt while it moves."""
+
+    def pull(self, P: Array, x: Array) -> Array:
+        """Force at rest without friction and hysteresis [N]."""
+
+    def damping(self, P: Array, v: Array) -> Array:
+        """Damping of the direction of v [N.s/m]."""
+
+
 class DrivenPlant:
     """A muscle behind its regulator, its free end held by an actuator; `time` [s].
 
@@ -111,10 +128,11 @@ class DrivenPlant:
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: DrivenMuscle,
         regulator: Regulator,
         actuator: Actuator,
         *,
+        hysteresis: Hysteresis | None = None,
         pressure: float = 0.0,
         position: float = 0.0,
         start: float = 0.0,
@@ -123,6 +141,7 @@ class DrivenPlant:
         self.supply = Regulated(regulator, pressure, start)
         self.wanted = Regulated(Regulator(dead_time=0.0), position, start)
         self._drive = Regulated(Regulator(dead_time=0.0, lag=actuator.lag), position, start)
+        self._branch = Branch(hysteresis, position, start) if hysteresis and hysteresis.height else None
 
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Command pressure [Pa] along `waves`, the first of which starts now or later."""
@@ -147,8 +166,8 @@ class DrivenPlant:
         self.__dict__.update(snapshot)
         self.__dict__.update(self._copies())
 
-    def _copies(self) -> dict[str, Regulated]:
-        return {name: copy.copy(getattr(self, name)) for name in ("supply", "wanted", "_drive")}
+    def _copies(self) -> dict[str, Any]:
+        return {name: copy.copy(getattr(self, name)) for name in ("supply", "wanted", "_drive", "_branch")}
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
@@ -173,6 +192,7 @@ class DrivenPlant:
                 column[done : done + count] = values[:count]
             if stalls.any():
                 self.__dict__.update(before)
+                self._evaluate(t[done : done + count])
                 self._hold(float(t[done + count - 1]), float(part[0][count - 1]))
             done += count
         self.wanted.piece(until)
@@ -182,10 +202,13 @@ class DrivenPlant:
 
     def _evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Contraction, its rate, pressure and force at rising times."""
+        path = copy.copy(self._drive)
         x, v = self._drive.values(t)
         P, _ = self.supply.values(t)
         moves = np.abs(v) > STILL
         F = self.muscle.pull(P, x) - self.muscle.damping(P, v) * v - self.muscle.friction.F_c * np.sign(v) * moves
+        if self._branch is not None:
+            F += self._branch.forces(path, t, x)
         return x, v, P, np.maximum(F, 0.0)
 
     def _hold(self, t: float, x: float) -> None:

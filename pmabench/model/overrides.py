@@ -10,11 +10,13 @@ class Overrides:
     """What can be changed about a preset by name; None leaves it as it is."""
 
     friction: float | None = None
-    """Factor on static and kinetic friction [1]; 0 for none."""
+    """Factor on static and kinetic friction, or on the hysteresis [1]; 0 for none."""
     F_s: float | None = None
     """Static friction [N]."""
     F_c: float | None = None
     """Kinetic friction [N]."""
+    hysteresis: float | None = None
+    """Half the gap of the loop that knows no rate [N]; plant `daerden`."""
     noise: float | None = None
     """Factor on the noise of all sensors [1]; 0 for none."""
     regulator_lag: float | None = None

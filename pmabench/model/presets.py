@@ -1,18 +1,26 @@
 """Ready-made plants with their sources, each `ideal` and `bench`; knows no driver.
 
 `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag, dead time, stiction and noise.
+A hysteresis belongs to the muscle: both have it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from pmabench.model.curve import Curve
+from pmabench.model.driven import Actuator, DrivenPlant
+from pmabench.model.hysteresis import Hysteresis
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
+from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
 from pmabench.model.sensors import Noise
+
+if TYPE_CHECKING:
+    from pmabench.model.daerden_muscle import DaerdenMuscle
 
 N_PER_MM = 1e3
 
@@ -48,6 +56,11 @@ def serres2009() -> Muscle:
 
 
 MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009}
+"""Those of the three-element model."""
+PLANTS = (*MUSCLES, "daerden")
+"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
+DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
+"""Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 
 BENCH_FRICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
 BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
@@ -61,26 +74,59 @@ KINDS = ("ideal", "bench")
 class Setup:
     """All parameters of a simulated bench."""
 
-    muscle: Muscle
+    muscle: Muscle | DaerdenMuscle
     regulator: Regulator
     noise: Noise
     follow_lag: float
     """First-order lag of a displacement actuator behind its command [s]."""
+    hysteresis: Hysteresis | None = None
+    """Felt at a driven end."""
+
+    def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant:
+        """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
+
+        Raises
+        ------
+        ValueError
+            For a muscle that has only a driven end.
+        """
+        if not isinstance(self.muscle, Muscle):
+            raise ValueError(f"the muscle {self.muscle.name} is for a driven free end")
+        return Plant(self.muscle, self.regulator, force=force, mass=mass, start=start)
+
+    def driven(self, actuator: Actuator, position: float = 0.0, start: float = 0.0) -> DrivenPlant:
+        """The plant with its free end at `position` [m], held by `actuator`, from `start` [s] on.
+
+        The actuator goes no further than the muscle's formulas hold, and follows with `follow_lag`.
+        """
+        actuator = replace(actuator, lag=self.follow_lag)
+        if not isinstance(self.muscle, Muscle):
+            low, high = (share * self.muscle.length for share in self.muscle.reach)
+            actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
+        return DrivenPlant(
+            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, position=position, start=start
+        )
 
 
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
-    """The parameters of `plant` (a key of `MUSCLES`) as `ideal` or `bench`, with overrides.
+    """The parameters of `plant` (one of `PLANTS`) as `ideal` or `bench`, with overrides.
 
     Raises
     ------
     ValueError
         For a name that is not known or a value that cannot be.
     """
-    if plant not in MUSCLES:
-        raise ValueError(f'no plant "{plant}"; known: {", ".join(MUSCLES)}')
-    muscle = replace(MUSCLES[plant](), friction=BENCH_FRICTION)
+    if plant not in PLANTS:
+        raise ValueError(f'no plant "{plant}"; known: {", ".join(PLANTS)}')
     regulator = Regulator(dead_time=DEAD_TIME, lag=BENCH_LAG)
-    return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+    if plant in MUSCLES:
+        muscle = replace(MUSCLES[plant](), friction=BENCH_FRICTION)
+        return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+    from pmabench.model.daerden_muscle import DaerdenMuscle  # needs the library of models, which needs this module
+
+    stretchy = DaerdenMuscle()
+    hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
+    return changed(Setup(stretchy, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, hysteresis), kind, overrides)
 
 
 def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
@@ -94,21 +140,21 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         value = getattr(change, name)
         return float(value) if value is not None else bench if real else ideal
 
-    full = setup.muscle.friction
-    base = full if real else Friction()
     share = 1.0 if change.friction is None else change.friction
     if share < 0:
         raise ValueError("the factor on friction cannot be negative")
-    friction = Friction(
-        F_s=share * (base.F_s if change.F_s is None else change.F_s),
-        F_c=share * (base.F_c if change.F_c is None else change.F_c),
-        speed=full.speed,
-    )
-    muscle = replace(setup.muscle, friction=friction)
-    if change.b_relax == "b_contract":
-        muscle = replace(muscle, B_r=muscle.B_c)
-    elif change.b_relax is not None:
-        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
+    muscle, hysteresis = setup.muscle, setup.hysteresis
+    if isinstance(muscle, Muscle):
+        muscle = _rubbed(muscle, change, share, real=real)
+    else:
+        for name in ("F_s", "F_c", "b_relax"):
+            if getattr(change, name) is not None:
+                raise ValueError(f"{name} is not for the muscle {muscle.name}: its loop is a hysteresis")
+    if hysteresis is not None:
+        height = hysteresis.height if change.hysteresis is None else change.hysteresis
+        hysteresis = replace(hysteresis, height=share * height)
+    elif change.hysteresis is not None:
+        raise ValueError(f"hysteresis is not for the muscle {muscle.name}: it has friction F_s and F_c")
     given = setup.regulator
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),
@@ -118,6 +164,17 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         leak=chosen("leak", given.leak),
     )
     noise = setup.noise.scaled(chosen("noise", 1.0))
-    return replace(
-        setup, muscle=muscle, regulator=regulator, noise=noise, follow_lag=chosen("follow_lag", setup.follow_lag)
+    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis)
+
+
+def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:
+    """The muscle with the friction and the damping that are asked for."""
+    base = muscle.friction if real else Friction()
+    friction = Friction(
+        F_s=share * (base.F_s if change.F_s is None else change.F_s),
+        F_c=share * (base.F_c if change.F_c is None else change.F_c),
+        speed=muscle.friction.speed,
     )
+    if change.b_relax not in {None, "b_contract"}:
+        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
+    return replace(muscle, friction=friction, B_r=muscle.B_c if change.b_relax else muscle.B_r)

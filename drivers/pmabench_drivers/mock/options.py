@@ -79,7 +79,7 @@ class Options:
     """All options; numbers in SI."""
 
     plant: str = "paper0"
-    """`paper0` or `serres2009` (pmabench.model.presets)."""
+    """`paper0`, `serres2009`, or for a driven free end `daerden` (pmabench.model.presets)."""
     preset: str = "bench"
     """`bench`: lag, friction, noise; `ideal`: dead time only."""
     seed: int = 1
@@ -129,7 +129,7 @@ TEXT = {"plant", "preset", "free_end", "b_relax", "reads", "end", "log"}
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", "serres2009"),
+    "plant": ("paper0", "serres2009", "daerden"),
     "reads": SENSORS,
     "end": ("low", "high"),
 }
@@ -159,9 +159,26 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
         else:
             raise DeviceError(device, f'no option "{name}"{did_you_mean(name, own | changes)}')
     options = Options(**values, overrides=Overrides(**overrides))
+    _check_plant(device, options, overrides)
     if options.dump_lag < 0 or not options.slow_vent > 0:
         raise DeviceError(device, "option dump_lag needs a lag of at least 0 s, option slow_vent a factor above 0")
     return options
+
+
+NOT_FOR = {
+    "daerden": ("F_s", "F_c", "b_relax"),
+    "paper0": ("hysteresis",),
+    "serres2009": ("hysteresis",),
+}
+"""Options that a plant has no use for."""
+
+
+def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
+    if options.plant == "daerden" and options.free_end != "actuator":
+        raise DeviceError(device, "option plant: daerden is for a driven free end; write free_end: actuator beside it")
+    for name in NOT_FOR[options.plant]:
+        if name in overrides:
+            raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 
 
 def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:

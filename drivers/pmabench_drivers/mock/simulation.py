@@ -69,16 +69,17 @@ class Simulation:
         )
         self._name, self._options, self._keep_for = device.name, options, memory
         self.faults, self.errors = options.faults, dict(options.errors)
-        self._plant: Plant | DrivenPlant = Plant(setup.muscle, setup.regulator, mass=options.carriage, start=start)
+        self._plant: Plant | DrivenPlant
         if options.free_end == "actuator":
             actuator = Actuator(
                 low=options.actuator_low,
                 high=options.actuator_high,
                 speed=options.actuator_speed,
                 force=options.actuator_force,
-                lag=setup.follow_lag,
             )
-            self._plant = DrivenPlant(setup.muscle, setup.regulator, actuator, start=start)
+            self._plant = setup.driven(actuator, start=start)
+        else:
+            self._plant = setup.free(mass=options.carriage, start=start)
         sigma = {"pressure": setup.noise.pressure, "displacement": setup.noise.displacement, "force": setup.noise.force}
         self._channels = [
             Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
