@@ -9,7 +9,8 @@ that a protocol that asks for more is warned of, and `lacks(device: DeviceRecord
 surprise, each going on after "this bench has"; both are asked only where nothing is wrong with the options.
 
 The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place. So does the
-text of a DBC file (messages of a CAN bus), which the option `dbc` names.
+text of a DBC file (messages of a CAN bus), which the option `dbc` names, and the numbers of a plant file, where the
+option `plant` names one.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from pmabench.base.errors import InvalidFile
+from pmabench.base.quantities import show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, SetPoint, Stream, Switch, Watchdog
+from pmabench.bench.plant import read_plant
 from pmabench.bench.registry import verified
 from pmabench.files.document import Document, Location, document_text, read_document
 
-MAP, DBC = "map", "dbc"
+MAP, DBC, PLANT = "map", "dbc", "plant"
 LONGEST = 2_000_000
 """Longest DBC file that is read [bytes]."""
 
@@ -43,6 +47,11 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         if text is None:
             return device
         device = replace(device, options={**device.options, DBC: text})
+    if isinstance(device.options.get(PLANT), dict) or str(device.options.get(PLANT)).endswith(".yaml"):
+        numbers = _read_plant(c, device, (*at, "options", PLANT))
+        if numbers is None:
+            return device
+        device = replace(device, options={**device.options, PLANT: numbers})
     module, _, name = device.driver.partition(":")
     try:
         driver = getattr(import_module(module), name)
@@ -115,14 +124,45 @@ def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
     return c.texts[name]
 
 
-def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
-    """The map file, kept for the run's snapshot; None where it is a problem."""
-    path = Path(name)
-    if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
-        c.fault(at, f'a .yaml file beside this one is expected, for instance "registers/regulator.yaml", not "{name}"')
+def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str, Any] | None:
+    """The numbers of a plant file, kept for the run's snapshot; None where it is a problem."""
+    name = device.options[PLANT]
+    if not isinstance(name, str):
+        c.fault(at, "the name of a plant, or a plant file beside this one, is expected")
+        return None
+    path = _beside(c, name, at, "plants/my-muscle.yaml")
+    if path is None:
         return None
     try:
-        document = read_document(Path(c.bench_document.place(at)[0]).parent / path)
+        plant = read_plant(path)
+    except InvalidFile as error:
+        c.problems.extend(problem for problem in error.problems if problem not in c.problems)
+        return None
+    highest = plant.numbers["highest_pressure"]
+    for output in device.outputs:
+        if output.quantity == "pressure" and output.high > highest * (1 + 1e-9):
+            there = f"this bench may command {show(output.high, 'pressure')} ({output.high_from})"
+            c.fault(at, f"{name} holds up to {show(highest, 'pressure')}, and {there}; lower the limit of the bench")
+    c.texts[name] = plant.text
+    return {**plant.numbers, "file": name}
+
+
+def _beside(c: Compilation, name: str, at: Location, example: str) -> Path | None:
+    """The path of a .yaml file beside the file that names it at `at`; None where it is a problem."""
+    path = Path(name)
+    if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
+        c.fault(at, f'a .yaml file beside this one is expected, for instance "{example}", not "{name}"')
+        return None
+    return Path(c.bench_document.place(at)[0]).parent / path
+
+
+def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
+    """The map file, kept for the run's snapshot; None where it is a problem."""
+    path = _beside(c, name, at, "registers/regulator.yaml")
+    if path is None:
+        return None
+    try:
+        document = read_document(path)
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None

@@ -204,6 +204,7 @@ if TYPE_CHECKING:
     Ratio: TypeAlias = float
     Angle: TypeAlias = float
     Gain: TypeAlias = float
+    Rate: TypeAlias = float
     Stiffness: TypeAlias = float
     Damping: TypeAlias = float
     ForcePerPressure: TypeAlias = float
@@ -222,6 +223,7 @@ else:
     Ratio = _type("ratio")
     Angle = _type("angle")
     Gain = _type("gain")
+    Rate = _type("rate")
     Stiffness = _type("stiffness")
     Damping = _type("damping")
     ForcePerPressure = _type("force per pressure")

@@ -1,0 +1,282 @@
+"""Plant files to the plain numbers that a simulated bench is made of; knows no bench.
+
+They are plain so that they can go to another process and into a record; `pmabench.model.plant_file` makes the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.quantities import show
+from pmabench.bench.files.plant import PlantFile, Polynomial, Table
+from pmabench.files.document import Document, Location, document_text, read_document, validate
+from pmabench.files.quantity import unit_factor
+
+SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
+"""Coefficient -> quantity."""
+LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0}
+MOST = {"F_ce": 1e6, "K": 1e8, "B_c": 1e7, "B_r": 1e7}
+"""What each must lie between at all pressures of the plant [SI]."""
+JUMP = 0.02
+"""Most that a coefficient may jump at a break, of its highest value."""
+AT_REST = 1.0
+"""Most force that is taken for none, without pressure [N]."""
+
+Piece = list[float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant file that is right: its numbers (SI, and coefficients as they were printed), and its text."""
+
+    numbers: dict[str, Any]
+    text: str
+
+
+def read_plant(path: Path) -> Plant:
+    """The plant in a file; raises `InvalidFile` with every problem."""
+    document = read_document(path)
+    return Plant(plant_numbers(document), document_text(document))
+
+
+def plant_numbers(document: Document) -> dict[str, Any]:
+    """What `pmabench.model.plant_file.setup_of` takes; raises `InvalidFile` with every problem."""
+    file = validate(PlantFile, document)
+    compilation = _Curves(document, file.highest_pressure)
+    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in SYMBOLS}
+    if compilation.problems:
+        raise InvalidFile(compilation.problems)
+    return {
+        "law": file.law,
+        "name": file.name,
+        "length": file.length,
+        "stop": file.stop,
+        "highest_pressure": file.highest_pressure,
+        **curves,
+        "friction": file.friction.model_dump() if file.friction is not None else {},
+        "regulator": file.regulator.model_dump(),
+        "noise": file.noise.model_dump(),
+        "follow_lag": file.follow_lag,
+    }
+
+
+class _Curves:
+    """Coefficients over pressure, from 0 to `highest` [Pa], with every problem found."""
+
+    def __init__(self, document: Document, highest: float) -> None:
+        self._document, self._highest = document, highest
+        self.problems: list[Problem] = []
+
+    def curve(self, symbol: str, given: Any) -> dict[str, Any]:
+        """The arguments of `Curve.printed`: pieces in `unit` over powers of `pressure`; empty with a problem."""
+        before = len(self.problems)
+        if isinstance(given, tuple):
+            value = self._si(given, SYMBOLS[symbol], (symbol,))
+            curve: dict[str, Any] = {"pieces": [[value]], "breaks": [], "unit": 1.0, "pressure": 1.0}
+        elif isinstance(given, Table):
+            curve = self._table(symbol, given)
+        else:
+            curve = self._polynomial(symbol, given)
+        if len(self.problems) == before:
+            self._check(symbol, curve)
+        return curve
+
+    def _fault(self, location: Location, message: str) -> None:
+        self.problems.append(self._document.problem(location, message))
+
+    def _si(self, reading: tuple[float, str], quantity: str, at: Location) -> float:
+        """A reading in SI; NaN with a problem."""
+        try:
+            value = reading[0] * unit_factor(reading[1], quantity)
+        except ValueError as error:
+            self._fault(at, str(error))
+            return float("nan")
+        if not isfinite(value):
+            self._fault(at, f"{reading[0]:g} {reading[1]} is out of all range")
+        return value
+
+    def _table(self, symbol: str, given: Table) -> dict[str, Any]:
+        at: Location = (symbol, "points")
+        points = [
+            (self._si(P, "pressure", (*at, i, 0)), self._si(value, SYMBOLS[symbol], (*at, i, 1)))
+            for i, (P, value) in enumerate(given.points)
+        ]
+        for i in range(1, len(points)):
+            if points[i][0] - points[i - 1][0] < 1.0:
+                self._fault((*at, i, 0), f"the pressures must rise; {show(points[i - 1][0], 'pressure')} is before it")
+        if points[0][0] < 0:
+            self._fault((*at, 0, 0), "a gauge pressure is not below zero")
+        if points[-1][0] < self._highest * (1 - 1e-9):
+            self._short((*at, len(points) - 1, 0), points[-1][0])
+        if symbol == "F_ce" and points[0][0] > 0:
+            points.insert(0, (0.0, 0.0))
+        return {"points": [list(point) for point in points]}
+
+    def _short(self, at: Location, high: float) -> None:
+        highest = show(self._highest, "pressure")
+        self._fault(at, f"ends at {show(high, 'pressure')}, but highest_pressure is {highest}; they must agree")
+
+    def _polynomial(self, symbol: str, given: Polynomial) -> dict[str, Any]:
+        nothing: dict[str, Any] = {}
+        before = len(self.problems)
+        unit = self._si((1.0, given.unit), SYMBOLS[symbol], (symbol, "unit"))
+        pressure = self._si((1.0, given.pressure), "pressure", (symbol, "pressure"))
+        if len(self.problems) > before:
+            return nothing
+
+        def printed(reading: tuple[float, str] | None, at: Location, missing: float) -> float:
+            """A pressure in the printed unit; as it stands where it is in that unit."""
+            if reading is None or reading[1] == given.pressure:
+                return missing if reading is None else reading[0]
+            return self._si(reading, "pressure", at) / pressure
+
+        breaks = [printed(edge, (symbol, "breaks", i), 0.0) for i, edge in enumerate(given.breaks or [])]
+        centre, scale = (
+            printed(given.centre, (symbol, "centre"), 0.0),
+            printed(given.scale, (symbol, "scale"), 1.0),
+        )
+        low = high = None
+        if given.domain is not None:
+            low, high = (printed(end, (symbol, "domain", i), 0.0) for i, end in enumerate(given.domain))
+        if len(self.problems) > before:
+            return nothing
+        if not 1.0 <= scale * pressure <= 1e9 or abs(centre * pressure) > 1e9:
+            self._fault((symbol, "scale" if given.scale else "centre"), "is no pressure that a polynomial is scaled by")
+        rising = [0.0 if low is None else low, *breaks]
+        for i in range(1, len(rising)):
+            if (rising[i] - rising[i - 1]) * pressure < 1.0:
+                self._fault((symbol, "breaks", i - 1), "the breaks must rise, within the domain and above 0 kPa")
+        if low is not None and high is not None:
+            if not 0 <= low < high:
+                self._fault((symbol, "domain"), "the lower end first, and none below zero")
+            elif high * pressure < self._highest * (1 - 1e-9):
+                self._short((symbol, "domain", 1), high * pressure)
+        if len(self.problems) > before:
+            return nothing
+        pieces = [list(piece) for piece in given.pieces or [given.coefficients or []]]
+        if given.centre is not None or given.scale is not None:
+            pieces = [_expanded(piece, centre, scale) for piece in pieces]
+        if low:
+            value = _value(pieces[0], low)
+            pieces.insert(0, [0.0, value / low] if symbol == "F_ce" else [value])
+            breaks.insert(0, low)
+        if not all(isfinite(c * unit / pressure**n) for piece in pieces for n, c in enumerate(piece)):
+            self._fault((symbol,), "its numbers are out of all range")
+            return nothing
+        return {"pieces": pieces, "breaks": breaks, "unit": unit, "pressure": pressure}
+
+    # -- what a muscle can be ------------------------------------------------------------------------------------
+
+    def _check(self, symbol: str, curve: dict[str, Any]) -> None:
+        """The curve must be a muscle's at all pressures from 0 to the highest."""
+        quantity, least, most = SYMBOLS[symbol], LEAST[symbol], MOST[symbol]
+        seen = list(_extremes(curve, self._highest))
+        (at_low, low), (at_high, high) = (pick(seen, key=lambda pair: pair[1]) for pick in (min, max))
+        slack = 1e-9 * max(abs(high), 1.0)
+        if not low >= least - slack:
+            text = f"{symbol} falls to {show(low, quantity, 4)} at {show(at_low, 'pressure', 4)}"
+            word = "never below zero" if not least else f"at least {show(least, quantity)}"
+            hint = f"; {_way_out(curve, self._highest)}" if symbol == "F_ce" else ""
+            where = f"from 0 kPa to highest_pressure, {show(self._highest, 'pressure')}"
+            self._fault((symbol,), f"{text}; it must be {word} {where}{hint}")
+        elif not high <= most:
+            self._fault(
+                (symbol,), f"{symbol} is {show(high, quantity, 4)} at {show(at_high, 'pressure', 4)}: no muscle"
+            )
+        elif symbol == "F_ce" and seen[0][1] > AT_REST:
+            text = f"F_ce is {show(seen[0][1], 'force', 4)} without pressure, and the muscle would creep"
+            way = 'give the "domain" from which on it holds: below it the force goes on a straight line to 0 N at 0 kPa'
+            self._fault((symbol,), f"{text}; {way}")
+        for P, left, right in _jumps(curve):
+            if 0 < P < self._highest and not abs(right - left) <= JUMP * max(abs(high), abs(low)):
+                values = f"{show(left, quantity, 4)} to {show(right, quantity, 4)}"
+                self._fault((symbol, "breaks"), f"{symbol} jumps at {show(P, 'pressure', 4)} from {values}")
+
+
+def _expanded(coefficients: Sequence[float], centre: float, scale: float) -> Piece:
+    """The polynomial of (P - centre) / scale as one of P, exactly until the last rounding."""
+    result: list[Fraction] = [Fraction(0)]
+    for coefficient in reversed(coefficients):
+        shifted = [Fraction(0), *(c / Fraction(scale) for c in result)]
+        for n, c in enumerate(result):
+            shifted[n] -= c * Fraction(centre) / Fraction(scale)
+        shifted[0] += Fraction(coefficient)
+        result = shifted
+    try:
+        return [float(c) for c in result[: len(coefficients)]]
+    except OverflowError:
+        return [float("inf")]
+
+
+def _value(coefficients: Sequence[float], P: float) -> float:
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * P + coefficient
+    return value
+
+
+def _turns(coefficients: Sequence[float], low: float, high: float) -> list[float]:
+    """Where the polynomial may have its extremes: the ends, and the zeros of its derivative between them."""
+    slope = [n * c for n, c in enumerate(coefficients)][1:]
+    if len(slope) < 2:
+        return [low, high]
+    ends = _turns(slope, low, high)
+    zeros = []
+    for left, right in pairwise(ends):
+        if _value(slope, left) * _value(slope, right) >= 0:
+            zeros.append(right)
+            continue
+        rising = _value(slope, right) > 0
+        for _ in range(60):
+            middle = (left + right) / 2
+            if (_value(slope, middle) > 0) == rising:
+                right = middle
+            else:
+                left = middle
+        zeros.append(right)
+    return sorted({low, *zeros, high})
+
+
+def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, float]]:
+    """Pressures [Pa] and values [SI] among which are the lowest and the highest between 0 and `highest` [Pa]."""
+    if "points" in curve:
+        points = curve["points"]
+        inside = [(P, value) for P, value in points if P <= highest]
+        yield 0.0, points[0][1]
+        yield from inside
+        yield from points[len(inside) : len(inside) + 1]
+        return
+    unit, pressure = curve["unit"], curve["pressure"]
+    edges = [0.0, *curve["breaks"], highest / pressure]
+    for piece, (low, high) in zip(curve["pieces"], pairwise(edges), strict=True):
+        end = min(high, highest / pressure)
+        if low <= end:
+            yield from ((P * pressure, _value(piece, P) * unit) for P in _turns(piece, low, end))
+
+
+def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
+    """Each break [Pa] with the values before and behind it [SI]."""
+    pieces = curve.get("pieces", [])
+    for edge, (left, right) in zip(curve.get("breaks", []), pairwise(pieces), strict=True):
+        yield edge * curve["pressure"], _value(left, edge) * curve["unit"], _value(right, edge) * curve["unit"]
+
+
+def _way_out(curve: dict[str, Any], highest: float) -> str:
+    """How a force that is negative at low pressure is written."""
+    if "points" in curve:
+        return "a muscle cannot push: give 0 N there"
+    piece, pressure = curve["pieces"][0], curve["pressure"]
+    low, high = 0.0, highest / pressure
+    if not _value(piece, low) < 0 < _value(piece, high):
+        return "a muscle cannot push"
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if _value(piece, middle) > 0 else (middle, high)
+    return f"a muscle cannot push: give 0 as a piece of its own up to the break at {high * pressure / 1e3:.10g} kPa"
