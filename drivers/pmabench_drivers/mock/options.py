@@ -80,6 +80,8 @@ class Options:
 
     plant: str = "paper0"
     """`paper0`, `serres2009`, or for a driven free end `daerden` (pmabench.model.presets)."""
+    numbers: Mapping[str, Any] | None = None
+    """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
     """`bench`: lag, friction, noise; `ideal`: dead time only."""
     seed: int = 1
@@ -143,7 +145,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     DeviceError
         For an option that is not known, naming the nearest one, or a value that cannot be.
     """
-    own = {item.name for item in fields(Options)} - {"overrides"}
+    own = {item.name for item in fields(Options)} - {"overrides", "numbers"}
     changes = {item.name for item in fields(Overrides)}
     values: dict[str, Any] = {}
     overrides: dict[str, Any] = {}
@@ -152,6 +154,8 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
             values[name] = _faults(device, value)
         elif name == "errors":
             values[name] = _errors(device, value)
+        elif name == "plant" and isinstance(value, Mapping):
+            values.update(plant=str(value["file"]), numbers=value)
         elif name in own:
             values[name] = _value(device, name, value)
         elif name in changes:
@@ -176,7 +180,7 @@ NOT_FOR = {
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
     if options.plant == "daerden" and options.free_end != "actuator":
         raise DeviceError(device, "option plant: daerden is for a driven free end; write free_end: actuator beside it")
-    for name in NOT_FOR[options.plant]:
+    for name in NOT_FOR.get(options.plant, ("hysteresis",)):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 

@@ -14,7 +14,8 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
-from pmabench.model.presets import preset
+from pmabench.model.plant_file import setup_of
+from pmabench.model.presets import changed, preset
 from pmabench.model.signal import Wave, constant, ramp, sine
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
 from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, INPUTS, ISOLATION_VALVE, VALVES, Options, SensorError
@@ -26,7 +27,9 @@ BUFFER = 20_000
 LEAST_MASS = 0.01
 """Moving mass of a free end without anything on it [kg]."""
 SETPOINTS = (0.0, 1e6)
-"""What the pressure regulator can be set to [Pa]; it takes anything beyond as the nearest of these."""
+"""What the pressure regulator can be set to [Pa]; it takes anything beyond as the nearest of these.
+
+For a plant of a file, up to its own highest pressure."""
 BURST_LAG = 0.01
 SUPPLY_LAG = 0.5
 
@@ -63,7 +66,12 @@ class Simulation:
     """
 
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
-        setup = preset(options.plant, options.preset, options.overrides)
+        if options.numbers is None:
+            setup = preset(options.plant, options.preset, options.overrides)
+        else:
+            setup = changed(setup_of(options.numbers), options.preset, options.overrides)
+        highest = SETPOINTS[1] if options.numbers is None else float(options.numbers["highest_pressure"])
+        self._setpoints = (SETPOINTS[0], highest)
         setup = replace(
             setup, regulator=replace(setup.regulator, vent_ratio=setup.regulator.vent_ratio * options.slow_vent)
         )
@@ -126,7 +134,7 @@ class Simulation:
 
         The pressure set-point ends at the regulator's range; ValueError for a sine that goes beyond.
         """
-        limits = SETPOINTS if output == "pressure" else (-math.inf, math.inf)
+        limits = self._setpoints if output == "pressure" else (-math.inf, math.inf)
         waves = _waves(segment, scale, self._plant.time, limits)
         if output == "displacement" and isinstance(self._plant, DrivenPlant):
             self._plant.move(waves)
