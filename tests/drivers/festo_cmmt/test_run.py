@@ -21,8 +21,8 @@ needs: {free_end: actuator}
 sample_rate: 50 Hz
 record: [pressure, displacement, force, pressure_command, displacement_command]
 prepare: {precondition: {cycles: 1, pressure: 300 kPa, hold: 500 ms}}
-sweep: {matrix: {pressure: [300 kPa], frequency: FREQUENCIES}, order: as-written, repeat: {count: 2, as: blocks}}
-trial: {mean: 10 mm, amplitude: 5 mm, cycles: 4, at_least: 4 s, discard: 1, settle: 1 s, approach: 20 mm/s}
+sweep: {matrix: {pressure: [300 kPa], frequency: FREQUENCIES}, order: as-written, repeat: {count: 3, as: blocks}}
+trial: {mean: 10 mm, amplitude: 5 mm, cycles: 6, at_least: 6 s, discard: 1, settle: 1 s, approach: 20 mm/s}
 """
 
 
