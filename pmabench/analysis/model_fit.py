@@ -7,6 +7,7 @@ of the sum of squares (Bates and Watts 1988, chapter 6). Knows no file and no un
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import isfinite, sqrt
 from typing import Any
@@ -174,18 +175,16 @@ def _size(p: Parameter) -> float:
 
 
 def acting(
-    model: Model, output: str, names: Sequence[str], inputs: Mapping[str, Any], sources: Sequence[Array] | None = None
+    model: Model, output: str, names: Sequence[str], inputs: Mapping[str, Any], start: Mapping[str, float] | None = None
 ) -> list[str]:
-    """Those of `names` that change the output on these inputs, at the reference values or at any of `sources`."""
+    """Those of `names` that change the output on these inputs, at or near `start` or the reference values."""
     known = {p.name: p for p in model.parameters}
     problem = Problem(model, output, names, inputs, None)
-    places = sources or [np.array([float(inputs.get(name, known[name].value)) for name in names])]
+    first = np.array([float((start or {}).get(name, known[name].value)) for name in names])
     moves = np.zeros(len(names), dtype=bool)
-    for at in places:
-        try:
-            moves |= (np.abs(problem.slopes(np.clip(at, problem.low, problem.high))) > 0).any(axis=0)
-        except OutsideDomain:
-            continue
+    for share in (1.0, 0.9, 1.1):
+        with suppress(OutsideDomain):
+            moves |= (np.abs(problem.slopes(np.clip(share * first, problem.low, problem.high))) > 0).any(axis=0)
     return [name for name, does in zip(names, moves, strict=True) if does]
 
 

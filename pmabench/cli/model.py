@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import grid, read_inputs
+from pmabench.cli.model_fit import fit
+from pmabench.cli.model_inputs import grid, named_model, pairs, read_inputs, shown
 from pmabench.cli.model_simulate import simulate
 from pmabench.cli.model_table import cell, display_unit, print_csv, print_table, si_unit
 
@@ -21,10 +22,11 @@ EXAMPLE = '\b\npmabench model eval tondu-lopez --set "pressure=300 kPa" \\\n    
 
 @click.group(name="model")
 def command() -> None:
-    """Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate."""
+    """Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate, fit."""
 
 
 command.add_command(simulate)
+command.add_command(fit)
 
 
 @command.command(name="list")
@@ -58,7 +60,7 @@ def list_models(ui: Ui) -> int | None:
 @common
 def show_model(ui: Ui, name: str) -> int | None:
     """Equation, inputs with their domain, outputs, source and reference values of the model NAME."""
-    model = _model(name)
+    model = named_model(name)
     checks = []
     for reference in model.references:
         now = float(model.evaluate(reference.at)[reference.output])
@@ -94,10 +96,13 @@ def show_model(ui: Ui, name: str) -> int | None:
             }
             for r, now, agrees in checks
         ],
+        "fitted": list(model.fitted),
         "notes": list(model.notes),
     }
 
     def human() -> None:
+        from textwrap import wrap
+
         from pmabench.report.terminal import print_grid
 
         console = ui.console()
@@ -109,7 +114,7 @@ def show_model(ui: Ui, name: str) -> int | None:
             [
                 p.name,
                 p.symbol,
-                _shown(p, p.value),
+                shown(p, p.value),
                 _domain(p),
                 p.meaning + (f" ({p.origin})" if p.origin != "example" else ""),
             ]
@@ -117,6 +122,9 @@ def show_model(ui: Ui, name: str) -> int | None:
         ]
         heads = ["input", "symbol", "reference", "domain", "meaning"]
         print_grid(console, heads, rows, ("input", "symbol", "reference", "domain", "meaning"))
+        if model.fitted:
+            for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
+                click.echo(line)
         click.echo()
         rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
         print_grid(console, ["output", "symbol", "unit", "meaning"], rows, ("output", "symbol", "unit", "meaning"))
@@ -125,7 +133,7 @@ def show_model(ui: Ui, name: str) -> int | None:
         rows = [
             [
                 r.output,
-                ", ".join(f"{key} = {_shown(parameters[key], value)}" for key, value in r.at.items()) or "reference",
+                ", ".join(f"{key} = {shown(parameters[key], value)}" for key, value in r.at.items()) or "reference",
                 f"{r.printed} {r.unit}".strip(),
                 f"{now / r.scale:.7g} {r.unit}".strip(),
                 "" if agrees else "DIFFERS",
@@ -144,24 +152,14 @@ def show_model(ui: Ui, name: str) -> int | None:
     return None
 
 
-def _pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
-    pairs = []
-    for value in values:
-        name, equals, text = value.partition("=")
-        if not equals or not name.strip():
-            raise click.BadParameter(f'"{value}" is not name=value, for instance "pressure=300 kPa"')
-        pairs.append((name.strip(), text.strip()))
-    return pairs
-
-
 @command.command(name="eval", epilog=EXAMPLE)
 @click.argument("name")
-@click.option("--set", "settings", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="An input with its unit.")
+@click.option("--set", "settings", multiple=True, callback=pairs, metavar="NAME=VALUE", help="An input with its unit.")
 @click.option(
     "--over",
     "axes",
     multiple=True,
-    callback=_pairs,
+    callback=pairs,
     metavar="NAME=RANGE",
     help='A table over an input: "FIRST..LAST by STEP" or "A, B, C"; repeatable, the first outermost.',
 )
@@ -175,7 +173,7 @@ def eval_model(
 
     if as_csv and ui.json:
         raise UsageError("--csv or --json, not both")
-    model = _model(name)
+    model = named_model(name)
     given, table = read_inputs(model, settings, axes)
     inputs, columns = grid(model, given, table)
     outputs = _evaluate(model, {**given, **columns})
@@ -217,15 +215,6 @@ def eval_model(
 # -- reading -----------------------------------------------------------------------------------------------------
 
 
-def _model(name: str) -> Model:
-    from pmabench.base.errors import UsageError, did_you_mean
-    from pmabench.model.library import MODELS
-
-    if name not in MODELS:
-        raise UsageError(f'no model "{name}"{did_you_mean(name, MODELS)}')
-    return MODELS[name]
-
-
 def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | None]]:
     """The outputs row by row [SI]; UsageError with the reasons where the model does not hold."""
     import numpy as np
@@ -260,17 +249,11 @@ def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | No
 # -- words -------------------------------------------------------------------------------------------------------
 
 
-def _shown(parameter: Parameter, value: object, digits: int = 6) -> str:
-    from pmabench.base.quantities import show
-
-    return value if isinstance(value, str) else show(float(value), parameter.quantity, digits)  # type: ignore[arg-type]
-
-
 def _domain(parameter: Parameter) -> str:
     """The range in words."""
     if parameter.choices:
         return " or ".join(parameter.choices)
-    low, high = (_shown(parameter, value) for value in (parameter.low, parameter.high))
+    low, high = (shown(parameter, value) for value in (parameter.low, parameter.high))
     if not math.isfinite(parameter.low):
         return "any" if not math.isfinite(parameter.high) else f"up to {high}"
     start = f"above {low}" if parameter.above else low
@@ -283,9 +266,9 @@ def _sentence(parameter: Parameter | None, refusal: Any) -> str:
     if parameter is None or math.isnan(refusal.value):
         return f"{refusal.name}: {refusal.reason}"
     if math.isnan(refusal.low):
-        return f"{refusal.name} = {_shown(parameter, refusal.value)}: {refusal.reason}"
+        return f"{refusal.name} = {shown(parameter, refusal.value)}: {refusal.reason}"
     reason = f": {refusal.reason}" if refusal.reason else ""
-    return f"{refusal.name} = {_shown(parameter, refusal.value)} is outside its domain, {_domain(parameter)}{reason}"
+    return f"{refusal.name} = {shown(parameter, refusal.value)} is outside its domain, {_domain(parameter)}{reason}"
 
 
 def _input_facts(parameter: Parameter) -> dict[str, Any]:
@@ -318,9 +301,9 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
 
     parameters = {p.name: p for p in model.parameters}
     for own, word in ((True, "given:"), (False, "at their reference values:")):
-        shown = [f"{key} {_shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
-        if shown:
-            for line in wrap(f"{word} {', '.join(shown)}", width, subsequent_indent="  ", break_on_hyphens=False):
+        told = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
+        if told:
+            for line in wrap(f"{word} {', '.join(told)}", width, subsequent_indent="  ", break_on_hyphens=False):
                 click.echo(line)
     click.echo()
 

@@ -5,36 +5,59 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import click
+
 if TYPE_CHECKING:
     from pmabench.model.library import Model, Parameter
 
 MOST_ROWS = 20_000
 
 
+def pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
+    """`NAME=VALUE` options as (name, value)."""
+    found = []
+    for value in values:
+        name, equals, text = value.partition("=")
+        if not equals or not name.strip():
+            raise click.BadParameter(f'"{value}" is not name=value, for instance "pressure=300 kPa"')
+        found.append((name.strip(), text.strip()))
+    return found
+
+
+def named_model(name: str) -> Model:
+    """The model, or UsageError with the nearest name."""
+    from pmabench.base.errors import UsageError, did_you_mean
+    from pmabench.model.library import MODELS
+
+    if name not in MODELS:
+        raise UsageError(f'no model "{name}"{did_you_mean(name, MODELS)}')
+    return MODELS[name]
+
+
 def read_inputs(
-    model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]]
+    model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]], option: str = "--set"
 ) -> tuple[dict[str, Any], dict[str, list[Any]]]:
-    """Values given and the axes of the table; UsageError with everything that is wrong."""
+    """Values given by `option` and the axes of the table; UsageError with everything that is wrong."""
     from pmabench.base.errors import UsageError, did_you_mean
 
     parameters = {p.name: p for p in model.parameters}
     given: dict[str, Any] = {}
     table: dict[str, list[Any]] = {}
     problems: list[str] = []
-    for option, pairs in (("--set", settings), ("--over", axes)):
-        for key, text in pairs:
+    for word, asked in ((option, settings), ("--over", axes)):
+        for key, text in asked:
             if key not in parameters:
-                problems.append(f'{option} {key}: {model.name} has no input "{key}"{did_you_mean(key, parameters)}')
+                problems.append(f'{word} {key}: {model.name} has no input "{key}"{did_you_mean(key, parameters)}')
             elif key in given or key in table:
-                problems.append(f"{option} {key}: given twice")
+                problems.append(f"{word} {key}: given twice")
             else:
                 try:
-                    if option == "--set":
+                    if word == option:
                         given[key] = _value(parameters[key], text)
                     else:
                         table[key] = _axis(parameters[key], text)
                 except ValueError as error:
-                    problems.append(f"{option} {key}: {error}")
+                    problems.append(f"{word} {key}: {error}")
     rows = math.prod(len(axis) for axis in table.values())
     if rows > MOST_ROWS:
         problems.append(f"--over: {rows} rows; at most {MOST_ROWS} are made")
@@ -43,10 +66,16 @@ def read_inputs(
     return given, table
 
 
+def shown(parameter: Parameter, value: object, digits: int = 6) -> str:
+    """An input in the unit that people read."""
+    from pmabench.base.quantities import show
+
+    return value if isinstance(value, str) else show(float(value), parameter.quantity, digits)  # type: ignore[arg-type]
+
+
 def _value(parameter: Parameter, text: str) -> float | str:
     """One value [SI], or the name of a choice; ValueError that says what is expected."""
     from pmabench.base.errors import did_you_mean
-    from pmabench.files.quantity import parse_quantity
 
     if parameter.choices:
         if text not in parameter.choices:
@@ -54,14 +83,21 @@ def _value(parameter: Parameter, text: str) -> float | str:
                 f'"{text}" is none of {", ".join(parameter.choices)}{did_you_mean(text, parameter.choices)}'
             )
         return text
-    if parameter.quantity == "count":
+    return number_of(text, parameter.quantity)
+
+
+def number_of(text: str, quantity: str) -> float:
+    """One number [SI]; ValueError that says what is expected."""
+    from pmabench.files.quantity import parse_quantity
+
+    if quantity == "count":
         try:
             return float(text)
         except ValueError:
             raise ValueError(f'"{text}" is no number; a pure number is expected, for instance "1.2"') from None
-    if parameter.quantity == "pressure" and "(" in text:
+    if quantity == "pressure" and "(" in text:
         raise ValueError(f'"{text}": pressures of models are gauge, the atmosphere alone is absolute; write "300 kPa"')
-    return parse_quantity(text, parameter.quantity)
+    return parse_quantity(text, quantity)
 
 
 def _axis(parameter: Parameter, text: str) -> list[Any]:

@@ -186,14 +186,18 @@ def unit_scale(unit: str | None, quantity: str) -> float:
 
 
 def numbers(
-    table: Table, columns: Sequence[tuple[Column, str, str | None]], check: Callable[[int, float], str] | None = None
+    table: Table,
+    columns: Sequence[tuple[Column, str, str | None]],
+    check: Callable[[int, float], str] | None = None,
+    within: Callable[[int, float], bool] | None = None,
 ) -> tuple[list[Array], list[int]]:
     """The columns (column, quantity, unit) [SI] without rows that have an empty cell in one, and those rows' places.
 
-    `check` may say of the value [SI] of a column, by its place, what is wrong with it. Raises InvalidFile with every
-    cell that is no number.
+    `check` may say of the value [SI] of a column, by its place, what is wrong with it; `within` whether its row counts.
+    Raises InvalidFile with every cell that is no number.
     """
     problems: list[Problem] = []
+    wide: set[int] = set()
     found: list[Array] = []
     rows = len(table.columns[0].cells)
     kept = [row for row in range(rows) if all(column.cells[row].text for column, _, _ in columns)]
@@ -208,7 +212,9 @@ def numbers(
             cell = column.cells[row]
             number = float(cell.text) * scale if _NUMBER.fullmatch(cell.text) else float("nan")
             wrong = "" if isfinite(number) else _no_number(cell.text)
-            if not wrong and check is not None:
+            if not wrong and within is not None and not within(place, number):
+                wide.add(at)
+            elif not wrong and check is not None:
                 wrong = check(place, number)
             if wrong:
                 problems.append(table.problem(cell, f"{column.name}: {wrong}"))
@@ -216,7 +222,8 @@ def numbers(
         found.append(values)
     if problems:
         raise InvalidFile(problems[:MOST_PROBLEMS])
-    return found, kept
+    inside = [at for at in range(len(kept)) if at not in wide]
+    return [values[inside] for values in found], [kept[at] for at in inside]
 
 
 def _no_number(text: str) -> str:

@@ -1,0 +1,336 @@
+"""`pmabench model fit`: inputs of a model that make it follow measured rows, with intervals and what is not told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, common
+from pmabench.cli.model_inputs import named_model, pairs, read_inputs, shown
+from pmabench.cli.model_table import display_unit, si_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pmabench.analysis.model_fit import ModelFit
+    from pmabench.cli.model_measured import Measured
+    from pmabench.model.library import Model
+
+EXAMPLE = (
+    "\b\n"
+    "pmabench model fit tondu-lopez rows.csv --set k=1 --plot fit.svg\n"
+    "with a head like: pressure [kPa], contraction [%], force [N]"
+)
+NOT_CONVERGED = 6
+MOST_CORRELATED = 8
+"""Unknowns up to which the correlations are printed as a table."""
+
+
+@click.command(name="fit", epilog=EXAMPLE)
+@click.argument("name", metavar="MODEL")
+@click.argument("table", type=click.Path(path_type=Path), metavar="FILE.csv|ANALYSIS")
+@click.option("--free", help="Inputs to fit, with commas; without it those that the model names as fitted.")
+@click.option("--set", "settings", multiple=True, callback=pairs, metavar="NAME=VALUE", help="An input that is known.")
+@click.option("--start", "starts", multiple=True, callback=pairs, metavar="NAME=VALUE", help="Where to begin.")
+@click.option("--output", metavar="NAME", help="What was measured, where the table has several outputs.")
+@click.option("--column", "columns", multiple=True, callback=pairs, metavar="NAME=HEAD", help="A column of other name.")
+@click.option("--only", multiple=True, callback=pairs, metavar="COLUMN=TEXT", help="Rows with this text.")
+@click.option(
+    "--within", multiple=True, callback=pairs, metavar="NAME=RANGE", help='Rows in it: "FIRST..LAST" with units.'
+)
+@click.option("--csv", "as_csv", is_flag=True, help="The fitted values comma-separated, SI, on stdout.")
+@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.svg", help="Draw data and fit.")
+@common
+def fit(
+    ui: Ui,
+    name: str,
+    table: Path,
+    free: str | None,
+    settings: list[tuple[str, str]],
+    starts: list[tuple[str, str]],
+    output: str | None,
+    columns: list[tuple[str, str]],
+    only: list[tuple[str, str]],
+    within: list[tuple[str, str]],
+    *,
+    as_csv: bool,
+    plot: Path | None,
+) -> int | None:
+    """Fit inputs of MODEL to the rows of a table with units in its head.
+
+    Columns are inputs and one output of the model, by name or symbol; other inputs are given with --set or stay at
+    their reference values. Exit code 6 where the fit did not converge.
+    """
+    from pmabench.base.errors import UsageError
+    from pmabench.cli.model_measured import read_measured
+
+    if as_csv and ui.json:
+        raise UsageError("--csv or --json, not both")
+    if plot is not None and plot.suffix.lower() != ".svg":
+        raise UsageError(f"--plot {plot}: an SVG is drawn; give a name that ends in .svg")
+    model = named_model(name)
+    given, _ = read_inputs(model, settings, [])
+    begin, _ = read_inputs(model, starts, [], option="--start")
+    measured = read_measured(
+        model, table, output=output, renamed=columns, only=only, ranges=_ranges(model, within), given=list(given)
+    )
+    found = _fit(model, measured, given, begin, free)
+    if plot is not None:
+        from pmabench.report.fit_figure import write_fit
+
+        write_fit(found, plot, table.name, measured.source)
+    data = _data(found, measured, table, given)
+
+    def human() -> None:
+        if as_csv:
+            _print_csv(data)
+        else:
+            _print(ui, found, measured, table, given)
+            if plot is not None:
+                click.echo(str(plot))
+
+    for note in measured.notes:
+        ui.note(note)
+    ui.result(data, human, [f"{u['name']} {u['value']!r} {u['unit']}" for u in data["parameters"]])
+    return None if found.converged else NOT_CONVERGED
+
+
+def _ranges(model: Model, within: list[tuple[str, str]]) -> dict[str, tuple[float, float]]:
+    """Ends of the inputs or outputs [SI] between which rows count."""
+    from pmabench.base.errors import UsageError, did_you_mean
+    from pmabench.cli.model_inputs import number_of
+
+    quantities = {o.name: o.quantity for o in model.outputs}
+    quantities |= {p.name: p.quantity for p in model.parameters if not p.choices}
+    found = {}
+    problems = []
+    for name, text in within:
+        first, dots, last = text.partition("..")
+        if name not in quantities:
+            problems.append(
+                f'--within {name}: {model.name} has no input or output "{name}"{did_you_mean(name, quantities)}'
+            )
+        elif not dots:
+            problems.append(f'--within {name}: "{text}" is no range; write "FIRST..LAST" with units')
+        else:
+            try:
+                low, high = (number_of(part.strip(), quantities[name]) for part in (first, last))
+                found[name] = (min(low, high), max(low, high))
+            except ValueError as error:
+                problems.append(f"--within {name}: {error}")
+    if problems:
+        raise UsageError("\n".join(problems))
+    return found
+
+
+def _fit(
+    model: Model, measured: Measured, given: Mapping[str, Any], begin: Mapping[str, Any], free: str | None
+) -> ModelFit:
+    """The fit, or UsageError with what makes it impossible."""
+    from pmabench.analysis.model_fit import fit_model
+    from pmabench.base.errors import UsageError
+    from pmabench.model.library import OutsideDomain
+
+    fixed = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in measured.columns}
+    for name, values in measured.columns.items():
+        for end, value in (("low", values.min()), ("high", values.max())):
+            if f"{name}_{end}" in fixed and f"{name}_{end}" not in given:
+                fixed[f"{name}_{end}"] = float(value)
+    unknown = _unknown(model, measured, given, fixed, begin, free)
+    try:
+        return fit_model(
+            model,
+            measured.output,
+            measured.columns,
+            {name: value for name, value in fixed.items() if name not in unknown},
+            measured.values,
+            unknown,
+            start={name: float(value) for name, value in begin.items()},
+        )
+    except (ValueError, OutsideDomain) as error:
+        raise UsageError(f"{model.name}: {error}") from error
+
+
+def _unknown(
+    model: Model,
+    measured: Measured,
+    given: Mapping[str, Any],
+    fixed: Mapping[str, Any],
+    begin: Mapping[str, Any],
+    free: str | None,
+) -> list[str]:
+    """What is fitted: as asked, or what the model names and acts on the output."""
+    from pmabench.analysis.model_fit import acting
+    from pmabench.base.errors import UsageError, did_you_mean
+
+    able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]
+    if free is None:
+        asked = [name for name in model.fitted if name in able and name not in given]
+        unknown = acting(model, measured.output, asked, {**fixed, **measured.columns}, begin)
+        if not unknown:
+            raise UsageError(
+                f"nothing to fit: name inputs with --free, of {', '.join(n for n in able if n not in given)}"
+            )
+    else:
+        unknown = list(dict.fromkeys(name.strip() for name in free.split(",") if name.strip()))
+        problems = []
+        for name in unknown:
+            if name in measured.columns:
+                problems.append(f"--free {name}: the table has a column of it")
+            elif name in given:
+                problems.append(f"--free {name}: it is given with --set; one or the other")
+            elif name not in able:
+                problems.append(f"--free {name}: {model.name} has no such input{did_you_mean(name, able)}")
+        if problems or not unknown:
+            raise UsageError("\n".join(problems) or "--free names nothing")
+    wrong = [name for name in begin if name not in unknown]
+    if wrong:
+        raise UsageError(f"--start {wrong[0]}: it is not fitted{did_you_mean(wrong[0], unknown)}")
+    return unknown
+
+
+# -- results -----------------------------------------------------------------------------------------------------
+
+
+def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The documented JSON object."""
+    known = {p.name: p for p in found.model.parameters}
+    outputs = {o.name: o for o in found.model.outputs}
+    return {
+        "schema": "pmabench.model-fit/1",
+        "model": found.model.name,
+        "file": str(table),
+        "output": {"name": found.output, "unit": si_unit(outputs[found.output].quantity)},
+        "parameters": [
+            {
+                "name": u.name,
+                "symbol": known[u.name].symbol,
+                "quantity": known[u.name].quantity,
+                "unit": si_unit(known[u.name].quantity),
+                "value": u.value,
+                "standard_error": u.standard_error,
+                "ci95": None if u.ci95 is None else list(u.ci95),
+                "start": u.start,
+                "note": u.note,
+            }
+            for u in found.unknowns
+        ],
+        "follows": [
+            {
+                "name": f.name,
+                "unit": si_unit(outputs[f.name].quantity),
+                "value": f.value,
+                "standard_error": f.standard_error,
+                "ci95": None if f.ci95 is None else list(f.ci95),
+            }
+            for f in found.follows
+        ],
+        "inputs": {
+            name: {"value": value, "unit": si_unit(known[name].quantity), "given": name in given}
+            for name, value in found.fixed.items()
+        },
+        "correlation": [[None if value != value else float(value) for value in row] for row in found.correlation],
+        "residual_rms": found.residual_rms,
+        "largest_residual": float(abs(found.computed - found.measured).max()),
+        "degrees_of_freedom": found.freedom,
+        "rows": len(found.measured),
+        "rows_left_out": measured.left_out,
+        "domain": {
+            column: {"lowest": float(v.min()), "highest": float(v.max()), "unit": si_unit(known[column].quantity)}
+            for column, v in found.columns.items()
+        },
+        "intervals": found.method,
+        "starts": found.starts,
+        "starts_agreeing": found.agreeing,
+        "converged": found.converged,
+        "findings": [{"level": f.level, "text": f.text} for f in found.findings],
+    }
+
+
+def _print_csv(data: Mapping[str, Any]) -> None:
+    import csv
+    import sys
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(["name", "value", "unit", "standard_error", "low95", "high95"])
+    for u in data["parameters"]:
+        low, high = u["ci95"] or (None, None)
+        told = ["" if value is None else repr(value) for value in (u["standard_error"], low, high)]
+        writer.writerow([u["name"], repr(u["value"]), u["unit"], *told])
+
+
+def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapping[str, Any]) -> None:
+    from textwrap import wrap
+
+    from pmabench.base.quantities import QUANTITIES
+    from pmabench.report.terminal import print_grid
+
+    known = {p.name: p for p in found.model.parameters}
+    outputs = {o.name: o for o in found.model.outputs}
+    console = ui.console()
+    ranges = ", ".join(
+        f"{name} {shown(known[name], float(v.min()))} to {shown(known[name], float(v.max()))}"
+        for name, v in found.columns.items()
+    )
+    left = f" ({measured.left_out} without a value or outside left out)" if measured.left_out else ""
+    click.echo(f"{found.model.name}, {found.output}, fitted to {len(found.measured)} rows of {table}{left}")
+    click.echo(f"holds for {ranges}\n")
+    rows = []
+    for u in found.unknowns:
+        scale = QUANTITIES[known[u.name].quantity].scale
+        error = None if u.standard_error is None else u.standard_error / scale
+        ends = None if u.ci95 is None else tuple(None if end is None else end / scale for end in u.ci95)
+        unit = display_unit(known[u.name].quantity)
+        rows.append([u.name, known[u.name].symbol, *_told(u.value / scale, error, ends), unit])
+    for f in found.follows:
+        scale = QUANTITIES[outputs[f.name].quantity].scale
+        error = None if f.standard_error is None else f.standard_error / scale
+        ends = None if f.ci95 is None else (f.ci95[0] / scale, f.ci95[1] / scale)
+        unit = display_unit(outputs[f.name].quantity)
+        rows.append([f"({f.name})", outputs[f.name].symbol, *_told(f.value / scale, error, ends), unit])
+    heads = ["fitted", "symbol", "value", "standard error", "95 % interval", "unit"]
+    print_grid(console, heads, rows, ("fitted", "symbol", "unit"))
+    if found.follows:
+        click.echo("in brackets: follows from the fitted")
+    quantity = outputs[found.output].quantity
+    scale, unit = QUANTITIES[quantity].scale, display_unit(quantity)
+    largest = float(abs(found.computed - found.measured).max()) / scale
+    click.echo(
+        f"\nresidual rms {found.residual_rms / scale:.3g}, largest {largest:.3g} {unit}".rstrip()
+        + f"; {found.freedom} degrees of freedom; {found.agreeing} of {found.starts} starts ended here"
+    )
+    for own, word in ((True, "given:"), (False, "not fitted, at reference values or ends of the data:")):
+        told = [f"{key} {shown(known[key], value)}" for key, value in found.fixed.items() if (key in given) == own]
+        for line in wrap(f"{word} {', '.join(told)}", console.width, subsequent_indent="  ", break_on_hyphens=False):
+            if told:
+                click.echo(line)
+    if 1 < len(found.unknowns) <= MOST_CORRELATED:
+        click.echo()
+        names = [u.name for u in found.unknowns]
+        cells = [
+            [name, *("" if value != value else f"{value:+.4f}" for value in found.correlation[i][: i + 1])]
+            for i, name in enumerate(names)
+        ]
+        print_grid(
+            console,
+            ["correlation", *names],
+            [row + [""] * (len(names) + 1 - len(row)) for row in cells],
+            ("correlation",),
+        )
+    for finding in found.findings:
+        for line in wrap(f"{finding.level}: {finding.text}", console.width, subsequent_indent="  "):
+            click.echo(line)
+
+
+def _told(value: float, error: float | None, ends: tuple[float | None, ...] | None) -> tuple[str, str, str]:
+    """Value, standard error and interval with the digits that the interval leaves."""
+    from math import floor, log10
+
+    if error is None:
+        return f"{value:.6g}", "not identifiable" if ends is None else "", ""
+    smallest = error if error > 1e-9 * abs(value) else 1e-9 * (abs(value) or 1.0)
+    decimals = min(12, max(0, 1 - floor(log10(smallest))))
+    spelled = ["open" if end is None else f"{end:.{decimals}f}" for end in ends or ()]
+    return f"{value:.{decimals}f}", f"{error:.2g}", " to ".join(spelled)

@@ -1,0 +1,242 @@
+"""Measured rows for a fit: which column of a table is which input or output of a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pmabench.files.table import Column, Table, Wanted
+    from pmabench.model.curve import Array
+    from pmabench.model.library import Model, Parameter
+    from pmabench.model.library.description import Output
+
+SYNONYMS = {
+    "pressure": ("P", "p"),
+    "contraction": ("eps", "h"),
+    "displacement": ("x",),
+    "force": ("F",),
+    "stiffness": ("K", "S"),
+    "damping": ("B", "D"),
+    "length": ("L",),
+    "volume": ("V",),
+    "time": ("t",),
+    "angle": ("alpha",),
+}
+"""Other heads for an input or output of this name, where the model calls nothing else so."""
+
+
+CLOSE = 0.8
+"""Likeness from which on an unknown head counts as a slip of the pen and not as another column."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The rows of a table as a model takes them, SI."""
+
+    output: str
+    columns: dict[str, Array]
+    """Inputs by name."""
+    values: Array
+    """What was measured of the output."""
+    left_out: int
+    """Rows with an empty cell or outside of the ranges."""
+    notes: list[str]
+    source: str
+
+
+def read_measured(
+    model: Model,
+    path: Path,
+    *,
+    output: str | None,
+    renamed: Sequence[tuple[str, str]] = (),
+    only: Sequence[tuple[str, str]] = (),
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    given: Sequence[str] = (),
+) -> Measured:
+    """The inputs and the one output that the table has; `renamed` are (name in the model, head in the table).
+
+    `only` are (column, text) of the rows that count, `ranges` the ends of inputs and output [SI] that do.
+
+    A folder is an analysis: its table of coefficients. Raises UsageError, InvalidFile.
+    """
+    from pmabench.base.errors import InvalidFile, UsageError
+    from pmabench.files.table import numbers, read_table
+
+    notes: list[str] = []
+    table = read_table(path / "coefficients.csv" if path.is_dir() else path)
+    try:
+        for column_name, text in only:
+            table = table.only(column_name, text)
+    except ValueError as error:
+        raise UsageError(f"--only: {error}") from None
+    inputs, outputs, unused, problems = _columns(model, table, renamed)
+    if problems:
+        raise InvalidFile(problems)
+    twice = [name for name in inputs if name in given]
+    if twice:
+        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
+    if output is not None and output not in outputs:
+        from pmabench.base.errors import did_you_mean
+
+        known = outputs or [o.name for o in model.outputs]
+        raise UsageError(f"--output {output}: {table.path} has no column of it{did_you_mean(output, known)}")
+    if not outputs:
+        expected = ", ".join(_example(o.name, o.quantity) for o in model.outputs)
+        raise UsageError(f"{table.path} has no column of an output of {model.name}; expected is one of: {expected}")
+    if output is None and len(outputs) > 1:
+        raise UsageError(
+            f"{table.path} has several outputs of {model.name}: {', '.join(outputs)}; choose with --output"
+        )
+    chosen = output or next(iter(outputs))
+    if not inputs:
+        expected = ", ".join(_example(p.name, p.quantity) for p in model.parameters if not p.choices)
+        raise UsageError(f"{table.path} has no column of an input of {model.name}; it takes: {expected}")
+    for head in [*unused, *(other.head.text for name, (other, _) in outputs.items() if name != chosen)]:
+        notes.append(f'column "{head}" is not used')
+    if path.is_dir() and not only:
+        table, inputs, outputs = _one_method(model, table, chosen, renamed, notes)
+    parameters = {p.name: p for p in model.parameters}
+    names = list(inputs)
+    quantities = {o.name: o.quantity for o in model.outputs}
+    chosen_columns = [(inputs[name][0], parameters[name].quantity, inputs[name][1]) for name in names]
+    chosen_columns.append((outputs[chosen][0], quantities[chosen], outputs[chosen][1]))
+    for item, quantity, unit in chosen_columns:
+        if quantity == "ratio" and unit in (None, ""):
+            notes.append(f'column "{item.head.text}" has no unit: taken as a fraction, not in %')
+    ends = [(ranges or {}).get(name, (-inf, inf)) for name in [*names, chosen]]
+    for name in ranges or {}:
+        if name not in [*names, chosen]:
+            raise UsageError(f"--within {name}: {table.path} has no column of it")
+    found, kept = numbers(
+        table,
+        chosen_columns,
+        lambda place, value: _outside(parameters, names, place, value),
+        lambda place, value: _between(value, *ends[place]),
+    )
+    count = len(table.columns[0].cells)
+    if not kept:
+        raise UsageError(f"{table.path}: no row has a value in each of {', '.join([*names, chosen])} that counts")
+    columns = dict(zip(names, found[:-1], strict=True))
+    return Measured(chosen, columns, found[-1], count - len(kept), notes, table.source)
+
+
+Found = dict[str, tuple["Column", "str | None"]]
+
+
+def _columns(
+    model: Model, table: Table, renamed: Sequence[tuple[str, str]]
+) -> tuple[Found, Found, list[str], list[Any]]:
+    """Columns of inputs and outputs by name with their units, heads that are neither, and problems."""
+    from pmabench.base.errors import UsageError, did_you_mean
+    from pmabench.files.table import meaning
+
+    inputs: Found = {}
+    outputs: Found = {}
+    unused: list[str] = []
+    problems: list[Any] = []
+    wanted = [*_wanted(model, given_as_output=False), *_wanted(model, given_as_output=True)]
+    names = [item.names[0] for item in wanted]
+    taken: dict[str, str] = {}
+    for name, head in renamed:
+        if name not in names:
+            raise UsageError(
+                f'--column {name}: {model.name} has no input or output "{name}"{did_you_mean(name, names)}'
+            )
+        heads = {column.head.text: column.head.text for column in table.columns}
+        heads |= {column.name: column.head.text for column in table.columns}
+        if head not in heads:
+            raise UsageError(f'--column {name}: {table.path} has no column "{head}"{did_you_mean(head, heads)}')
+        taken[heads[head]] = name
+    own = {p.name for p in model.parameters}
+    for column in table.columns:
+        head = column.head.text
+        if head in taken:
+            name, unit = taken[head], column.unit
+        elif (item := meaning(column, [w for w in wanted if w.names[0] not in taken.values()])) is not None:
+            name, unit = item[0].names[0], item[1]
+        else:
+            near = get_close_matches(column.name, names, n=1, cutoff=CLOSE)
+            if near:
+                told = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
+                problems.append(table.problem(column.head, told))
+            unused.append(head)
+            continue
+        into = inputs if name in own else outputs
+        if name in into:
+            problems.append(table.problem(column.head, f"a second column of {name}"))
+        into[name] = (column, unit)
+    return inputs, outputs, unused, problems
+
+
+def _wanted(model: Model, *, given_as_output: bool) -> list[Wanted]:
+    """Names and symbols of inputs or outputs; a symbol that two share counts for none."""
+    from pmabench.files.table import Wanted
+
+    inputs = [p for p in model.parameters if not p.choices]
+    own = {p.name for p in inputs}
+    outputs = [o for o in model.outputs if o.name not in own]
+    everything: list[Parameter | Output] = [*inputs, *outputs]
+    used = [item.name for item in everything] + [item.symbol for item in everything if item.symbol]
+    found = []
+    chosen: list[Parameter | Output] = [*outputs] if given_as_output else [*inputs]
+    for item in chosen:
+        names = [item.name]
+        if item.symbol and used.count(item.symbol) == 1:
+            names.append(item.symbol)
+        names += [other for other in SYNONYMS.get(item.name, ()) if other not in used]
+        found.append(Wanted(tuple(names), item.quantity))
+    return found
+
+
+def _one_method(
+    model: Model, table: Table, chosen: str, renamed: Sequence[tuple[str, str]], notes: list[str]
+) -> tuple[Table, Found, Found]:
+    """An analysis' table has a row per method: the first that gives the output."""
+    inputs, outputs, _, _ = _columns(model, table, renamed)
+    methods = [column for column in table.columns if column.name == "method"]
+    if methods:
+        has = zip(methods[0].cells, outputs[chosen][0].cells, strict=True)
+        given = list(dict.fromkeys(method.text for method, cell in has if cell.text))
+        if len(given) > 1:
+            others = ", ".join(given[1:])
+            notes.append(f'method "{given[0]}"; there are also: {others} (--only "method=...")')
+            table = table.only("method", given[0])
+            inputs, outputs, _, _ = _columns(model, table, renamed)
+    return table, inputs, outputs
+
+
+def _between(value: float, low: float, high: float) -> bool:
+    """Whether a value counts, with room for rounding of units."""
+    return low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high)
+
+
+def _outside(known: dict[str, Parameter], names: list[str], place: int, value: float) -> str:
+    """Why an input's value is outside the model's domain, or nothing."""
+    from pmabench.base.quantities import show
+
+    if place >= len(names):
+        return ""
+    p = known[names[place]]
+    room = 1e-12
+    low = value <= p.low if p.above else value < p.low - room * abs(p.low)
+    if not low and value <= p.high + room * abs(p.high):
+        return ""
+    ends = [show(end, p.quantity) if abs(end) < float("inf") else "" for end in (p.low, p.high)]
+    start = f"above {ends[0]}" if p.above else f"from {ends[0]}" if ends[0] else ""
+    told = " ".join(part for part in (start, f"to {ends[1]}" if ends[1] else "") if part)
+    reason = f": {p.reason}" if p.reason else ""
+    return f"{show(value, p.quantity)} is outside the model's domain, {told}{reason}"
+
+
+def _example(name: str, quantity: str) -> str:
+    from pmabench.base.quantities import QUANTITIES
+
+    unit = QUANTITIES[quantity].shown_in if quantity else ""
+    return f'"{name} [{unit}]"' if unit else f'"{name}"'
