@@ -47,6 +47,7 @@ FOLDERS = {
     "bench": "fixtures/benches",
     "specimen": "fixtures/specimens",
     "campaign": "fixtures/campaigns",
+    "cascade": "fixtures/cascades",
     "registers": "fixtures/benches/registers",
 }
 

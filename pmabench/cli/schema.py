@@ -11,7 +11,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "map", "faults", "registers")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "cascade", "map", "faults", "registers")
 
 
 @click.command(name="schema")
@@ -73,6 +73,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
     from pmabench.bench.files.faults import FaultsFile
     from pmabench.protocol.campaign import CampaignFile
+    from pmabench.protocol.cascade import CascadeFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
     from pmabench.protocol.compile import kind_class
     from pmabench.store.importers.map_file import MapFile
@@ -89,6 +90,7 @@ def _of_models(kind: str) -> dict[str, Any]:
         "specimen": SpecimenFile,
         "calibration": CalibrationFile,
         "campaign": CampaignFile,
+        "cascade": CascadeFile,
         "map": MapFile,
         "faults": FaultsFile,
     }

@@ -13,6 +13,7 @@ SHIPPED = {
     "specimen": "fixtures/specimens",
     "campaign": "fixtures/campaigns",
     "map": "fixtures/maps",
+    "cascade": "fixtures/cascades",
 }
 """Kind of file -> its shipped folder."""
 

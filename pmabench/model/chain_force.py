@@ -21,4 +21,4 @@ def held_force(F_ce: Array, K: Array, stops: Array, displacement: Array) -> Arra
         middle = 0.5 * (low + high)
         reached = np.clip((F_ce - middle) / K, 0, limits).sum(axis=0)
         low, high = np.where(reached >= displacement, middle, low), np.where(reached >= displacement, high, middle)
-    return np.where(displacement <= 0, F_ce.max(axis=0), 0.5 * (low + high))
+    return np.asarray(np.where(displacement <= 0, F_ce.max(axis=0), 0.5 * (low + high)))

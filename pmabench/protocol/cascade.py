@@ -1,0 +1,261 @@
+"""Cascade files: muscles end to end, each with its model and pressure steps of its own; a simulation, no bench."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.quantities import show
+from pmabench.files.document import Document, Location, Strict, read_document, validate
+from pmabench.files.quantity import Frequency, Length, Load, Pressure, Time, parse_quantity
+from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
+from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
+from pmabench.model.muscle import Muscle
+from pmabench.model.presets import MUSCLES, preset
+
+G = 9.81
+CARRIAGE, FORCE_MASS = 2.0, 0.5
+"""What moves besides the weights, and with a load that is a force [kg]."""
+MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
+HIGHEST = 600e3
+"""Most pressure of the plants [Pa]."""
+PLANT_RADIUS, PLANT_ANGLE = 0.010, math.radians(25)
+"""What a plant is drawn with where the file does not say it: nominal 20 mm, angle assumed."""
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}$")]
+Angle = Annotated[
+    float,
+    BeforeValidator(lambda value: parse_quantity(value, "angle")),
+    WithJsonSchema({"type": "string", "description": "angle with its unit", "examples": ["25 deg"]}),
+]
+
+
+def _shape(low: float, high: float, quantity: str) -> AfterValidator:
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"{show(value, quantity)} is outside {show(low, quantity)} to {show(high, quantity)}")
+        return value
+
+    return AfterValidator(check)
+
+
+class PressureStep(Strict):
+    """From `at` on, counted from the muscle's delay, its pressure is commanded `to` this."""
+
+    at: Time
+    to: Pressure
+
+
+class MuscleFile(Strict):
+    """One muscle, or `count` equal ones, each `stagger` later than the one before it."""
+
+    name: Name | None = None
+    model: Literal["dmsp-40-305"] | None = None
+    """Paper 1's printed polynomials, in closed form."""
+    plant: str | None = None
+    """A plant of the simulated bench."""
+    preset: Literal["ideal", "bench"] | None = None
+    count: Annotated[int, Field(ge=1, le=MOST_MUSCLES)] = 1
+    delay: Time = 0.0
+    stagger: Time = 0.0
+    pressure: Annotated[list[PressureStep], Field(min_length=1, max_length=1000)]
+    radius: Annotated[Length, _shape(1e-3, 0.2, "length")] | None = None
+    """Of the body without contraction, for the drawing."""
+    braid_angle: Annotated[Angle, _shape(math.radians(10), math.radians(54), "angle")] | None = None
+    """To the axis without contraction, for the drawing."""
+
+
+class CascadeFile(Strict):
+    """A chain; muscles stand in the order from the fixed end to the load."""
+
+    schema_: Annotated[Literal["pmabench.cascade/1"], Field(alias="schema")]
+    name: Annotated[str, Field(max_length=120)]
+    source: Annotated[str, Field(max_length=400)] = ""
+    load: Load = ("force", 0.0)
+    fce_eval: Literal["x0", "xmax"] | None = None
+    """Where F_ce of `model: dmsp-40-305` is taken; one convention for the whole chain."""
+    sample_rate: Frequency
+    duration: Time
+    muscles: Annotated[list[MuscleFile], Field(min_length=1, max_length=MOST_MUSCLES)]
+
+
+@dataclass(frozen=True)
+class ChainMuscle:
+    """One muscle of a compiled chain: its name, what moves it, and its shape for the drawing [m, rad]."""
+
+    name: str
+    law: str
+    steps: tuple[Step, ...]
+    length: float
+    radius: float
+    braid_angle: float
+    assumed: tuple[str, ...]
+    """What of its shape the file does not say."""
+    plant: str | None
+    preset: str
+    load: tuple[float, float]
+    fce_eval: str
+
+    def member(self) -> Member:
+        """The muscle at rest, ready to be simulated."""
+        if self.plant is None:
+            return PrintedMuscle(self.steps, self.load[0], self.fce_eval)
+        setup = preset(self.plant, self.preset)
+        if not isinstance(setup.muscle, Muscle):
+            raise TypeError(self.plant)
+        return PlantMuscle(setup.muscle, setup.regulator, self.steps, *self.load)
+
+
+@dataclass(frozen=True)
+class ChainPlan:
+    """A checked cascade, SI: `load` is the force F_L [N] and the mass that moves with it [kg]."""
+
+    name: str
+    source: str
+    load: tuple[float, float]
+    fce_eval: str
+    rate: float
+    duration: float
+    muscles: tuple[ChainMuscle, ...]
+
+    @property
+    def rows(self) -> int:
+        """Samples of each column."""
+        return int(self.rate * self.duration * (1 + 1e-12)) + 1
+
+
+def read_cascade(path: Path) -> ChainPlan:
+    """The chain of a file; raises `InvalidFile` with every problem."""
+    document = read_document(path)
+    return _Reading(document, validate(CascadeFile, document)).plan()
+
+
+class _Reading:
+    """A file being checked; problems so far."""
+
+    def __init__(self, document: Document, file: CascadeFile) -> None:
+        self.document, self.file = document, file
+        self.problems: list[Problem] = []
+
+    def fault(self, message: str, *location: str | int, key: bool = False) -> None:
+        self.problems.append(self.document.problem(location, message, key=key))
+
+    def plan(self) -> ChainPlan:
+        """The chain, or every problem."""
+        file = self.file
+        kind, value = file.load
+        if not 0 <= value <= 1e5:
+            self.fault("no load of a chain; expected is 0 N or more", "load")
+        force, mass = (value * G, value + CARRIAGE) if kind == "mass" else (value, FORCE_MASS)
+        if not 0 < file.duration <= LONGEST:
+            self.fault(f"must be above zero and at most {LONGEST:g} s", "duration")
+        if not 1 <= file.sample_rate <= 1e4:
+            self.fault("must be 1 Hz to 10 kHz", "sample_rate")
+        self._sizes()
+        self._convention()
+        muscles: list[ChainMuscle] = []
+        for index, muscle in enumerate(file.muscles):
+            before = len(self.problems)
+            self._check(index, muscle)
+            if len(self.problems) == before:
+                for number in range(muscle.count):
+                    muscles.append(self._one(muscle, number, len(muscles), (force, mass)))
+        if not self.problems:
+            self._names(muscles)
+        if self.problems:
+            raise InvalidFile(self.problems)
+        return ChainPlan(
+            file.name, file.source, (force, mass), file.fce_eval or "", file.sample_rate, file.duration, tuple(muscles)
+        )
+
+    def _sizes(self) -> None:
+        count = sum(muscle.count for muscle in self.file.muscles)
+        rows = self.file.sample_rate * self.file.duration
+        if count > MOST_MUSCLES:
+            self.fault(f"makes {count} muscles; at most {MOST_MUSCLES} are simulated", "muscles")
+        elif count * rows > MOST_VALUES:
+            self.fault(
+                f"makes {count} x {rows:.0f} samples; at most {MOST_VALUES} are kept: take a lower rate", "sample_rate"
+            )
+
+    def _convention(self) -> None:
+        printed = any(muscle.model is not None for muscle in self.file.muscles)
+        if printed and self.file.fce_eval is None:
+            self.fault(
+                '"fce_eval" is missing: x0 takes F_ce of the printed model without contraction, xmax at the final '
+                "contraction as paper 1 does; they give 76 and 42 mm of one muscle at 6 bar"
+            )
+        if not printed and self.file.fce_eval is not None:
+            self.fault('no muscle here has "model: dmsp-40-305", for which this is', "fce_eval", key=True)
+
+    def _check(self, index: int, muscle: MuscleFile) -> None:
+        at: Location = ("muscles", index)
+        if (muscle.model is None) == (muscle.plant is None):
+            self.fault('needs either "model: dmsp-40-305" or "plant: NAME", one of both', *at)
+        if muscle.plant is not None and muscle.plant not in MUSCLES:
+            self.fault(f'no plant "{muscle.plant}"{did_you_mean(muscle.plant, MUSCLES)}', *at, "plant")
+        if muscle.preset is not None and muscle.plant is None:
+            self.fault("goes with a plant; the printed model has none", *at, "preset", key=True)
+        if muscle.stagger and muscle.count == 1:
+            self.fault('is from one muscle to the next, and "count" is 1; a single one has a "delay"', *at, "stagger")
+        last = muscle.delay + (muscle.count - 1) * muscle.stagger
+        before = -1.0
+        for number, step in enumerate(muscle.pressure):
+            place: Location = (*at, "pressure", number)
+            if step.at <= before:
+                self.fault("must be later than the step before it", *place, "at")
+            before = max(before, step.at)
+            if not last + step.at < self.file.duration:
+                when = "of the last of them " if muscle.count > 1 else ""
+                self.fault(
+                    f"{when}comes at {last + step.at:g} s, and the simulation ends at {self.file.duration:g} s",
+                    *place, "at",
+                )  # fmt: skip
+            self._pressure(step.to, muscle, (*place, "to"))
+
+    def _pressure(self, pressure: float, muscle: MuscleFile, place: Location) -> None:
+        shown, slack = show(pressure, "pressure"), 1e-6
+        if muscle.model is not None:
+            low, high = DMSP_PRESSURE.low - slack, DMSP_PRESSURE.high + slack
+            if pressure != 0 and not low <= pressure <= high:
+                ends = f"{show(DMSP_PRESSURE.low, 'pressure')} to {show(DMSP_PRESSURE.high, 'pressure')}"
+                self.fault(f"{shown} is neither 0 nor {ends}: {DMSP_PRESSURE.reason}", *place)
+        elif not 0 <= pressure <= HIGHEST + slack:
+            self.fault(f"{shown} is outside 0 to {show(HIGHEST, 'pressure')}, the limit of the plants", *place)
+
+    def _names(self, muscles: list[ChainMuscle]) -> None:
+        taken: set[str] = set()
+        for muscle in muscles:
+            if muscle.name in taken:
+                self.fault(f'two muscles are called "{muscle.name}"; give each a name of its own', "muscles")
+            taken.add(muscle.name)
+
+    def _one(self, muscle: MuscleFile, number: int, place: int, load: tuple[float, float]) -> ChainMuscle:
+        """The muscle `number` of an entry, at `place` in the chain."""
+        name = muscle.name or f"muscle {place + 1}"
+        begin = muscle.delay + number * muscle.stagger
+        steps = tuple(Step(round(begin + step.at, 9), step.to) for step in muscle.pressure)
+        known: dict[str, Any] = {"length": DMSP_LENGTH, "radius": DMSP_RADIUS, "braid_angle": DMSP_ANGLE}
+        law, kind = str(muscle.model), ""
+        if muscle.plant is not None:
+            kind = muscle.preset or "ideal"
+            law = f"{muscle.plant}, {kind}"
+            known = {"length": MUSCLES[muscle.plant]().length, "radius": PLANT_RADIUS, "braid_angle": PLANT_ANGLE}
+        given = {key: getattr(muscle, key) for key in ("radius", "braid_angle") if getattr(muscle, key) is not None}
+        shape = {**known, **given}
+        return ChainMuscle(
+            name=name if muscle.name is None or muscle.count == 1 else f"{name} {number + 1}",
+            law=law,
+            steps=steps,
+            assumed=tuple(key for key in ("radius", "braid_angle") if key not in given),
+            plant=muscle.plant,
+            preset=kind,
+            load=load,
+            fce_eval=self.file.fce_eval or "x0",
+            **shape,
+        )

@@ -1,0 +1,177 @@
+"""The result of a simulated chain as one JSON file and one CSV file, and back: drawings need no second simulation."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pmabench.base.errors import RecordError, invalid
+from pmabench.model.cascade import Course
+
+SCHEMA: Literal["pmabench.cascade-result/1"] = "pmabench.cascade-result/1"
+MOST_BYTES = 400_000_000
+Positive = Annotated[float, Field(gt=0, lt=1e3)]
+Column = list[float]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+
+class Link(_Strict):
+    """One muscle of a result: who it is, its shape without contraction [m, rad], and what it did [SI]."""
+
+    name: str
+    law: str
+    length: Positive
+    radius: Positive
+    braid_angle: Annotated[float, Field(gt=0, lt=math.pi / 2)]
+    assumed: list[str]
+    pressure: Column
+    displacement: Column
+    force_ce: Column
+
+
+class Result(_Strict):
+    """A chain and what it did; columns in SI, all of one length. `units` names them."""
+
+    schema_: Annotated[Literal["pmabench.cascade-result/1"], Field(alias="schema")] = SCHEMA
+    simulated: Literal[True] = True
+    name: str
+    source: str
+    load: Annotated[float, Field(ge=0)]
+    fce_eval: str
+    paced: dict[str, float] | None
+    units: dict[str, str]
+    muscles: Annotated[list[Link], Field(min_length=1)]
+    time: Column
+    displacement: Column
+    force_ce_sum: Column
+    force_ce: Column
+    force: Column
+
+
+UNITS = {
+    "time": "s", "displacement": "m", "force_ce_sum": "N", "force_ce": "N", "force": "N", "pressure": "Pa",
+    "length": "m", "radius": "m", "braid_angle": "rad", "load": "N",
+}  # fmt: skip
+TOTALS = ("time", "displacement", "force_ce_sum", "force_ce", "force")
+EACH = ("pressure", "displacement", "force_ce")
+
+
+@dataclass(frozen=True)
+class Head:
+    """What is said of a chain besides its course: `muscles` are (name, law, length, radius, braid angle, assumed)."""
+
+    name: str
+    source: str
+    load: float
+    fce_eval: str
+    muscles: Sequence[tuple[str, str, float, float, float, Sequence[str]]]
+
+
+def result(head: Head, course: Course, paced: dict[str, float] | None) -> Result:
+    """The result of a course; `paced` tells seconds `simulated` and `elapsed` where it was paced."""
+    links = [
+        Link(
+            name=name,
+            law=law,
+            length=length,
+            radius=radius,
+            braid_angle=angle,
+            assumed=list(assumed),
+            pressure=course.P[i].tolist(),
+            displacement=course.x[i].tolist(),
+            force_ce=course.F_ce[i].tolist(),
+        )
+        for i, (name, law, length, radius, angle, assumed) in enumerate(head.muscles)
+    ]
+    return Result(
+        name=head.name,
+        source=head.source,
+        load=head.load,
+        fce_eval=head.fce_eval,
+        paced=paced,
+        units=UNITS,
+        muscles=links,
+        time=course.t.tolist(),
+        displacement=course.displacement.tolist(),
+        force_ce_sum=course.force_ce_sum.tolist(),
+        force_ce=course.force_ce.tolist(),
+        force=course.force.tolist(),
+    )
+
+
+def as_data(found: Result) -> dict[str, Any]:
+    """The result as plain data for JSON."""
+    return found.model_dump(by_alias=True)
+
+
+def write_result(found: Result, folder: Path) -> list[Path]:
+    """`cascade.json` and `cascade.csv` in the folder, which is made."""
+    files = {
+        "cascade.json": json.dumps(as_data(found), allow_nan=False, separators=(",", ":")) + "\n",
+        "cascade.csv": csv_text(found),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise RecordError(f"{folder}: the result cannot be written: {error.strerror or error}") from error
+    return [folder / name for name in files]
+
+
+def csv_text(found: Result) -> str:
+    """A row per sample, SI with units in the head, all digits: the chain first, then each muscle by its name."""
+    heads = [f"{name} [{UNITS[name]}]" for name in TOTALS]
+    columns = [getattr(found, name) for name in TOTALS]
+    for link in found.muscles:
+        heads += [f"{link.name}: {name} [{UNITS[name]}]" for name in EACH]
+        columns += [getattr(link, name) for name in EACH]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows([repr(value) for value in row] for row in zip(*columns, strict=True))
+    return text.getvalue()
+
+
+def read_result(path: Path) -> Result:
+    """A result that was written, from its JSON file or the folder of it; `InvalidFile` in a sentence."""
+    file = path / "cascade.json" if path.is_dir() else path
+    try:
+        if not file.is_file():
+            raise invalid(path, "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one")
+        if file.stat().st_size > MOST_BYTES:
+            raise invalid(file, f"is larger than {MOST_BYTES} bytes: no result of a cascade")
+        data = json.loads(file.read_bytes())
+    except OSError as error:
+        raise invalid(file, f"cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise invalid(file, f"is no JSON, or was cut off: {error}") from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        said = data.get("schema") if isinstance(data, dict) else None
+        hint = " To simulate a cascade file: pmabench cascade simulate FILE." if "cascade/" in str(said) else ""
+        raise invalid(file, f"is no result of a cascade ({SCHEMA}).{hint}")
+    try:
+        found = Result.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise invalid(file, f"is damaged at {where}: {first['msg']}; simulate again") from error
+    lengths = {len(getattr(found, name)) for name in TOTALS}
+    lengths |= {len(getattr(link, name)) for link in found.muscles for name in EACH}
+    rising = len(found.time) >= 2 and bool((np.diff(found.time) > 0).all())
+    shorter = all(max(link.displacement, default=0.0) < link.length for link in found.muscles)
+    if len(lengths) != 1 or not rising or not shorter:
+        raise invalid(file, "is damaged: columns of unlike length, times that do not rise, or muscles of no length")
+    return found
