@@ -10,8 +10,12 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
 
+# Tests that only compute share the cores; those that wait for processes, wires and time run one after the other.
+COMPUTING := tests/analysis tests/bench tests/cli tests/model tests/protocol tests/report
+
 test: lint
-	$(BIN)/python -m pytest -q $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -n auto --dist loadfile --ignore=tests/analysis/test_coverage.py $(COMPUTING) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q $(addprefix --ignore=,$(COMPUTING)) $(PYTEST_ARGS)
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -q -x -m "not slow"
