@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Dropped, Estimate, Parts
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Command, RunData, TrialData
 
 METHOD = "isometric-line"
 FEWEST = 50
@@ -83,7 +83,7 @@ class Pooled:
         return spread([pair["mc".index(of)] for pair in self.repeats])
 
 
-def spread(values: Sequence[float]) -> float | None:
+def spread(values: Sequence[float] | Array) -> float | None:
     """Half width of the 95 % interval of the mean of repeats by Student's t; None for fewer than two."""
     n = len(values)
     return float(student.ppf(0.975, n - 1) * np.std(values, ddof=1) / sqrt(n)) if n > 1 else None
@@ -136,6 +136,11 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
     for at, name in begun:
         index[trial.t >= at - 1e-9] = phases.index(name) if name in phases else -1
     return index
+
+
+def ends(command: Command) -> float:
+    """When a commanded ramp is over [s]."""
+    return command.t + abs(command.value - command.before) / command.data["rate"]
 
 
 def line_of(P: Array, F: Array) -> Line | None:
@@ -194,9 +199,16 @@ def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[s
 
 
 def estimates_of(
-    pooled: Pooled, tests: Sequence[Test], at: Mapping[str, float], method: str = METHOD
+    pooled: Pooled,
+    tests: Sequence[Test],
+    at: Mapping[str, float],
+    method: str = METHOD,
+    range_of: Line | None = None,
 ) -> tuple[Estimate, Estimate]:
-    """The slope m [N/Pa] and the intercept c [N] with the interval parts of repeats and calibration."""
+    """The slope m [N/Pa] and the intercept c [N] with the interval parts of repeats and calibration.
+
+    The method part is the distance from `range_of`, the line through other samples that might have been chosen.
+    """
     line = pooled.line
     scales = Scales.of([test.run for test in tests])
     slope = scales.part({"force": line.m, "pressure": line.m})
@@ -205,7 +217,8 @@ def estimates_of(
     parents = tuple(test.name for test in tests)
 
     def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float | None) -> Estimate:
-        parts = Parts(repeats=pooled.half(symbol), calibration=calibration)
+        other = None if range_of is None else abs(float(getattr(range_of, symbol)) - value)
+        parts = Parts(repeats=pooled.half(symbol), method=other, calibration=calibration)
         return Estimate(
             symbol, value, unit, quantity, method, at, parts, len(pooled.each), note=note, trials=parents,
             coordinate={"m": "slope", "c": "intercept"}[symbol],

@@ -18,6 +18,7 @@ REDUCTIONS = {
     "contraction-relaxation": "contraction",
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
+    "isometric-pressurisation": "isometric_pressurisation",
     "isometric": "isometric",
     "recorded-step": "recorded_steps",
     "recorded-sine": "recorded_sines",
@@ -69,11 +70,13 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         for run in runs:
             if run.id in analysis.runs:
                 accept |= dict(run.plan.get("accept") or {})
-        primary = analysis.estimates[0].method
-        known = {e.symbol for e in analysis.estimates if e.method == primary and e.value is not None}
+        primary: dict[str, str] = {}
+        for estimate in analysis.estimates:
+            primary.setdefault(estimate.symbol, estimate.method)
+        known = {e.symbol for e in analysis.estimates if e.method == primary[e.symbol] and e.value is not None}
         for estimate in analysis.estimates:
             widest = accept.get(estimate.symbol)
-            if widest is None or estimate.method != primary or estimate.coordinate:
+            if widest is None or estimate.method != primary[estimate.symbol] or estimate.coordinate:
                 continue
             asked = f"accepted +-{100 * widest:g} %"
             half = estimate.parts.combined

@@ -21,6 +21,7 @@ KINDS = {
     "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
     "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
     "ultimate-gain": ("ultimate_gain", "UltimateGain"),
+    "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),
 }
 """Kind of protocol -> its module in this package and its class."""
 

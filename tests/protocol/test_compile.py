@@ -21,6 +21,7 @@ BENCH_OF = {
     "contraction-relaxation": "mock",
     "sinusoidal-displacement": "mock-actuator",
     "ultimate-gain": "mock",
+    "isometric-pressurisation": "mock-actuator",
 }
 
 
