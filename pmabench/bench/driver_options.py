@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile
-from pmabench.base.quantities import show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, SetPoint, Stream, Switch, Watchdog
 from pmabench.bench.plant import read_plant
@@ -138,11 +137,8 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None
-    highest = plant.numbers["highest_pressure"]
-    for output in device.outputs:
-        if output.quantity == "pressure" and output.high > highest * (1 + 1e-9):
-            there = f"this bench may command {show(output.high, 'pressure')} ({output.high_from})"
-            c.fault(at, f"{name} holds up to {show(highest, 'pressure')}, and {there}; lower the limit of the bench")
+    for sentence in plant.beyond(device.outputs):
+        c.fault(at, sentence)
     c.texts[name] = plant.text
     return {**plant.numbers, "file": name}
 

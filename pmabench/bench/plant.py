@@ -5,7 +5,7 @@ They are plain so that they can go to another process and into a record; `pmaben
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -16,6 +16,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import show
 from pmabench.bench.files.plant import PlantFile, Polynomial, Table
+from pmabench.bench.interface import OutputRecord
 from pmabench.files.document import Document, Location, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
@@ -38,12 +39,21 @@ class Plant:
 
     numbers: dict[str, Any]
     text: str
+    path: Path
+
+    def beyond(self, outputs: Iterable[OutputRecord]) -> Iterator[str]:
+        """A sentence for each output of a bench that commands more pressure than the plant is described for."""
+        highest = self.numbers["highest_pressure"]
+        for output in outputs:
+            if output.quantity == "pressure" and output.high > highest * (1 + 1e-9):
+                there = f"this bench may command {show(output.high, 'pressure')} ({output.high_from})"
+                yield f"{self.path.name} holds up to {show(highest, 'pressure')}, and {there}; lower the bench's limit"
 
 
 def read_plant(path: Path) -> Plant:
     """The plant in a file; raises `InvalidFile` with every problem."""
     document = read_document(path)
-    return Plant(plant_numbers(document), document_text(document))
+    return Plant(plant_numbers(document), document_text(document), path)
 
 
 def plant_numbers(document: Document) -> dict[str, Any]:

@@ -10,12 +10,17 @@ import click
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pmabench.bench.interface import OutputRecord
     from pmabench.cli.emulated_faults import Faults, Schedule
+
+PRESETS = ("paper0", "serres2009")
 
 
 @click.command(name="emulate")
 @click.argument("bench")
-@click.option("--plant", type=click.Choice(["paper0", "serres2009"]), default="paper0", help="The muscle.")
+@click.option("--plant", default="paper0", help="The muscle: paper0, serres2009, or the path of a plant file.")
 @click.option(
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."
 )
@@ -59,8 +64,9 @@ def command(
     found = entry_points(group="pmabench.emulators")
     if not found:
         raise UsageError("no emulator is installed")
+    muscle = _muscle(plant, mounted.bench.outputs)
     served: Any = next(iter(found)).load()(
-        mounted.bench.devices, plant=plant, preset=preset, seed=seed, log=log, control=control, expose=expose
+        mounted.bench.devices, plant=muscle, preset=preset, seed=seed, log=log, control=control, expose=expose
     )
     ended = threading.Event()
     try:
@@ -87,6 +93,21 @@ def command(
     if served.log.problem:
         raise RecordError(served.log.problem)
     return None
+
+
+def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:
+    """A preset by name, or what a plant file says."""
+    from pmabench.base.errors import UsageError, did_you_mean
+    from pmabench.bench.plant import read_plant
+
+    if not name.endswith(".yaml"):
+        if name not in PRESETS:
+            raise UsageError(f'--plant: no plant "{name}"{did_you_mean(name, PRESETS)}; a plant file ends in .yaml')
+        return name
+    plant = read_plant(Path(name))
+    if wrong := list(plant.beyond(outputs)):
+        raise UsageError("\n".join(f"--plant: {sentence}" for sentence in wrong))
+    return {**plant.numbers, "file": name}
 
 
 def _typed(ui: Ui, wrong: Faults, schedule: Schedule) -> None:

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from pmabench.model.motion import Motion
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
+    from pmabench.model.presets import Setup
     from pmabench.model.signal import Wave
 
 MOST_ROWS = 20_000
 LONGEST = 1000.0
 """Longest time that is simulated [s]."""
-HIGHEST = 600e3
-"""Most pressure of the muscles that there are [Pa]."""
+HIGHEST, OF_PRESETS = 1e6, 600e3
+"""Most pressure of any muscle, and of the presets [Pa]."""
 FASTEST = 10.0
 """Fastest sine [Hz]."""
 G = 9.81
@@ -78,7 +79,10 @@ def simulate(
     *,
     as_csv: bool,
 ) -> int | None:
-    """Simulate PLANT (paper0, serres2009; daerden with --drive) from rest: true values in time, without sensors."""
+    """Simulate PLANT (paper0, serres2009; daerden with --drive; or the path of a plant file) from rest: true values.
+
+    Values in time, without sensors.
+    """
     from pmabench.base.errors import UsageError
 
     problems: list[str] = []
@@ -142,9 +146,8 @@ def _simulated(
 
     from pmabench.model import signal
     from pmabench.model.driven import Actuator
-    from pmabench.model.presets import preset
 
-    setup = preset(plant, kind, changes)
+    setup = _setup(plant, kind, changes, waves)
     times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
     bench: Plant | DrivenPlant
     if driven is None:
@@ -155,6 +158,28 @@ def _simulated(
         bench.move(signal.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
     bench.command(waves)
     return bench.advance(float(times[-1]), times)
+
+
+def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:
+    """A preset by name, or what a plant file says; ValueError where the course goes beyond that."""
+    from pmabench.base.quantities import show
+    from pmabench.model.presets import changed, preset
+
+    if plant.endswith(".yaml"):
+        from pathlib import Path
+
+        from pmabench.bench.plant import read_plant
+        from pmabench.model.plant_file import setup_of
+
+        numbers = read_plant(Path(plant)).numbers
+        setup, highest = changed(setup_of(numbers), kind, changes), float(numbers["highest_pressure"])
+    else:
+        setup, highest = preset(plant, kind, changes), OF_PRESETS
+    peak = max(wave.level + wave.amplitude for wave in waves)
+    if peak > highest * (1 + 1e-9):
+        text = f"{show(peak, 'pressure')} is outside 0 kPa to {show(highest, 'pressure')}"
+        raise ValueError(f"{text}, for which it is described")
+    return setup
 
 
 # -- reading -----------------------------------------------------------------------------------------------------

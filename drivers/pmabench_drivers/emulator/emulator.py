@@ -53,7 +53,7 @@ class Emulator:
         self,
         devices: Iterable[DeviceRecord],
         *,
-        plant: str = "paper0",
+        plant: str | Mapping[str, Any] = "paper0",
         preset: str = "bench",
         seed: int = 1,
         log: Path | None = None,

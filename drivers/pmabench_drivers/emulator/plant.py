@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Mapping
+from typing import Any
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import (
@@ -49,12 +51,13 @@ class _Mock(MockBench):
 class RealPlant:
     """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised.
 
+    `plant` is a preset's name, or what a plant file says, as a compiled bench has it (`pmabench.bench.plant`).
     `driven`: an actuator holds the free end, and there are no loads.
     """
 
     def __init__(
         self,
-        plant: str = "paper0",
+        plant: str | Mapping[str, Any] = "paper0",
         preset: str = "bench",
         *,
         dump_valve: bool = True,
