@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from pmabench.analysis.pooled import Fit
 from pmabench.analysis.segments import Noise, Samples
 from pmabench.store.records import Array
 
@@ -18,6 +18,19 @@ SUBSTEPS = 2
 """Integration steps from sample to sample."""
 LEAST = 1.0
 """Least stiffness [N/m] and damping [N.s/m] with which a replay goes on where a line falls below."""
+
+
+class Coefficients(Protocol):
+    """A muscle as its coefficients over pressure: a solved fit, or a model from elsewhere."""
+
+    @property
+    def coulomb(self) -> float:
+        """Coulomb friction [N]."""
+        ...
+
+    def values(self, symbol: str, P: Array) -> Array:
+        """F_ce [N], K [N/m], B_c or B_r [N.s/m] at pressures P [Pa] of any shape."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -28,7 +41,9 @@ class Replayed:
     force: Array
 
 
-def run(fit: Fit, P: Array, dt: float, load: Array, mass: Array, x: Array, substeps: int = SUBSTEPS) -> Replayed:
+def run(
+    fit: Coefficients, P: Array, dt: float, load: Array, mass: Array, x: Array, substeps: int = SUBSTEPS
+) -> Replayed:
     """Integrate M x'' = F_ce(P) - K(P) x - B(P) x' - F_c sign(x') - F_L with x >= 0, from rest.
 
     Per step: exact in the velocity for the damping, trapezoidal in the spring, coefficients at the middle; so no mass
@@ -73,7 +88,7 @@ def run(fit: Fit, P: Array, dt: float, load: Array, mass: Array, x: Array, subst
     return Replayed(all_x, np.where(all_x > 0, force, np.minimum(F_ce, load)))
 
 
-def _coefficients(fit: Fit, P: Array) -> tuple[Array, Array, Array, Array]:
+def _coefficients(fit: Coefficients, P: Array) -> tuple[Array, Array, Array, Array]:
     values = [fit.values(symbol, P) for symbol in ("F_ce", "K", "B_c", "B_r")]
     return values[0], np.maximum(values[1], LEAST), np.maximum(values[2], LEAST), np.maximum(values[3], LEAST)
 

@@ -21,6 +21,8 @@ KINDS = {
     "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
     "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
     "ultimate-gain": ("ultimate_gain", "UltimateGain"),
+    "positioning": ("positioning", "Positioning"),
+    "validation": ("validation", "Validation"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),
 }
 """Kind of protocol -> its module in this package and its class."""

@@ -36,6 +36,15 @@ SYMBOLS: dict[str, str] = {
     "P/x": "pressure per contraction",
     "phi_x": "phase of contraction after pressure",
     "phi_P": "phase of pressure after its command",
+    "e_ss": "steady-state error",
+    "OS": "overshoot",
+    "t_r": "rise time",
+    "t_s": "settling time",
+    "IAE": "integral of the absolute error",
+    "x_pp": "limit cycle, peak to peak",
+    "T_c": "period of the limit cycle",
+    "e_sim": "difference from the simulation, rms",
+    "e_fs": "steady-state error, of full scale",
 }
 """Symbol -> its name; the order is that of columns and figures."""
 
@@ -79,6 +88,16 @@ METHODS: dict[str, str] = {
     "gain-steps": "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings "
     "is fitted by a line over the gain; K_u is its zero (Ziegler and Nichols 1942). Oscillations that are no sine are "
     "refused.",
+    "closed-loop": "The position held by the controller: e_ss is the mean of set-point minus contraction in the "
+    "stated window, over the set-point; rise from 10 to 90 % of it; cycles from one upward crossing of their middle to "
+    "the next.",
+    "closed-loop, simulated": "The same controller, sample by sample, around the model that the protocol names; e_sim "
+    "is the rms difference of measured and simulated contraction from the step on.",
+    "commanded pressure": "The way of paper 0: the model gets the pressure that was commanded. Errors are simulated "
+    "minus measured contraction, means over the stated window; e_ss over the measured contraction, e_fs over the "
+    "largest one.",
+    "measured pressure": "As with the commanded pressure, but the model gets the pressure that was measured, so that "
+    "the regulator's errors are none of the model's.",
     "recorded-step": "Dead time, rise time and stroke of each recorded step; pressure per contraction from its ends.",
     "ringing-of-known-mass": "M x″ + B x′ + K x = (dF_ce/dP) P + const, driven by the measured pressure, with the "
     "moving mass taken as exact: K = M ω², B = 2 D ω M.",
@@ -95,6 +114,8 @@ KINDS: dict[str, str] = {
     "contraction-relaxation": "Contraction and relaxation",
     "sinusoidal-displacement": "Sinusoidal displacement",
     "ultimate-gain": "Ultimate gain",
+    "positioning": "Positioning in closed loop",
+    "validation": "Validation of a model",
     "isometric": "Isometric force over pressure",
     "recorded-pull": "Recorded pulls at set pressure",
     "recorded-step": "Recorded steps of pressure",
@@ -122,6 +143,7 @@ SPOKEN: dict[str, str] = {"setpoint": "set-point", "mean": "mean contraction", "
 
 COLUMNS: dict[str, str] = {
     "t": "time",
+    "setpoint": "set-point",
     "displacement": "contraction",
     "model": "model",
     "pressure": "pressure",

@@ -21,6 +21,8 @@ BENCH_OF = {
     "contraction-relaxation": "mock",
     "sinusoidal-displacement": "mock-actuator",
     "ultimate-gain": "mock",
+    "positioning-pi": "mock",
+    "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
 }
 

@@ -1,0 +1,117 @@
+"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
+
+Standard library only: it runs once per sample. The discrete form stands in `pmabench.model.pid`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf, isfinite
+from typing import Any
+
+from pmabench.model.pid import ANTI_WINDUP, PID
+
+
+class PositionLoop:
+    """u = PID(setpoint - y) from the command in force on, for a time.
+
+    Parameters
+    ----------
+    setpoint : value of `channel` to hold [SI of the channel, m for displacement]
+    duration : how long to control [s]
+    K_p, T_i, T_d, N, low, high, anti_windup, tracking, start : see `PID`; T_i and tracking may be None
+    channel : measured channel
+    """
+
+    def __init__(
+        self,
+        *,
+        setpoint: float,
+        duration: float,
+        K_p: float,
+        low: float,
+        high: float,
+        T_i: float | None = None,
+        T_d: float = 0.0,
+        N: float = 10.0,
+        anti_windup: str = ANTI_WINDUP[0],
+        tracking: float | None = None,
+        start: float = 0.0,
+        channel: str = "displacement",
+    ) -> None:
+        if not isfinite(setpoint):
+            raise ValueError("the set-point is no number")
+        if not duration > 0:
+            raise ValueError(f"duration must be above 0 s, not {duration:g}")
+        self.controller = PID(
+            K_p,
+            inf if T_i is None else T_i,
+            T_d,
+            N=N,
+            low=low,
+            high=high,
+            anti_windup=anti_windup,
+            tracking=tracking,
+            start=start,
+        )
+        self.setpoint, self.duration, self.channel = setpoint, duration, channel
+        self._told: dict[str, Any] = {
+            "K_p": K_p,
+            "T_i": T_i,
+            "T_d": T_d,
+            "N": N,
+            "low": low,
+            "high": high,
+            "start": start,
+            "anti_windup": anti_windup,
+            "tracking": tracking,
+            "channel": channel,
+        }
+        self.done = False
+        self._ended = "limit"
+        self._first: float | None = None
+        self._t = 0.0
+        self._error = 0.0
+        self._samples = self._saturated = 0
+
+    def update(self, t: float, values: Mapping[str, float]) -> float:
+        """The command [SI of the output] for the sample `values` taken at `t` [s].
+
+        Without a number on its channel it ends, and the last command stays.
+        """
+        controller = self.controller
+        if self.done:
+            return controller.output
+        measured = values.get(self.channel)
+        if measured is None or not isfinite(measured):
+            self.done, self._ended = True, "no signal"
+            return controller.output
+        if self._first is None:
+            self._first = self._t = t
+        h, self._t = t - self._t, t
+        self._error = self.setpoint - measured
+        command = controller.update(h, self.setpoint, measured)
+        self._samples += 1
+        self._saturated += controller.saturated
+        if t - self._first >= self.duration:
+            self.done, self._ended = True, "time"
+        return command
+
+    def result(self) -> dict[str, Any]:
+        """What happened, as plain data: the settings, t0, t1 [s], last error and command, share of clamped samples.
+
+        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
+        """
+        data: dict[str, Any] = {
+            **self._told,
+            "setpoint": self.setpoint,
+            "t0": self._first,
+            "t1": self._t,
+            "error": self._error,
+            "command": self.controller.output,
+            "saturated": self._saturated / self._samples if self._samples else 0.0,
+            "ended": self._ended,
+        }
+        if self._ended == "no signal":
+            data |= {"found": False, "reason": f"{self.channel} gave no number"}
+        return data

@@ -1,0 +1,216 @@
+"""The model that a run is held against: coefficients of the specimen file, of a preset or of an analysis folder.
+
+It is put into the plan as plain numbers, so that a run does not depend on a file that changes later.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+
+from pmabench.base.errors import InvalidFile, PmaError, did_you_mean
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Force, Pressure, Time
+from pmabench.protocol.common import Compilation
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Analysis, Estimate
+    from pmabench.model.curve import Curve
+
+SPECIMEN = "specimen"
+FROM_LIFT_OFF = "contraction-relaxation"
+"""Kind of analysis whose coefficients make a model."""
+
+
+class RegulatorFile(Strict):
+    """How the pressure follows its command."""
+
+    dead_time: Time = 0.0
+    lag: Time = 0.0
+    vent_ratio: Annotated[float, Field(gt=0, le=100)] = 1.0
+    dead_band: Pressure = 0.0
+
+
+class FrictionFile(Strict):
+    """Coulomb friction inside the muscle: until motion, and while it moves."""
+
+    static: Force
+    kinetic: Force
+
+
+class ReferenceModel(Strict):
+    """Which model is simulated beside the measurement.
+
+    `coefficients` is `specimen` (what its file expects), the name of a preset with its kind (`paper0 ideal`), or the
+    folder of an analysis of contraction-relaxation runs.
+    """
+
+    coefficients: Annotated[str, Field(min_length=1, max_length=400)]
+    regulator: RegulatorFile | None = None
+    friction: FrictionFile | None = None
+
+
+def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
+    """The model as plain data for the plan's settings; None with a problem noted where there is none."""
+    from pmabench.model.described import Described, tabulated_force
+
+    name, place = model.coefficients, (*at, "coefficients")
+    try:
+        if name == SPECIMEN:
+            table = _of_specimen(c)
+        elif name.split()[0] in _presets():
+            return _of_preset(c, model, at)
+        else:
+            table = _of_analysis(c, name)
+    except (PmaError, ValueError, IndexError) as error:
+        c.fault(place, str(error) or f'"{name}" names no model')
+        return None
+    from pmabench.model.curve import Curve
+    from pmabench.model.muscle import Friction, Muscle
+    from pmabench.model.regulator import Regulator
+
+    def through(symbol: str) -> Curve:
+        points = table["points"][symbol]
+        return Curve.through([P for P, _ in points], [value for _, value in points])
+
+    force = table["points"]["F_ce"]
+    bad = [s for s in ("K", "B_c", "B_r") if any(value <= 0 for _, value in table["points"][s])]
+    if bad or any(P <= 0 for P, _ in force):
+        c.fault(place, f"{', '.join(bad) or 'pressure'} of {table['source']} is not above zero everywhere")
+        return None
+    regulator, friction = model.regulator, model.friction
+    try:
+        slip = Friction(friction.static, friction.kinetic) if friction else Friction(table["F_c"], table["F_c"])
+        before = Regulator(**regulator.model_dump()) if regulator else Regulator(*table["regulator"])
+    except ValueError as error:
+        c.fault((*at, "friction") if friction else at, str(error))
+        return None
+    length = c.mounted.bench.length
+    muscle = Muscle(
+        name=table["source"],
+        F_ce=tabulated_force([P for P, _ in force], [F for _, F in force]),
+        K=through("K"),
+        B_c=through("B_c"),
+        B_r=through("B_r"),
+        friction=slip,
+        length=length,
+        stop=0.4 * length,
+    )
+    pressures = [P for P, _ in force]
+    return Described(muscle, before, table["source"], (min(pressures), max(pressures))).to_dict()
+
+
+def _presets() -> list[str]:
+    from pmabench.model.presets import MUSCLES
+
+    return list(MUSCLES)
+
+
+def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
+    from dataclasses import replace
+
+    from pmabench.model.described import Described
+    from pmabench.model.muscle import Friction, Muscle
+    from pmabench.model.presets import preset
+    from pmabench.model.regulator import Regulator
+
+    name, _, kind = model.coefficients.partition(" ")
+    try:
+        setup = preset(name, kind.strip() or "ideal")
+        muscle, regulator = setup.muscle, setup.regulator
+        if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
+            raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
+        if model.friction is not None:
+            muscle = replace(muscle, friction=Friction(model.friction.static, model.friction.kinetic))
+        if model.regulator is not None:
+            regulator = Regulator(**model.regulator.model_dump())
+    except ValueError as error:
+        c.fault((*at, "coefficients"), str(error))
+        return None
+    source = f"preset {name} {kind.strip() or 'ideal'}"
+    return Described(muscle, regulator, source, (0.0, 1e7)).to_dict()
+
+
+def _of_specimen(c: Compilation) -> dict[str, Any]:
+    expected = c.mounted.specimen_file.expected
+    if expected is None:
+        raise ValueError(
+            'the specimen file has no "expected" coefficients; name a preset '
+            f"({', '.join(_presets())}) or the folder of an analysis"
+        )
+    points = sorted(expected.points, key=lambda point: point.pressure)
+    table = {
+        symbol: [(p.pressure, float(getattr(p, symbol))) for p in points] for symbol in ("F_ce", "K", "B_c", "B_r")
+    }
+    return {
+        "source": f"specimen file, expected: {expected.source}",
+        "points": _rising(table),
+        "F_c": expected.F_c,
+        "regulator": (0.0, 0.0),
+    }
+
+
+def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
+    analysis = read_folder(c, name, FROM_LIFT_OFF)
+    primary = analysis.estimates[0].method if analysis.estimates else ""
+
+    def known(symbol: str) -> list[tuple[float, float]]:
+        return [
+            (e.at["pressure"], e.value)
+            for e in analysis.estimates
+            if e.symbol == symbol and e.method == primary and set(e.at) == {"pressure"} and e.value is not None
+        ]
+
+    table = {symbol: known(symbol) for symbol in ("F_ce", "K", "B_c", "B_r")}
+    table["B_r"] = table["B_r"] or table["B_c"]
+    missing = [symbol for symbol, points in table.items() if not points]
+    if missing:
+        raise ValueError(f'the analysis "{name}" gives no {", ".join(missing)}')
+    return {
+        "source": f"analysis of {', '.join(analysis.runs)}",
+        "points": _rising(table),
+        "F_c": max(0.0, _overall(analysis, "F_c", "") or 0.0),
+        "regulator": (_overall(analysis, "t_d", "command-to-pressure") or 0.0, _overall(analysis, "tau_P", "") or 0.0),
+    }
+
+
+def _overall(analysis: Analysis, symbol: str, coordinate: str) -> float | None:
+    """A value that holds for the whole campaign, else the mean over pressures."""
+    matching: list[Estimate] = [e for e in analysis.estimates if e.symbol == symbol and e.coordinate == coordinate]
+    whole = [e.value for e in matching if e.value is not None and not e.at]
+    if whole:
+        return whole[0]
+    values = [e.value for e in matching if e.value is not None]
+    return sum(values) / len(values) if values else None
+
+
+def _rising(table: dict[str, list[tuple[float, float]]]) -> dict[str, list[tuple[float, float]]]:
+    """Points by pressure, each pressure once."""
+    return {symbol: sorted(dict(points).items()) for symbol, points in table.items()}
+
+
+def read_folder(c: Compilation, name: str, kind: str) -> Analysis:
+    """The analysis of one kind in a folder (or in the folder of that kind inside it), named in a protocol.
+
+    A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
+    """
+    from pmabench.report.analysis_folder import ANALYSIS, read_analysis
+
+    places = [Path(name), Path(str(c.document.path)).parent / name]
+    tried = [place / part for place in places for part in ("", kind)]
+    folder = next((place for place in tried if (place / ANALYSIS).is_file()), None)
+    if folder is None:
+        known = [SPECIMEN, *_presets()]
+        raise ValueError(
+            f'"{name}" is no analysis folder{did_you_mean(name, known)}; '
+            f"process a run of kind {kind} and give its folder"
+        )
+    try:
+        analysis = read_analysis(folder)
+    except InvalidFile as error:
+        raise ValueError(str(error)) from error
+    if analysis.kind != kind:
+        raise ValueError(f'"{name}" is an analysis of kind {analysis.kind}; {kind} is needed')
+    return analysis
