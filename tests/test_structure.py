@@ -48,6 +48,7 @@ FOLDERS = {
     "specimen": "fixtures/specimens",
     "campaign": "fixtures/campaigns",
     "cascade": "fixtures/cascades",
+    "plant": "fixtures/plants",
     "registers": "fixtures/benches/registers",
 }
 

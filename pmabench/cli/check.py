@@ -80,6 +80,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "name": plan.name,
         "source": plan.source,
         "bench": mounted.bench.name,
+        "plants": _plants(mounted),
         "trials": len(plan.trials),
         "steps": len(plan.steps),
         "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
@@ -99,6 +100,15 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "lacks": list(mounted.lacks),
         "hazards": list(plan.hazards),
         "plan_sha256": plan.sha256,
+    }
+
+
+def _plants(mounted: Mounted) -> dict[str, str]:
+    """Device -> the simulated muscle in it, with the plant file that describes it."""
+    named = {device.name: device.options["plant"] for device in mounted.bench.devices if "plant" in device.options}
+    return {
+        device: f"{plant['name']} ({plant['file']})" if isinstance(plant, dict) else str(plant)
+        for device, plant in named.items()
     }
 
 
@@ -126,6 +136,8 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
 
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
+    for plant in summary["plants"].values():
+        console.print(f"  plant     {plant}, simulated")
     shortest, longest = summary["duration"]["shortest"], summary["duration"]["longest"]
     length = in_words(longest) if shortest == longest else f"{in_words(shortest)} to {in_words(longest)}"
     asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]

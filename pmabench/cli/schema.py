@@ -11,7 +11,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "cascade", "map", "faults", "registers")
+KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "cascade", "map", "faults", "registers", "plant")
 
 
 @click.command(name="schema")
@@ -72,6 +72,7 @@ def _of_models(kind: str) -> dict[str, Any]:
 
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
     from pmabench.bench.files.faults import FaultsFile
+    from pmabench.bench.files.plant import PlantFile
     from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.cascade import CascadeFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
@@ -93,5 +94,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "cascade": CascadeFile,
         "map": MapFile,
         "faults": FaultsFile,
+        "plant": PlantFile,
     }
     return models[kind].model_json_schema()
