@@ -18,6 +18,7 @@ REDUCTIONS = {
     "contraction-relaxation": "contraction",
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
+    "isobaric-ramp": "isobaric",
     "positioning": "positioning",
     "validation": "validation",
     "isometric-pressurisation": "isometric_pressurisation",

@@ -181,7 +181,7 @@ def evaluate(
         _, a = three_parameter(t[one], both[one], frequency)
         ratio.append(complex(a[1] / a[0]))
         size.append(abs(complex(a[0])))
-        area.append(_area(x[one], F[one]))
+        area.append(lost_work(x[one], F[one]))
         width.append(_width(t[one], x[one], F[one], float(means[0]), X, omega))
     return Sine(
         t=t,
@@ -195,13 +195,13 @@ def evaluate(
         pressure=pressure,
         ripple=ripple,
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
-        area=_area(x, F) / whole,
+        area=lost_work(x, F) / whole,
         width=_width(t, x, F, float(means[0]), X, omega),
         cycles=Cycles(np.array(ratio), np.array(size), np.array(area), np.array(width)),
     )
 
 
-def _area(x: Array, F: Array) -> float:
+def lost_work(x: Array, F: Array) -> float:
     """Work lost [J] along a path that is closed from its last sample to its first: -integral of F dx."""
     ahead, pull = np.append(x[1:], x[0]), np.append(F[1:], F[0])
     return -float(np.sum(0.5 * (F + pull) * (ahead - x)))

@@ -21,6 +21,7 @@ KINDS = {
     "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
     "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
     "ultimate-gain": ("ultimate_gain", "UltimateGain"),
+    "isobaric-ramp": ("isobaric_ramp", "IsobaricRamp"),
     "positioning": ("positioning", "Positioning"),
     "validation": ("validation", "Validation"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),

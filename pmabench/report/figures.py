@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.report import coefficient_figures, loop_figures, plots, time_plots
+from pmabench.report import coefficient_figures, loop_figures, plots, ramp_figures, time_plots
 from pmabench.report.pictures import (
     Picture,
     bound,
@@ -222,6 +222,8 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("loop", "pressure-loop"), loop_figures.loops),
     (("bode",), loop_figures.bode),
     (("oscillation", "growth"), loop_figures.oscillations),
+    (("isobaric", "mean-curve"), ramp_figures.loops),
+    (("rubber",), ramp_figures.rubber),
     (("isometric",), _isometric),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""

@@ -22,6 +22,11 @@ SYMBOLS: dict[str, str] = {
     "F_f": "friction, half of lift minus set-down",
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
+    "W_c": "work given while contracting",
+    "F_e": "force of the rubber without pressure",
+    "A": "size of the rubber term",
+    "B1": "contraction at which the rubber term is 0 again",
+    "B2": "pole of the rubber term",
     "phi": "phase of force before displacement",
     "tau_c": "time constant, contracting",
     "tau_r": "time constant, relaxing",
@@ -85,6 +90,20 @@ METHODS: dict[str, str] = {
     "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
     "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
+    "mean-curve": "Mean of the contracting and the expanding branch at constant pressure (paper 3), taken to speed 0 "
+    "by a line over the speed. How the branches turn into each other is fitted to the gap between them, exponentially "
+    "over the way, and taken off. K is minus the slope of a line through it, F_ce its force at x = 0.",
+    "mean-curve, turns left in": "As mean-curve, the plain mean of the branches, as paper 3 has it: near the ends it "
+    "still holds how one branch turns into the other.",
+    "mean-curve, local": "As mean-curve, at places along the stroke by a cubic through the points around each.",
+    "loop-gap": "Force while expanding minus force while contracting at mid stroke, above 0 where the contracting "
+    "branch is the lower one: 2 F_c + (B_c + B_r) v, a straight line over the speed v. What is left at speed 0 is true "
+    "hysteresis. W is the area of the loop.",
+    "loop-gap, mean over the stroke": "As loop-gap, the mean of the gap over the stroke.",
+    "loop-gap, open loop": "As loop-gap, the gap that the loop would open to on a long stroke, from the fit of how the "
+    "branches turn into each other.",
+    "rubber term": "F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8) by least squares through the mean curve at 0 kPa, ε "
+    "by the nominal length.",
     "gain-steps": "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings "
     "is fitted by a line over the gain; K_u is its zero (Ziegler and Nichols 1942). Oscillations that are no sine are "
     "refused.",
@@ -114,6 +133,7 @@ KINDS: dict[str, str] = {
     "contraction-relaxation": "Contraction and relaxation",
     "sinusoidal-displacement": "Sinusoidal displacement",
     "ultimate-gain": "Ultimate gain",
+    "isobaric-ramp": "Isobaric ramps",
     "positioning": "Positioning in closed loop",
     "validation": "Validation of a model",
     "isometric": "Isometric force over pressure",
@@ -130,6 +150,7 @@ _LABELS = {
     "setpoint": "set-point",
     "mean": "mean x",
     "frequency": "f",
+    "speed": "v",
     "load": "F_L",
     "bias": "bias P",
     "mass": "moving mass",

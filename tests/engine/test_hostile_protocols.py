@@ -96,7 +96,7 @@ def judged(name):
 
 
 BENCHES = {"weights": judged("mock"), "actuator": judged("mock-actuator")}
-BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator",
+BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator",
               "ultimate-gain": "weights"}  # fmt: skip
 
 number = st.one_of(
@@ -131,6 +131,14 @@ SETTINGS = {
         "trial.amplitude": length,
         "sweep.matrix.frequency": st.floats(-1, 30).map(lambda v: f"[{v:.3g} Hz]"),
     },
+    "isobaric-ramp": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "sweep.matrix.speed": st.floats(-1, 700).map(lambda v: f"[{v:.3g} mm/s]"),
+        "trial.lower": length,
+        "trial.upper": length,
+        "trial.turn": length,
+        "trial.approach": st.floats(-1, 700).map(lambda v: f"{v:.3g} mm/s"),
+    },
     "ultimate-gain": {
         "sweep.zip.bias": pressure.map(lambda v: f"[{v}]"),
         "trial.pressure": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
@@ -143,6 +151,8 @@ SHORT = {
                                "trial.relax.hold": "0.1 s", "trial.relax.hold_at_end": "0.2 s"},
     "static-load": {"sweep.matrix.load": "[6 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0"},
     "sinusoidal-displacement": {"sweep.repeat.count": "1", "trial.at_least": "0 s", "prepare.precondition.cycles": "0"},
+    "isobaric-ramp": {"sweep.matrix.pressure": "[300 kPa]", "sweep.matrix.speed": "[20 mm/s]", "trial.cycles": "2",
+                      "prepare.precondition.cycles": "0"},
     "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",
                       "trial.gain_steps.level_time": "0.05 s", "trial.gain_steps.settle": "0.05 s"},
 }  # fmt: skip

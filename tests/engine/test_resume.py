@@ -12,9 +12,10 @@ from pmabench.protocol.plan import Ask, Ramp, Record
 from pmabench.session import ensure
 from tests.engine.benches import mounted
 
+DRIVEN = ("sinusoidal-displacement", "isobaric-ramp")
 PLANS = {
-    kind: prepare(kind, "mock-actuator" if kind.startswith("sin") else "mock", "mas-20-250-paper0").plan
-    for kind in ("contraction-relaxation", "static-load", "sinusoidal-displacement", "ultimate-gain")
+    kind: prepare(kind, "mock-actuator" if kind in DRIVEN else "mock", "mas-20-250-paper0").plan
+    for kind in ("contraction-relaxation", "static-load", "ultimate-gain", *DRIVEN)
 }
 
 
@@ -66,7 +67,7 @@ def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind,
         assert sum(step.phase == "precondition" for step in before) == sum(
             step.phase == "precondition" for step in plan.steps
         )
-    if kind == "sinusoidal-displacement":
+    if kind in DRIVEN:
         where = 0.0
         for step in steps:
             if isinstance(step, Ramp) and step.output == "displacement":

@@ -24,11 +24,14 @@ BENCH_OF = {
     "positioning-pi": "mock",
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
+    "isobaric-ramp": "mock-actuator",
+    "isobaric-ramp-paper3": "mock-daerden-ideal",
 }
 
 
 def mounted(name="mock"):
-    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
+    other = SPECIMEN.with_stem("daerden-20-200") if "daerden" in name else SPECIMEN
+    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", other)
 
 
 def plan(name, *settings, bench=None):

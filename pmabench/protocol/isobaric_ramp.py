@@ -1,0 +1,130 @@
+"""Slow displacement ramps both ways at constant pressure: the isobaric loop, and at 0 kPa the traction of the rubber.
+
+Paper 3, tests at fixed pressure and traction at 0 bar gauge.
+"""
+
+from __future__ import annotations
+
+from math import isclose
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Length, Speed, Time
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.driven import arrive, bearable, leave, not_too_fast
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand
+
+BELOW_0 = "without pressure the muscle pulls only where it is stretched: it must end at 0 mm or below"
+
+
+class RampAxes(Strict):
+    """What is swept; the two ends of the stroke only where they differ between pressures."""
+
+    pressure: PressureAxis
+    speed: SpeedAxis
+    lower: LengthAxis | None = None
+    upper: LengthAxis | None = None
+
+
+class RampTrial(Strict):
+    """One loop: cycles of a ramp from `lower` to `upper` contraction and one back."""
+
+    lower: Length | None = None
+    """Contraction at which it starts; below 0 stretched."""
+    upper: Length | None = None
+    cycles: Annotated[int, Field(ge=2, le=1000)]
+    discard: Annotated[int, Field(ge=0)] = 1
+    """Cycles at the start that do not enter the reduction."""
+    dwell: Time = 0.0
+    """Rest at both ends of each ramp."""
+    turn: Length
+    """Stretch at both ends that is left out: there one branch turns into the other."""
+    settle: Time
+    """Time at pressure before the first motion."""
+    approach: Speed
+    """Speed from 0 to the lower end and back."""
+
+
+class IsobaricRamp(ProtocolHead):
+    """Protocol of kind isobaric-ramp."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
+    gives: ClassVar[tuple[str, ...]] = ("F_ce", "K", "B", "F_c")
+    kind: Literal["isobaric-ramp"]
+    sweep: Sweep[RampAxes]
+    trial: RampTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per pressure pressurise and go to the lower end; per speed one recorded loop from there."""
+        trial = self.trial
+        for name in ("turn", "settle", "approach"):
+            c.positive(getattr(trial, name), ("trial", name))
+        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
+        if trial.discard >= trial.cycles:
+            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
+        at: tuple[float, float] | None = None
+        for index, point in enumerate(expand(self.sweep, c.document)):
+            pressure, speed = point.values["pressure"], point.values["speed"]
+            ends = self._ends(c, point)
+            c.within("pressure", pressure, point.places["pressure"])
+            c.positive(speed, point.places["speed"])
+            if ends is None or speed <= 0 or trial.approach <= 0 or c.too_long():
+                continue
+            lower, upper = ends
+            not_too_fast(c, speed, point.places["speed"], "the ramp moves")
+            if pressure > 0:
+                path = [(x, v) for x in ends for v in (speed, -speed)]
+                bearable(c, pressure, path, point.places["pressure"], "the upper end of the stroke")
+            if index == 0:
+                c.precondition()
+            if at is None or not isclose(at[0], pressure, abs_tol=1e-6) or at[1] != lower:
+                c.steps += arrive(pressure, lower, trial.settle, trial.approach, None if at is None else at[1])
+                at = (pressure, lower)
+            values = {"pressure": pressure, "speed": speed, "lower": lower, "upper": upper}
+            c.trials.append(TrialRecord(index, {**values, "cycles": float(trial.cycles)}, point.repeat))
+            c.steps += [
+                Record("contract", True, index),
+                *self._cycle(lower, upper, speed) * trial.cycles,
+                Record("expand", False, index),
+                Hold("rest", 1.0),
+            ]
+        c.steps += leave(at[1] if at is not None else 0.0, trial.approach)
+        return c.plan("isobaric-ramp", {"discard": trial.discard, "turn": trial.turn})
+
+    def _cycle(self, lower: float, upper: float, speed: float) -> list[Step]:
+        rest: dict[str, list[Step]] = {
+            phase: [Hold(phase, self.trial.dwell)] if self.trial.dwell > 0 else [] for phase in ("contract", "expand")
+        }
+        return [
+            Ramp("contract", "displacement", lower, upper, speed),
+            *rest["contract"],
+            Ramp("expand", "displacement", upper, lower, speed),
+            *rest["expand"],
+        ]
+
+    def _ends(self, c: Compilation, point: Point) -> tuple[float, float] | None:
+        """The two ends of the stroke [m], checked; None where there are none."""
+        ends: dict[str, float] = {}
+        places: dict[str, Location] = {}
+        for name in ("lower", "upper"):
+            value = point.values.get(name, getattr(self.trial, name))
+            places[name] = point.places.get(name, ("trial", name))
+            if value is None:
+                c.fault(("trial",), f'lacks "{name}", an end of the stroke, which the sweep does not tell either')
+            else:
+                ends[name] = value
+                c.within("displacement", value, places[name])
+        if len(ends) < 2:
+            return None
+        if not ends["upper"] - ends["lower"] > 4 * self.trial.turn:
+            c.fault(
+                places["upper"],
+                "the stroke is not longer than four times what is left out at each end (turn): nothing would be left",
+            )
+            return None
+        if point.values["pressure"] <= 0 and ends["upper"] > 0:
+            c.fault(places["upper"], BELOW_0)
+        return ends["lower"], ends["upper"]
