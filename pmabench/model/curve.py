@@ -42,6 +42,9 @@ class Curve:
         if len(self.breaks) == 1:
             edge, (below, above) = self.breaks[0], pieces
             return lambda P: above(P) if edge <= P else below(P)
+        if len(self.breaks) == 2:
+            (low, high), (below, between, above) = self.breaks, pieces
+            return lambda P: between(P) if low <= P < high else below(P) if P < low else above(P)
         return lambda P: pieces[bisect_right(self.breaks, P)](P)
 
     def values(self, P: Array) -> Array:
@@ -50,6 +53,10 @@ class Curve:
         for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
             value = np.where(edge <= P, _polynomial(piece, P), value)
         return value
+
+    def times(self, factor: float) -> Curve:
+        """The curve with all its values times `factor`."""
+        return Curve(tuple(tuple(factor * c for c in piece) for piece in self.pieces), self.breaks)
 
     @classmethod
     def printed(
@@ -95,7 +102,14 @@ def _closure(coefficients: tuple[float, ...]) -> Callable[[float], float]:
     if len(coefficients) == 3:
         a, b, c = coefficients
         return lambda P: (a * P + b) * P + c
-    return Curve((coefficients,))
+
+    def horner(P: float) -> float:
+        value = coefficients[0]
+        for coefficient in coefficients[1:]:
+            value = value * P + coefficient
+        return value
+
+    return horner
 
 
 def _polynomial(coefficients: tuple[float, ...], P: Array) -> Array:

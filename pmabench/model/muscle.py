@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,7 +46,8 @@ class Muscle:
 
     Every coefficient follows the instantaneous gauge pressure. B is `B_c` while it contracts, `B_r` while it relaxes.
     SI: F_ce [N], K [N/m], B_c and B_r [N.s/m] over P [Pa]; `length` nominal [m]; `stop` contraction at which the
-    muscle cannot go further [m].
+    muscle cannot go further [m]. With `tau_r` [s] a muscle with a free end relaxes with that time constant, at the
+    pressure before the command that lets the pressure fall: B = tau_r K (paper 1 indexes its D_r so).
     """
 
     name: str
@@ -57,6 +58,7 @@ class Muscle:
     friction: Friction = field(default_factory=Friction)
     length: float = 0.25
     stop: float = 0.07
+    tau_r: Curve | None = None
 
     def pull(self, P: Array, x: Array) -> Array:
         """Force at rest without friction, F_ce(P) - K(P) x [N]; P [Pa] and x [m] of one shape."""
@@ -65,6 +67,10 @@ class Muscle:
     def contraction(self, P: float, load: float = 0.0) -> float:
         """Contraction at rest without friction, (F_ce - F_L) / K, between 0 and `stop` [m]; P [Pa], load F_L [N]."""
         return min(max(0.0, (self.F_ce(P) - load) / self.K(P)), self.stop)
+
+    def released(self, P: float) -> Muscle:
+        """The muscle as it relaxes after a pressure of P [Pa]; itself where that does not matter."""
+        return self if self.tau_r is None else replace(self, B_r=self.K.times(self.tau_r(P)))
 
     def damping(self, P: Array, v: Array) -> Array:
         """B_c where v > 0, else B_r [N.s/m]; P [Pa] and v [m/s] of one shape."""

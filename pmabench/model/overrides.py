@@ -31,5 +31,7 @@ class Overrides:
     """Share of the pressure that a leak takes away per second [1/s]; needs a lag above 0 to be seen."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
+    fce_eval: str | None = None
+    """Where F_ce is taken, plant `dmsp-40-305`: `x0` at no contraction, `xmax` where it comes to, as in paper 1."""
     b_relax: str | None = None
     """`b_contract`: the damping of contraction in both directions."""

@@ -43,6 +43,10 @@ STEP = 1e-3
 """Longest step of those [s]."""
 LAUNCH = 2.5e-4
 """Step at speeds of stiction [s]: whatever is unstable there is solved exactly within a step, LSODA is lost."""
+CREEP = 4e-3
+"""Step where the damping is so strong that nothing grows at speeds of stiction, with the pressure at its end [s]."""
+CALM = 100.0
+"""How near its end the pressure is then [Pa]: the force is that of the middle of a step."""
 REST = 2.0
 """Longest stretch of rest looked through at once [s]."""
 HORIZON = 1.0
@@ -81,6 +85,7 @@ class Plant:
         self._f_ce, self._stiffness = muscle.F_ce.function(), muscle.K.function()
         self._damping = {1: muscle.B_c.function(), -1: muscle.B_r.function()}
         self.supply = Regulated(regulator, pressure, start)
+        self._trace: Trace | None = None if muscle.tau_r is None else self.supply.piece(start)[0]
         self.time, self.x, self.v, self.way = start, 0.0, 0.0, 0
         self._since, self._horizon = start, HORIZON
         self.load(force, mass)
@@ -106,7 +111,7 @@ class Plant:
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
-        trace = self.supply.piece(self.time)[0]
+        trace = self._piece()[0]
         self._start(trace)
         P, muscle, way = trace.value(self.time), self.muscle, self.way
         pull = self._f_ce(P) - self._stiffness(P) * self.x
@@ -131,7 +136,7 @@ class Plant:
         t = np.asarray(times, dtype=np.float64)
         record = Record(t, self.supply.setpoints(t))
         while self.time < until:
-            trace, end = self.supply.piece(self.time)
+            trace, end = self._piece()
             end = min(end, until)
             if self.way == 0:
                 self._rest(trace, min(end, to_nanosecond(self.time + REST)), record)
@@ -139,11 +144,11 @@ class Plant:
                 self._stepwise(trace, end, record, STEP, math.inf)
             elif self.way * self.v < self.muscle.friction.knee:
                 soon = min(end, to_nanosecond(self.time + HORIZON))
-                self._stepwise(trace, soon, record, self._fine_step(), 1.05 * self.muscle.friction.knee)
+                self._stepwise(trace, soon, record, self._fine_step(trace), 1.05 * self.muscle.friction.knee)
             else:
                 self._slide(trace, min(end, to_nanosecond(self.time + self._horizon)), record)
         if record.done < len(t):
-            trace = self.supply.piece(self.time)[0]
+            trace = self._piece()[0]
             self._start(trace)
             self._fill(record, np.full(len(t) - record.done, self.x), self.v, trace, self.way)
         return record.motion()
@@ -159,8 +164,18 @@ class Plant:
     def reach(self, until: float, longest: float = STEP) -> None:
         """Implicit steps of at most `longest` [s] up to `until` [s]."""
         while self.time < until:
-            trace, end = self.supply.piece(self.time)
+            trace, end = self._piece()
             self._steps(trace, min(end, until), longest)
+
+    def _piece(self) -> tuple[Trace, float]:
+        """How the pressure goes now, and until when [s]; where it begins to fall, relax as after the one before it."""
+        trace, end = self.supply.piece(self.time)
+        if self._trace is not None and trace != self._trace:
+            before, self._trace = self._trace.value(trace.start), trace
+            if trace.slope < 0 or (trace.slope == 0 and trace.level < before):
+                self.muscle = self.muscle.released(before)
+                self._damping = {**self._damping, -1: self.muscle.B_r.function()}
+        return trace, end
 
     def _fill(self, record: Record, x: Array, v: Array | float, trace: Trace, way: int) -> None:
         """Record the next len(x) samples: contraction, speed, and the pressure and force that follow from them."""
@@ -294,9 +309,12 @@ class Plant:
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
-    def _fine_step(self) -> float:
+    def _fine_step(self, trace: Trace) -> float:
         """A step that follows the growth of speed out of stiction, whose time constant is M by slope [s]."""
         slope = self.muscle.friction.slope
+        P = trace.value(self.time)
+        if abs(P - trace.level) < CALM and trace.slope == trace.omega == 0 and self._damping[self.way](P) > 2 * slope:
+            return CREEP
         return min(max(LAUNCH, 0.05 * self.mass / slope), STEP) if slope else STEP
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:

@@ -55,7 +55,14 @@ def serres2009() -> Muscle:
     )
 
 
-MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009}
+def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
+    """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.dmsp_muscle`)."""
+    from pmabench.model.dmsp_muscle import dmsp_40_305  # needs the library of models, which needs this module
+
+    return dmsp_40_305(fce_eval)
+
+
+MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009, "dmsp-40-305": dmsp_40_305}
 """Those of the three-element model."""
 PLANTS = (*MUSCLES, "daerden")
 """All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
@@ -63,6 +70,8 @@ DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 
 BENCH_FRICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
+COULOMB = Friction(F_s=10.0, F_c=10.0)
+"""Of a muscle whose damping lets no stick-slip grow."""
 BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
 BENCH_LAG = 0.0955
 BENCH_FOLLOW_LAG = 0.005
@@ -119,8 +128,12 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
     if plant not in PLANTS:
         raise ValueError(f'no plant "{plant}"; known: {", ".join(PLANTS)}')
     regulator = Regulator(dead_time=DEAD_TIME, lag=BENCH_LAG)
+    if overrides and overrides.fce_eval is not None and plant != "dmsp-40-305":
+        raise ValueError(f"fce_eval is for the plant dmsp-40-305; what {plant} calls F_ce is taken at x = 0")
     if plant in MUSCLES:
-        muscle = replace(MUSCLES[plant](), friction=BENCH_FRICTION)
+        muscle = replace(MUSCLES[plant](), friction=COULOMB if plant == "dmsp-40-305" else BENCH_FRICTION)
+        if overrides and overrides.fce_eval is not None:
+            muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     from pmabench.model.daerden_muscle import DaerdenMuscle  # needs the library of models, which needs this module
 
@@ -177,4 +190,6 @@ def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> M
     )
     if change.b_relax not in {None, "b_contract"}:
         raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
-    return replace(muscle, friction=friction, B_r=muscle.B_c if change.b_relax else muscle.B_r)
+    if change.b_relax:
+        return replace(muscle, friction=friction, B_r=muscle.B_c, tau_r=None)
+    return replace(muscle, friction=friction)

@@ -79,7 +79,7 @@ class Options:
     """All options; numbers in SI."""
 
     plant: str = "paper0"
-    """`paper0`, `serres2009`, or for a driven free end `daerden` (pmabench.model.presets)."""
+    """`paper0`, `serres2009`, `dmsp-40-305`, or for a driven free end `daerden` (pmabench.model.presets)."""
     numbers: Mapping[str, Any] | None = None
     """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
@@ -127,11 +127,12 @@ class Service:
     """What the device's clock shows at bench time 0 [s]."""
 
 
-TEXT = {"plant", "preset", "free_end", "b_relax", "reads", "end", "log"}
+TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", "serres2009", "daerden"),
+    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden"),
+    "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
 }
@@ -169,18 +170,14 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     return options
 
 
-NOT_FOR = {
-    "daerden": ("F_s", "F_c", "b_relax"),
-    "paper0": ("hysteresis",),
-    "serres2009": ("hysteresis",),
-}
-"""Options that a plant has no use for."""
+NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": ("hysteresis",)}
+"""Options that a plant has no use for; of all others what is for one plant only."""
 
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
     if options.plant == "daerden" and options.free_end != "actuator":
         raise DeviceError(device, "option plant: daerden is for a driven free end; write free_end: actuator beside it")
-    for name in NOT_FOR.get(options.plant, ("hysteresis",)):
+    for name in NOT_FOR.get(options.plant, ("hysteresis", "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 
