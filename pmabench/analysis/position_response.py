@@ -1,6 +1,7 @@
 """What one held position says: rise, overshoot, settling, steady-state error, limit cycle; knows no run.
 
-Rise time, overshoot and settling time as in ISA-51.1; IAE is the integral of |set-point - x|.
+Rise time, overshoot and settling time refer to the step, from the position at rest to the set-point; IAE is the
+integral of |set-point - x|.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ class Response:
     """One step of the set-point from rest; times from the step on."""
 
     rise: float | None
-    """10 % to 90 % of the set-point [s]; None where it does not get there."""
+    """10 % to 90 % of the step [s]; None where it does not get there."""
     overshoot: float
-    """Largest excess over the set-point, as a share of it [1]; 0 for none."""
+    """Largest excess over the set-point, as a share of the step [1]; 0 for none."""
     settling: float | None
     """From when on it stays in the band around the set-point [s]; None where it does not."""
     error: float
@@ -62,35 +63,48 @@ class Response:
     IAE: float
     """Integral of |set-point - x| over the whole hold [m.s]."""
     cycle: Cycle | None
+    wander: float
+    """Peak to peak in the window [m]; larger than `smallest` without a cycle: too slow for the window, or a drift."""
     smallest: float
     """Smallest cycle that would be seen, peak to peak [m]."""
 
 
 def respond(
-    t: Array, x: Array, setpoint: float, window: tuple[float, float], band: float, resolution: float = 0.0
+    t: Array,
+    x: Array,
+    setpoint: float,
+    window: tuple[float, float],
+    band: float,
+    *,
+    origin: float = 0.0,
+    resolution: float = 0.0,
 ) -> Response:
     """Measures of the samples `x` [m] at `t` [s from the step], shape (n,), from the step to the end of the hold.
 
-    `window` [s] for error and cycle; `band` [1]; `resolution`: one count of the channel [m].
-    Raises ValueError where the window holds no sample.
+    `window` [s] for error and cycle; `band` as a share of the step [1]; `origin`: position at rest before [m];
+    `resolution`: one count of the channel [m]. Raises ValueError where nothing can be measured.
     """
     period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     inside = (t >= window[0]) & (t <= window[1])
     if inside.sum() < 8 or period <= 0:
         raise ValueError(f"fewer than 8 samples from {window[0]:g} s to {window[1]:g} s")
+    step = setpoint - origin
+    if step <= 0:
+        raise ValueError("it rested beyond the set-point already")
     noise = noise_of(x[inside])
     smooth = _smoothed(x, max(1, round(SMOOTHED / period)))
-    low, high = (_first(t, smooth >= share * setpoint) for share in (0.1, 0.9))
-    outside = np.flatnonzero(np.abs(smooth - setpoint) > band * setpoint)
+    low, high = (_first(t, smooth >= origin + share * step) for share in (0.1, 0.9))
+    outside = np.flatnonzero(np.abs(smooth - setpoint) > band * step)
     settled = 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
     smallest = max(SEEN * noise, 2 * resolution, SMALLEST * setpoint)
     return Response(
         rise=high - low if low is not None and high is not None else None,
-        overshoot=max(0.0, float(smooth.max()) / setpoint - 1.0),
+        overshoot=max(0.0, (float(smooth.max()) - setpoint) / step),
         settling=settled,
         error=setpoint - float(x[inside].mean()),
         IAE=float(np.trapezoid(np.abs(setpoint - x), t)),
         cycle=cycle_of(t[inside], x[inside], smallest),
+        wander=float(np.ptp(smooth[inside])),
         smallest=smallest,
     )
 

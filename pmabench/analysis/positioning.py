@@ -5,7 +5,7 @@ Measures of one hold are in `position_response`, the simulated loop in `simulate
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -54,6 +54,8 @@ class _Hold:
     response: Response
     calibration: Mapping[str, float | None]
     """Half width that the scale of the displacement gives each measure."""
+    origin: float
+    """Position at rest before the step [m]."""
     t: Array
     x: Array
     simulated: Array | None
@@ -117,8 +119,12 @@ def _hold(run: RunData, trial: TrialData, model: Described | None) -> _Hold | st
     info = run.channels.get("displacement")
     resolution = abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
 
+    rest = trial.usable & (trial.t < begin - 1e-6) & np.isfinite(trial.channels["displacement"])
+    origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
+
     def measured(values: Array) -> Response:
-        return respond(t, values, setpoint, (float(low), float(high)), band, resolution)
+        window = float(low), float(high)
+        return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution)
 
     try:
         response = measured(x)
@@ -131,9 +137,9 @@ def _hold(run: RunData, trial: TrialData, model: Described | None) -> _Hold | st
     calibration = {symbol: _half(symbol, shifted, setpoint) for symbol in MEASURES}
     simulated = simulated_response = None
     if model is not None:
-        simulated = closed_loop(model, trial, law, 1.0 / run.rate).x[ok]
+        simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
         simulated_response = measured(simulated)
-    return _Hold(run, trial, law, response, calibration, t, x, simulated, simulated_response)
+    return _Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
 
 
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
@@ -226,33 +232,11 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[_Hold]]) -> list
             f"({show(worst.response.error, 'length', 3)} at {show(setpoint, 'length')}; {told})",
         )
     )
-    quiet = []
-    for members in cells:
-        for hold in members:
-            response, where = hold.response, show(float(hold.law["setpoint"]), "length")
-            if response.cycle is None:
-                quiet.append(hold)
-                continue
-            cycle = response.cycle
-            what = "stick-slip limit cycle" if cycle.sticks else "sustained oscillation that does not stick"
-            text = (
-                f"{hold.trial.name}: {what} at {where}: {show(cycle.size, 'length', 3)} peak to peak "
-                f"({100 * cycle.size / float(hold.law['setpoint']):.2g} % of the set-point), "
-                f"period {cycle.period:.3g} s, {cycle.count} cycles, {100 * cycle.at_rest:.0f} % of the time at rest"
-            )
-            if not cycle.sticks:
-                text += "; the gain is near or above the ultimate one"
-            lines.append(Finding("doubt", text + _beside(hold)))
-    if quiet:
-        places = ", ".join(dict.fromkeys(show(float(hold.law["setpoint"]), "length") for hold in quiet))
-        most = show(max(hold.response.smallest for hold in quiet), "length", 2)
-        lines.append(Finding("note", f"no limit cycle at {places} (one of {most} peak to peak would be seen)"))
-    for members in cells:
-        for hold in members:
-            where = show(float(hold.law["setpoint"]), "length")
-            if hold.response.settling is None:
-                band = 100 * float(settings.get("band", BAND))
-                lines.append(Finding("doubt", f"{hold.trial.name}: not settled within {band:g} % of {where}"))
+    lines += _cycles([hold for members in cells for hold in members])
+    unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
+    if unsettled:
+        band = 100 * float(settings.get("band", BAND))
+        lines.append(Finding("doubt", f"not settled within {band:g} % of the step at {_places(unsettled)}"))
     if "gains_of" in settings:
         one = show(float(settings["gains_of"]), "length")
         lines.append(Finding("doubt", f"the gains were found at {one} alone, and used at all set-points"))
@@ -270,14 +254,58 @@ def _relative_error(hold: _Hold) -> float:
     return 100 * abs(hold.response.error) / float(hold.law["setpoint"])
 
 
-def _beside(hold: _Hold) -> str:
-    """What the simulation makes of it."""
-    if hold.simulated_response is None:
-        return ""
-    cycle = hold.simulated_response.cycle
-    if cycle is None:
-        return "; the simulated loop has none"
-    return f"; the simulated loop {show(cycle.size, 'length', 3)} and {cycle.period:.3g} s"
+def _cycles(holds: Sequence[_Hold]) -> list[Finding]:
+    """Where it hunts, where it does not, and where the window is too short to tell."""
+    lines = []
+    hunting = [hold for hold in holds if hold.response.cycle is not None]
+    for sticks, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
+        mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == sticks]
+        if mine:
+            text = f"{what} at {_places(mine)}: {_told(hold.response for hold in mine)}"
+            compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
+            if compared:
+                text += f"; simulated: {_told(compared)}"
+            lines.append(Finding("doubt", text + ("" if sticks else "; the gain is near or above the ultimate one")))
+    still = [hold for hold in holds if hold.response.cycle is None]
+    slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
+    quiet = [hold for hold in still if hold not in slow]
+    if slow:
+        most = show(max(hold.response.wander for hold in slow), "length", 3)
+        lines.append(
+            Finding(
+                "doubt",
+                f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit "
+                "cycle, a creep or a drift; a longer hold tells",
+            )
+        )
+    if quiet:
+        least = show(max(hold.response.smallest for hold in quiet), "length", 2)
+        lines.append(Finding("note", f"no limit cycle at {_places(quiet)}: one of {least} peak to peak would be seen"))
+    return lines
+
+
+def _places(holds: Sequence[_Hold]) -> str:
+    """Set-points in words, each once."""
+    points = sorted({float(hold.law["setpoint"]) for hold in holds})
+    if len(points) <= 4:
+        return ", ".join(show(x, "length") for x in points)
+    return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
+
+
+def _told(responses: Iterable[Response]) -> str:
+    """Size and period of the cycles, least to most."""
+    cycles = [response.cycle for response in responses if response.cycle is not None]
+    if not cycles:
+        return "none"
+    sizes, periods = sorted(c.size for c in cycles), sorted(c.period for c in cycles)
+    rest = sorted(100 * c.at_rest for c in cycles)
+    size = _range([f"{x * 1e3:.3g}" for x in (sizes[0], sizes[-1])], "mm peak to peak")
+    period = _range([f"{x:.3g}" for x in (periods[0], periods[-1])], "s")
+    return f"{size}, period {period}, {_range([f'{x:.0f}' for x in (rest[0], rest[-1])], '%')} of the time at rest"
+
+
+def _range(ends: Sequence[str], unit: str) -> str:
+    return f"{ends[0]} {unit}" if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]} {unit}"
 
 
 def _trace(hold: _Hold) -> Trace:
@@ -289,11 +317,11 @@ def _trace(hold: _Hold) -> Trace:
     t = np.concatenate((before, hold.t))
     columns = {
         "t": t,
-        "setpoint": np.where(t < -1e-6, 0.0, setpoint),
+        "setpoint": np.where(t < -1e-6, hold.origin, setpoint),
         "displacement": np.concatenate((hold.trial.channels["displacement"][rest], hold.x)),
     }
     if hold.simulated is not None:
-        columns["model"] = np.concatenate((np.zeros(len(before)), hold.simulated))
+        columns["model"] = np.concatenate((np.full(len(before), hold.origin), hold.simulated))
     if "pressure_command" in hold.trial.channels:
         columns["pressure_command"] = np.interp(t + begin, hold.trial.t, hold.trial.channels["pressure_command"])
     early = t < EARLY

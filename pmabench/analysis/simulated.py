@@ -80,10 +80,10 @@ class Loop:
     command: Array
 
 
-def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], period: float) -> Loop:
+def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], period: float, origin: float = 0.0) -> Loop:
     """The controller of a trial around the model, sampled every `period` [s] as the bench does.
 
-    `law` is what the law `pid` wrote down. At rest without pressure before.
+    `law` is what the law `pid` wrote down. Before, it rests without pressure at `origin` [m].
     """
     load, mass = load_of(trial)
     begin, end = float(law["t0"]), float(law["t1"])
@@ -100,6 +100,7 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
     )
     setpoint = float(law["setpoint"])
     plant = Plant(model.muscle, model.regulator, force=load, mass=mass, pressure=float(law["start"]))
+    plant.x = min(max(0.0, origin), model.muscle.stop)
     count = round((end - begin) / period) + 1
     x, command = np.empty(count), np.empty(count)
     sent = float(law["start"])
@@ -116,5 +117,6 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
     before = late < 0
     late = np.maximum(late, 0)
     return Loop(
-        np.where(before, 0.0, np.interp(trial.t, times, x)), np.where(before, float(law["start"]), command[late])
+        np.where(before, max(0.0, origin), np.interp(trial.t, times, x)),
+        np.where(before, float(law["start"]), command[late]),
     )

@@ -34,7 +34,7 @@ class PositioningTrial(Strict):
     window: tuple[Time, Time]
     """Part of the hold, counted from the step of the set-point, in which error and limit cycle are taken."""
     band: Ratio = 0.02
-    """Band around the set-point that counts as settled, as a share of it."""
+    """Band around the set-point that counts as settled, as a share of the step."""
     rest: Time = 3.0
     """Time without pressure between two runs."""
 

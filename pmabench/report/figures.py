@@ -28,6 +28,7 @@ from pmabench.report.pictures import (
     unit_of,
 )
 from pmabench.report.plots import Array, Panel
+from pmabench.report.position_figures import positions, validations
 from pmabench.report.wording import clean, shown
 
 OVERLAYS, SCATTERS, GENERIC = 6, 9, 6
@@ -43,6 +44,8 @@ def front_pictures(analyses: Sequence[Analysis]) -> tuple[list[Picture], list[st
     for wanted, draw in (
         ("overlay", _overlays),
         ("growth", loop_figures.growth_alone),
+        ("position", positions),
+        ("validation", validations),
         ("loop", loop_figures.loops),
         ("isometric", _isometric),
     ):
@@ -222,6 +225,8 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("loop", "pressure-loop"), loop_figures.loops),
     (("bode",), loop_figures.bode),
     (("oscillation", "growth"), loop_figures.oscillations),
+    (("position",), positions),
+    (("validation",), validations),
     (("isobaric", "mean-curve"), ramp_figures.loops),
     (("rubber",), ramp_figures.rubber),
     (("isometric",), _isometric),
