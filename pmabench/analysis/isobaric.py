@@ -12,7 +12,7 @@ from typing import Any
 from pmabench.analysis import skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.isobaric_cell import CURVE, Cell, Member
-from pmabench.analysis.ramp_loop import measure
+from pmabench.analysis.ramp_loop import measure_as_planned
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.rubber import rubber
 from pmabench.analysis.sine_loop import NotUsable
@@ -21,8 +21,6 @@ from pmabench.store.records import RunData
 
 KIND = "isobaric-ramp"
 CHANNELS = ("displacement", "force")
-TURN = 0.05
-"""Share of the stroke that is left out at each end where the plan does not say."""
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
 
@@ -80,12 +78,9 @@ def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[
     members: list[Member] = []
     dropped: list[Dropped] = []
     for run in runs:
-        settings = {**(run.plan.get("settings") or {}), **options}
         for trial in run.trials:
-            stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
             try:
-                turn = float(settings.get("turn", TURN * stroke))
-                members.append(Member(run, trial, measure(run, trial, int(settings.get("discard", 1)), turn)))
+                members.append(Member(run, trial, measure_as_planned(run, trial, options)))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     return members, dropped

@@ -5,9 +5,11 @@ Knows one trial of slow ramps; no campaign and no fit over pressure or speed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,8 @@ POINTS = 81
 """Points of the grid."""
 FEWEST = 40
 """Samples that a branch needs between the ends of the grid."""
+TURN = 0.05
+"""Share of the stroke that is left out at each end where the plan does not say."""
 COVERED = 0.9
 """Share of the grid that all branches must cover."""
 
@@ -150,6 +154,13 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float) -> Loop:
         last=last,
         noise=noise_of(values["force"][whole]),
     )
+
+
+def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
+    """`measure` with what `options` say, else the plan, of `discard` and `turn`."""
+    settings = {**(run.plan.get("settings") or {}), **options}
+    stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
+    return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
 
 def _cycles(trial: TrialData) -> list[tuple[Command, Command, float]]:

@@ -55,6 +55,7 @@ _NEEDS = {
     "contraction-relaxation": ("segments", "steps"),
     "sinusoidal-displacement": ("sine_loop",),
     "ultimate-gain": ("gain_levels",),
+    "isobaric-ramp": ("ramp_loop",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
 
@@ -214,9 +215,36 @@ def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
     return [Measured("K_u", "gain", K_u), Measured("T_u", "time", T_u)], reasons
 
 
+def _isobaric(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K of the mean curve, the gap of its branches at mid stroke, and the pressure."""
+    from pmabench.analysis.ramp_loop import measure_as_planned
+    from pmabench.analysis.sine_loop import NotUsable
+
+    P, speed = trial.point.get("pressure"), trial.point.get("speed", 0.0)
+    try:
+        loop = measure_as_planned(run, trial, {})
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None), Measured("H", "force", None)], [str(reason)]
+    gap = float(loop.middle_gap.mean())
+    K_e = gap_e = None
+    if expected is not None and P is not None:
+        K_e, B_c, B_r = (expected.at(name, P) for name in ("K", "B_c", "B_r"))
+        if B_c is not None and B_r is not None:
+            gap_e = 2 * expected.F_c + (B_c + B_r) * speed
+    doubts = []
+    if gap < -max(loop.noise, 1e-3):
+        doubts.append("the contracting branch is the upper one: a wrong sign, or force and displacement apart in time")
+    return [
+        Measured("K", "stiffness", -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0]), K_e),
+        Measured("H", "force", gap, gap_e, tolerance=0.25 * gap_e if gap_e else 0.0, noise=loop.noise),
+        Measured("P", "pressure", None if np.isnan(loop.pressure) else loop.pressure, P or None),
+    ], doubts
+
+
 _RULES: dict[str, Callable[..., Found]] = {
     "contraction-relaxation": _contraction,
     "static-load": _static,
     "sinusoidal-displacement": _sine,
     "ultimate-gain": _gain,
+    "isobaric-ramp": _isobaric,
 }

@@ -1,0 +1,52 @@
+"""Numbers of one isobaric ramp against a closed form: F = F_ce - K x - B x', and a hysteresis of 12 N."""
+
+import numpy as np
+import pytest
+
+from pmabench.display.expected import Expected
+from pmabench.display.quantities import Quick, measure
+from pmabench.store.records import Command, RunData, TrialData
+
+EXPECTED = Expected(
+    source="closed form", pressure=np.array([3e5]), F_ce=np.array([275.0]), K=np.array([7000.0]),
+    B_c=np.array([1500.0]), B_r=np.array([1700.0]), F_c=6.0,
+)  # fmt: skip
+
+
+def ramp(sign=1.0, status="finished"):
+    """Two cycles between 0 and 20 mm at 10 mm/s."""
+    t = np.arange(0, 8.0, 0.005)
+    up = (t % 4.0) < 2.0
+    x = 0.01 * np.where(up, t % 4.0, 4.0 - t % 4.0)
+    F = 275.0 - sign * 7000.0 * x - np.where(up, 1500.0 * 0.01 + 6.0, -1700.0 * 0.01 - 6.0)
+    commands = tuple(
+        Command(2.0 * i, "displacement", "ramp", *((0.02, 0.0, "contract") if i % 2 == 0 else (0.0, 0.02, "expand")),
+                {"rate": 0.01})
+        for i in range(4)
+    )  # fmt: skip
+    point = {"pressure": 3e5, "speed": 0.01, "lower": 0.0, "upper": 0.02, "cycles": 2.0}
+    channels = {"displacement": x, "force": F, "pressure": np.full(len(t), 3e5)}
+    return TrialData("r", 0, point, 0, False, status, t, channels, np.zeros(len(t), np.uint16), commands, {})
+
+
+def told(trial):
+    settings = {"discard": 1, "turn": 0.001}
+    run = RunData("r", "r", "isobaric-ramp", "running", True, {}, {"settings": settings}, (), {}, 200.0, ())
+    numbers, doubts = measure(run, trial, EXPECTED, Quick())
+    return {number.symbol: number for number in numbers}, doubts
+
+
+def test_a_ramp_gives_stiffness_and_the_gap_of_its_branches():
+    numbers, doubts = told(ramp())
+    assert doubts == []
+    assert numbers["K"].value == pytest.approx(7000.0, rel=1e-6)
+    assert numbers["H"].value == pytest.approx(12.0 + 3200.0 * 0.01, rel=1e-6)
+    assert numbers["H"].expected == pytest.approx(44.0)
+    assert numbers["P"].value == pytest.approx(3e5)
+
+
+def test_what_is_wrong_with_a_ramp_is_said():
+    assert told(ramp(status="failed"))[1] == ["the trial is failed"]
+    upside_down = ramp()
+    channels = {**upside_down.channels, "force": 500.0 - upside_down.channels["force"]}
+    assert any("upper one" in doubt for doubt in told(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1])
