@@ -7,31 +7,19 @@ of the sum of squares (Bates and Watts 1988, chapter 6). Knows no file and no un
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import qmc
 from scipy.stats import t as student
 
 from pmabench.analysis.identifiability import Spread, spread_of, told_apart
+from pmabench.analysis.model_problem import FEW, End, Problem, acting, solve, starts_of
 from pmabench.analysis.results import Finding
-from pmabench.model.library import Model, OutsideDomain, Parameter
+from pmabench.model.library import Model
 from pmabench.store.records import Array
 
-STARTS = 8
-"""Starts from which is fitted, the reference values among them; two where a net cannot fill the domain."""
-TRIED = 200
-"""Points of the domain of which the best become starts."""
-STEP = 6e-6
-"""Step of central differences, as a share of a parameter's size."""
-WIDE = 20.0
-"""A domain that reaches further than this beyond the reference value is searched within a factor of 5 of it."""
-MOST_PROFILED = 8
-"""Unknowns up to which the domain is searched and intervals come from profiles; with more, from the Jacobian."""
 EXACT = 1e-7
 """Residual rms as a share of the output's span below which data are the model's own."""
 SAME = 1e-6
@@ -55,7 +43,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Follows:
-    """Another output of the model that is one number for all rows [SI]."""
+    """Another output of the model that is one number for all rows [SI]; no error where the unknowns do not move it."""
 
     name: str
     value: float
@@ -72,7 +60,9 @@ class ModelFit:
     unknowns: tuple[Unknown, ...]
     follows: tuple[Follows, ...]
     fixed: Mapping[str, Any]
-    """Inputs that were given or stayed at their reference values and act on the output."""
+    """Inputs that were given or stayed at their reference values."""
+    idle: tuple[str, ...]
+    """Those of them that change nothing here."""
     columns: Mapping[str, Array]
     measured: Array
     computed: Array
@@ -107,111 +97,6 @@ class ModelFit:
         )
 
 
-@dataclass
-class Problem:
-    """A model over its unknowns at the measured rows, all SI: output, residuals, slopes, bounds."""
-
-    model: Model
-    output: str
-    names: Sequence[str]
-    inputs: Mapping[str, Any]
-    measured: Array | None
-    """None where only the output is asked for."""
-    count: int = field(init=False)
-    span: float = field(init=False)
-    size: Array = field(init=False)
-    low: Array = field(init=False)
-    high: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        known = {p.name: p for p in self.model.parameters}
-        self.count = max((len(v) for v in self.inputs.values() if isinstance(v, np.ndarray)), default=1)
-        unknown = [known[name] for name in self.names]
-        self.size = np.array([_size(p) for p in unknown])
-        self.low = np.array([p.low + (1e-9 * _size(p) if p.above else 0.0) for p in unknown])
-        self.high = np.array([p.high for p in unknown])
-        span = 0.0 if self.measured is None else max(float(np.ptp(self.measured)), float(np.abs(self.measured).max()))
-        self.span = span or 1.0
-
-    def output_at(self, at: Array) -> Array:
-        """The output, shape (count,); raises OutsideDomain."""
-        found = self.model.evaluate({**self.inputs, **dict(zip(self.names, at.tolist(), strict=True))})[self.output]
-        return np.array(np.broadcast_to(found, (self.count,)))
-
-    def residuals(self, at: Array) -> Array:
-        """Computed less measured in units of the span; NaN where the model does not hold."""
-        measured = np.zeros(self.count) if self.measured is None else self.measured
-        try:
-            return np.asarray((self.output_at(at) - measured) / self.span)
-        except OutsideDomain:
-            return np.full(self.count, np.nan)
-
-    def slopes(self, at: Array) -> Array:
-        """Derivatives of the output by the unknowns, shape (count, unknowns); one-sided at the end of a domain."""
-        columns = []
-        for i in range(len(at)):
-            step = STEP * max(abs(float(at[i])), 1e-3 * float(self.size[i]))
-            ends, places = [], []
-            for way in (1.0, -1.0):
-                moved = at.copy()
-                moved[i] = min(max(moved[i] + way * step, self.low[i]), self.high[i])
-                try:
-                    ends.append(self.output_at(moved))
-                except OutsideDomain:
-                    moved[i] = at[i]
-                    ends.append(self.output_at(at))
-                places.append(float(moved[i]))
-            wide = places[0] - places[1]
-            columns.append((ends[0] - ends[1]) / wide if wide > 0 else np.zeros(self.count))
-        return np.column_stack(columns) if columns else np.zeros((self.count, 0))
-
-
-def _size(p: Parameter) -> float:
-    """What an input is measured by: its reference value, or what its quantity is like."""
-    value = abs(float(p.value))
-    if value > 0:
-        return value
-    return float(p.high - p.low) if isfinite(p.high - p.low) and p.high > p.low else 1.0
-
-
-def acting(
-    model: Model, output: str, names: Sequence[str], inputs: Mapping[str, Any], start: Mapping[str, float] | None = None
-) -> list[str]:
-    """Those of `names` that change the output on these inputs, at or near `start` or the reference values."""
-    known = {p.name: p for p in model.parameters}
-    problem = Problem(model, output, names, inputs, None)
-    first = np.array([float((start or {}).get(name, known[name].value)) for name in names])
-    moves = np.zeros(len(names), dtype=bool)
-    for share in (1.0, 0.9, 1.1):
-        with suppress(OutsideDomain):
-            moves |= (np.abs(problem.slopes(np.clip(share * first, problem.low, problem.high))) > 0).any(axis=0)
-    return [name for name, does in zip(names, moves, strict=True) if does]
-
-
-def starts_of(problem: Problem, start: Array, seed: int = 0) -> list[Array]:
-    """`start` and the best of a scrambled net of the domain, best first after it."""
-    ranges = [_range(s, low, high, size) for s, low, high, size in zip(
-        start, problem.low, problem.high, problem.size, strict=True)]  # fmt: skip
-    net = qmc.Halton(len(start), seed=seed).random(TRIED)
-    points = [np.array([low * (high / low) ** u if raised else low + (high - low) * u
-                        for u, (low, high, raised) in zip(row, ranges, strict=True)]) for row in net]  # fmt: skip
-    costs = [float(np.sum(problem.residuals(point) ** 2)) for point in points]
-    order = [i for i in np.argsort(costs) if isfinite(costs[i])]
-    more = STARTS - 1 if len(start) <= MOST_PROFILED else 1
-    return [start, *(points[i] for i in order[:more])]
-
-
-def _range(start: float, low: float, high: float, size: float) -> tuple[float, float, bool]:
-    """Where an unknown is searched, and whether evenly in its logarithm."""
-    middle = abs(start) or size
-    if low >= 0:
-        ends = max(low, middle / 5), min(high, middle * 5)
-        if isfinite(high) and high <= WIDE * middle and high > 0:
-            ends = max(low, high / 1e3), high
-        return (*ends, True) if ends[0] > 0 else (*ends, False)
-    return max(low, start - 3 * middle), min(high, start + 3 * middle), False
-
-
 def fit_model(
     model: Model,
     output: str,
@@ -231,13 +116,14 @@ def fit_model(
     known = {p.name: p for p in model.parameters}
     problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
     if len(measured) < len(unknown):
-        raise ValueError(f"{len(measured)} rows cannot give {len(unknown)} values; give some of them with --set")
+        rows = f"{len(measured)} row{'s' if len(measured) != 1 else ''}"
+        raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
     first = np.array([float((start or {}).get(name, known[name].value)) for name in unknown])
     first = np.clip(first, problem.low, problem.high)
     begun = [at for at in starts_of(problem, first, seed) if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
-    ends = sorted((_solve(problem, at) for at in begun), key=lambda end: end[0])
+    ends = sorted((solve(problem, at) for at in begun), key=lambda end: end[0])
     best = ends[0]
     freedom = len(measured) - len(unknown)
     spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
@@ -245,14 +131,14 @@ def fit_model(
     intervals: list[tuple[float | None, float | None] | None] = [_wald(v, s, freedom) for v, s in zip(
         best[1], spread.errors, strict=True)]  # fmt: skip
     exact = sqrt(best[0] / len(measured)) < EXACT
-    if freedom > 0 and len(unknown) <= MOST_PROFILED and not exact:
+    if freedom > 0 and len(unknown) <= FEW and not exact:
         method = "profile"
         for _ in range(3):
             profiled, better = _profiles(problem, best, spread, freedom)
             if better is None:
                 intervals = profiled
                 break
-            best = min(_solve(problem, better), best, key=lambda end: end[0])
+            best = min(solve(problem, better), best, key=lambda end: end[0])
             ends = [best, *ends]
             spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
     computed = problem.output_at(best[1])
@@ -272,6 +158,7 @@ def fit_model(
         ),
         follows=_follows(problem, best[1], spread, freedom),
         fixed={name: value for name, value in fixed.items() if name not in unknown},
+        idle=_idle(problem, fixed, best[1]),
         columns=dict(columns),
         measured=measured,
         computed=computed,
@@ -285,47 +172,6 @@ def fit_model(
         method=method,
         findings=tuple(findings),
     )
-
-
-End = tuple[float, Array, bool]
-"""Sum of squares in units of the span, unknowns, whether it converged."""
-
-
-def _solve(problem: Problem, start: Array, held: int | None = None) -> End:
-    """Least squares from `start`; unknown `held` stays where it is."""
-    free = [i for i in range(len(start)) if i != held]
-    if not free:
-        return float(np.sum(problem.residuals(start) ** 2)), start, True
-
-    def whole(part: Array) -> Array:
-        at = start.copy()
-        at[free] = part
-        return at
-
-    def residuals(part: Array) -> Array:
-        return problem.residuals(whole(part))
-
-    def slopes(part: Array) -> Array:
-        return np.asarray(problem.slopes(whole(part))[:, free] / problem.span)
-
-    low, high = problem.low[free], problem.high[free]
-    room = 1e-10 * problem.size[free]
-    inside = np.clip(
-        start[free], low + np.where(np.isfinite(low), room, 0), high - np.where(np.isfinite(high), room, 0)
-    )
-    found = least_squares(
-        residuals,
-        inside,
-        jac=slopes,
-        bounds=(low, high),
-        x_scale="jac",
-        method="trf",
-        xtol=1e-11,
-        ftol=1e-13,
-        gtol=1e-13,
-        max_nfev=400,
-    )
-    return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)
 
 
 def _wald(value: float, error: float | None, freedom: int) -> tuple[float | None, float | None] | None:
@@ -375,7 +221,7 @@ def _end(
             if not np.isfinite(problem.residuals(guess)).all():  # a refusal ends the domain here
                 reach *= 0.5
                 continue
-        cost, point, _ = _solve(problem, guess, held=i)
+        cost, point, _ = solve(problem, guess, held=i)
         if cost < best[0] * (1 - 1e-4):
             return None, point
         rise = sqrt(max(cost - best[0], 0.0) / variance)
@@ -441,6 +287,15 @@ def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding
     return []
 
 
+def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, ...]:
+    """Numbers among the fixed inputs that do not move the output at the best values."""
+    names = [p.name for p in problem.model.parameters if p.name in fixed and not p.choices]
+    inputs = {**problem.inputs, **dict(zip(problem.names, at.tolist(), strict=True))}
+    held = {name: float(fixed[name]) for name in names}
+    moving = acting(problem.model, problem.output, names, inputs, held)
+    return tuple(name for name in names if name not in moving)
+
+
 def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:
     """Outputs that the unknowns settle for all rows alike."""
     found = []
@@ -451,11 +306,9 @@ def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple
         if output.name == problem.output or not np.isfinite(values).all() or float(np.ptp(values)) > 1e-9 * size:
             continue
         slope = other.slopes(at)[0]
-        if not np.any(slope):
-            continue
         error = half = None
         power = float(slope @ spread.covariance @ slope) if np.isfinite(spread.covariance).all() else float("nan")
-        if isfinite(power) and freedom > 0:
+        if np.any(slope) and isfinite(power) and freedom > 0:
             error = sqrt(max(power, 0.0))
             half = float(student.ppf(0.975, freedom)) * error
         value = float(values[0])

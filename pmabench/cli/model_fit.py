@@ -162,13 +162,19 @@ def _unknown(
     free: str | None,
 ) -> list[str]:
     """What is fitted: as asked, or what the model names and acts on the output."""
-    from pmabench.analysis.model_fit import acting
+    from pmabench.analysis.model_problem import acting
     from pmabench.base.errors import UsageError, did_you_mean
 
     able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]
     if free is None:
         asked = [name for name in model.fitted if name in able and name not in given]
         unknown = acting(model, measured.output, asked, {**fixed, **measured.columns}, begin)
+        known = {p.name: p for p in model.parameters}
+        for name in asked:
+            if name not in unknown:
+                measured.notes.append(
+                    f"{name} changes nothing at these rows: left at {shown(known[name], fixed[name])}"
+                )
         if not unknown:
             raise UsageError(
                 f"nothing to fit: name inputs with --free, of {', '.join(n for n in able if n not in given)}"
@@ -230,6 +236,7 @@ def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, 
         "inputs": {
             name: {"value": value, "unit": si_unit(known[name].quantity), "given": name in given}
             for name, value in found.fixed.items()
+            if name in given or name not in found.idle
         },
         "correlation": [[None if value != value else float(value) for value in row] for row in found.correlation],
         "residual_rms": found.residual_rms,
@@ -245,6 +252,7 @@ def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, 
         "starts": found.starts,
         "starts_agreeing": found.agreeing,
         "converged": found.converged,
+        "notes": list(measured.notes),
         "findings": [{"level": f.level, "text": f.text} for f in found.findings],
     }
 
@@ -286,10 +294,10 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
         rows.append([u.name, known[u.name].symbol, *_told(u.value / scale, error, ends), unit])
     for f in found.follows:
         scale = QUANTITIES[outputs[f.name].quantity].scale
-        error = None if f.standard_error is None else f.standard_error / scale
-        ends = None if f.ci95 is None else (f.ci95[0] / scale, f.ci95[1] / scale)
-        unit = display_unit(outputs[f.name].quantity)
-        rows.append([f"({f.name})", outputs[f.name].symbol, *_told(f.value / scale, error, ends), unit])
+        told = (f"{f.value / scale:.6g}", "", "")
+        if f.standard_error is not None and f.ci95 is not None:
+            told = _told(f.value / scale, f.standard_error / scale, tuple(end / scale for end in f.ci95))
+        rows.append([f"({f.name})", outputs[f.name].symbol, *told, display_unit(outputs[f.name].quantity)])
     heads = ["fitted", "symbol", "value", "standard error", "95 % interval", "unit"]
     print_grid(console, heads, rows, ("fitted", "symbol", "unit"))
     if found.follows:
@@ -302,9 +310,13 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
         + f"; {found.freedom} degrees of freedom; {found.agreeing} of {found.starts} starts ended here"
     )
     for own, word in ((True, "given:"), (False, "not fitted, at reference values or ends of the data:")):
-        told = [f"{key} {shown(known[key], value)}" for key, value in found.fixed.items() if (key in given) == own]
-        for line in wrap(f"{word} {', '.join(told)}", console.width, subsequent_indent="  ", break_on_hyphens=False):
-            if told:
+        named = [
+            f"{key} {shown(known[key], value)}"
+            for key, value in found.fixed.items()
+            if (key in given) == own and (own or key not in found.idle)
+        ]
+        for line in wrap(f"{word} {', '.join(named)}", console.width, subsequent_indent="  ", break_on_hyphens=False):
+            if named:
                 click.echo(line)
     if 1 < len(found.unknowns) <= MOST_CORRELATED:
         click.echo()
@@ -329,7 +341,7 @@ def _told(value: float, error: float | None, ends: tuple[float | None, ...] | No
     from math import floor, log10
 
     if error is None:
-        return f"{value:.6g}", "not identifiable" if ends is None else "", ""
+        return f"{value:.6g}", "not identifiable", ""
     smallest = error if error > 1e-9 * abs(value) else 1e-9 * (abs(value) or 1.0)
     decimals = min(12, max(0, 1 - floor(log10(smallest))))
     spelled = ["open" if end is None else f"{end:.{decimals}f}" for end in ends or ()]

@@ -1,0 +1,184 @@
+"""A model of the library as a least-squares problem over some of its inputs: output, residuals, slopes, starts.
+
+Knows no file, no units and no statistics; all values SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from pmabench.model.library import Model, OutsideDomain, Parameter
+from pmabench.store.records import Array
+
+STARTS = 8
+"""Starts from which is fitted, the reference values among them; these alone where a net cannot fill the domain."""
+TRIED = 200
+"""Points of the domain of which the best become starts."""
+STEP = 6e-6
+"""Step of central differences, as a share of a parameter's size."""
+WIDE = 20.0
+"""A domain that reaches further than this beyond the reference value is searched within a factor of 5 of it."""
+MOST_EVALUATIONS = 400
+"""Of the residual, in one fit from one start."""
+FEW = 8
+"""Unknowns up to which a net can fill the domain."""
+
+
+@dataclass
+class Problem:
+    """A model over its unknowns at the measured rows, all SI: output, residuals, slopes, bounds."""
+
+    model: Model
+    output: str
+    names: Sequence[str]
+    inputs: Mapping[str, Any]
+    measured: Array | None
+    """None where only the output is asked for."""
+    count: int = field(init=False)
+    span: float = field(init=False)
+    size: Array = field(init=False)
+    low: Array = field(init=False)
+    high: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        known = {p.name: p for p in self.model.parameters}
+        self.count = max((len(v) for v in self.inputs.values() if isinstance(v, np.ndarray)), default=1)
+        unknown = [known[name] for name in self.names]
+        self.size = np.array([_size(p) for p in unknown])
+        self.low = np.array([p.low + (1e-9 * _size(p) if p.above else 0.0) for p in unknown])
+        self.high = np.array([p.high for p in unknown])
+        span = 0.0 if self.measured is None else max(float(np.ptp(self.measured)), float(np.abs(self.measured).max()))
+        self.span = span or 1.0
+
+    def output_at(self, at: Array) -> Array:
+        """The output, shape (count,); raises OutsideDomain."""
+        found = self.model.evaluate({**self.inputs, **dict(zip(self.names, at.tolist(), strict=True))})[self.output]
+        return np.array(np.broadcast_to(found, (self.count,)))
+
+    def residuals(self, at: Array) -> Array:
+        """Computed less measured in units of the span; NaN where the model does not hold."""
+        measured = np.zeros(self.count) if self.measured is None else self.measured
+        try:
+            return np.asarray((self.output_at(at) - measured) / self.span)
+        except OutsideDomain:
+            return np.full(self.count, np.nan)
+
+    def slopes(self, at: Array) -> Array:
+        """Derivatives of the output by the unknowns, shape (count, unknowns); one-sided at the end of a domain."""
+        step = STEP * np.maximum(np.abs(at), 1e-3 * self.size)
+        ends = [np.minimum(np.maximum(at + way * step, self.low), self.high) for way in (1.0, -1.0)]
+        every = np.vstack([np.where(np.eye(len(at), dtype=bool), end, at) for end in ends])
+        try:  # all at once: arrays broadcast against each other
+            named = {name: every[:, [i]] for i, name in enumerate(self.names)}
+            found = self.model.evaluate({**self.inputs, **named})[self.output]
+            values = np.broadcast_to(found, (len(every), self.count))
+        except OutsideDomain:
+            middle = self.output_at(at)
+            values = np.array([self._output_or(row, middle) for row in every])
+            refused = (values == middle).all(axis=1).reshape(2, -1)
+            ends = [np.where(out, at, end) for out, end in zip(refused, ends, strict=True)]
+        wide = ends[0] - ends[1]
+        rise = values[: len(at)] - values[len(at) :]
+        return np.asarray((rise / np.where(wide > 0, wide, np.inf)[:, None]).T)
+
+    def _output_or(self, at: Array, middle: Array) -> Array:
+        """The output, or `middle` where the model refuses."""
+        try:
+            return self.output_at(at)
+        except OutsideDomain:
+            return middle
+
+
+def _size(p: Parameter) -> float:
+    """What an input is measured by: its reference value, or what its quantity is like."""
+    value = abs(float(p.value))
+    if value > 0:
+        return value
+    return float(p.high - p.low) if isfinite(p.high - p.low) and p.high > p.low else 1.0
+
+
+def acting(
+    model: Model, output: str, names: Sequence[str], inputs: Mapping[str, Any], start: Mapping[str, float] | None = None
+) -> list[str]:
+    """Those of `names` that change the output on these inputs, at or near `start` or the reference values."""
+    known = {p.name: p for p in model.parameters}
+    problem = Problem(model, output, names, inputs, None)
+    first = np.array([float((start or {}).get(name, known[name].value)) for name in names])
+    moves = np.zeros(len(names), dtype=bool)
+    for share in (1.0, 0.9, 1.1):
+        with suppress(OutsideDomain):
+            moves |= (np.abs(problem.slopes(np.clip(share * first, problem.low, problem.high))) > 0).any(axis=0)
+    return [name for name, does in zip(names, moves, strict=True) if does]
+
+
+def starts_of(problem: Problem, start: Array, seed: int = 0) -> list[Array]:
+    """`start` and the best of a scrambled net of the domain, best first after it."""
+    ranges = [_range(s, low, high, size) for s, low, high, size in zip(
+        start, problem.low, problem.high, problem.size, strict=True)]  # fmt: skip
+    net = qmc.Halton(len(start), seed=seed).random(TRIED)
+    points = [np.array([low * (high / low) ** u if raised else low + (high - low) * u
+                        for u, (low, high, raised) in zip(row, ranges, strict=True)]) for row in net]  # fmt: skip
+    costs = [float(np.sum(problem.residuals(point) ** 2)) for point in points]
+    order = [i for i in np.argsort(costs) if isfinite(costs[i])]
+    more = STARTS - 1 if len(start) <= FEW else 0
+    return [start, *(points[i] for i in order[:more])]
+
+
+def _range(start: float, low: float, high: float, size: float) -> tuple[float, float, bool]:
+    """Where an unknown is searched, and whether evenly in its logarithm."""
+    middle = abs(start) or size
+    if low >= 0:
+        ends = max(low, middle / 5), min(high, middle * 5)
+        if isfinite(high) and high <= WIDE * middle and high > 0:
+            ends = max(low, high / 1e3), high
+        return (*ends, True) if ends[0] > 0 else (*ends, False)
+    return max(low, start - 3 * middle), min(high, start + 3 * middle), False
+
+
+End = tuple[float, Array, bool]
+"""Sum of squares in units of the span, unknowns, whether it converged."""
+
+
+def solve(problem: Problem, start: Array, held: int | None = None) -> End:
+    """Least squares from `start`; unknown `held` stays where it is."""
+    free = [i for i in range(len(start)) if i != held]
+    if not free:
+        return float(np.sum(problem.residuals(start) ** 2)), start, True
+
+    def whole(part: Array) -> Array:
+        at = start.copy()
+        at[free] = part
+        return at
+
+    def residuals(part: Array) -> Array:
+        return problem.residuals(whole(part))
+
+    def slopes(part: Array) -> Array:
+        return np.asarray(problem.slopes(whole(part))[:, free] / problem.span)
+
+    low, high = problem.low[free], problem.high[free]
+    room = 1e-10 * problem.size[free]
+    inside = np.clip(
+        start[free], low + np.where(np.isfinite(low), room, 0), high - np.where(np.isfinite(high), room, 0)
+    )
+    found = least_squares(
+        residuals,
+        inside,
+        jac=slopes,
+        bounds=(low, high),
+        x_scale="jac",
+        method="trf",
+        xtol=1e-11,
+        ftol=1e-13,
+        gtol=1e-13,
+        max_nfev=MOST_EVALUATIONS,
+    )
+    return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)
