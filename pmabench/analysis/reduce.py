@@ -18,8 +18,6 @@ REDUCTIONS = {
     "contraction-relaxation": "contraction",
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
-    "positioning": "positioning",
-    "validation": "validation",
     "isobaric-ramp": "isobaric",
     "positioning": "positioning",
     "validation": "validation",

@@ -21,8 +21,6 @@ KINDS = {
     "contraction-relaxation": ("contraction_relaxation", "ContractionRelaxation"),
     "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
     "ultimate-gain": ("ultimate_gain", "UltimateGain"),
-    "positioning": ("positioning", "Positioning"),
-    "validation": ("validation", "Validation"),
     "isobaric-ramp": ("isobaric_ramp", "IsobaricRamp"),
     "positioning": ("positioning", "Positioning"),
     "validation": ("validation", "Validation"),

@@ -133,8 +133,6 @@ KINDS: dict[str, str] = {
     "contraction-relaxation": "Contraction and relaxation",
     "sinusoidal-displacement": "Sinusoidal displacement",
     "ultimate-gain": "Ultimate gain",
-    "positioning": "Positioning in closed loop",
-    "validation": "Validation of a model",
     "isobaric-ramp": "Isobaric ramps",
     "positioning": "Positioning in closed loop",
     "validation": "Validation of a model",
