@@ -1,10 +1,10 @@
-"""A line or a quadratic through coefficients at several pressures, with intervals in parts; knows no test kind."""
+"""Polynomials through coefficients at several pressures, with intervals in parts; knows no test kind."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import hypot, log, sqrt
 
 import numpy as np
 from scipy.stats import t as student
@@ -14,6 +14,10 @@ from pmabench.analysis.results import Curve, Estimate, Parts
 from pmabench.store.records import Array
 
 TERMS = ("intercept", "slope", "quadratic")
+MOST_ORDER = 6
+"""Highest order that is chosen where none is given."""
+EXACT = 1e-9
+"""Residual below this share of the largest value counts as none when orders are compared."""
 FORMS = {1: "line", 2: "quadratic"}
 FLOOR = 5e-3
 """Least weight-giving error of a point, as a share of the largest value: no point of a curve counts for all."""
@@ -39,15 +43,20 @@ class Polynomial:
     """Half width of each term from the residual by Student's t; None without a degree of freedom."""
 
 
-def polynomial(P: Array, y: Array, half: Array, order: int) -> Polynomial:
-    """Fit over pressures P (n,) [Pa]; points weigh as their half widths (n,) say, none better than `FLOOR`."""
-    scale = float(np.max(np.abs(P)))
+def polynomial(P: Array, y: Array, half: Array, order: int, normal: tuple[float, float] | None = None) -> Polynomial:
+    """Fit over pressures P (n,) [Pa]; points weigh as their half widths (n,) say, none better than `FLOOR`.
+
+    The terms are those of P, with `normal` = (centre, scale) [Pa] those of z = (P - centre) / scale.
+    """
+    centre, scale = normal or (0.0, float(np.max(np.abs(P))))
     weight = 1.0 / np.hypot(half, FLOOR * float(np.max(np.abs(y))))
-    design = (P[:, None] / scale) ** np.arange(order + 1)
+    design = ((P[:, None] - centre) / scale) ** np.arange(order + 1)
     inverse = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
-    rows = (inverse @ (design * weight[:, None] ** 2).T) / scale ** np.arange(order + 1)[:, None]
+    rows = inverse @ (design * weight[:, None] ** 2).T
+    residual = y - design @ (rows @ y)
+    if normal is None:
+        rows = rows / scale ** np.arange(order + 1)[:, None]
     terms = rows @ y
-    residual = y - np.polyval(terms[::-1], P)
     total = float(np.sum((y - y.mean()) ** 2))
     left = len(P) - order - 1
     power = float(residual @ residual)
@@ -58,13 +67,54 @@ def polynomial(P: Array, y: Array, half: Array, order: int) -> Polynomial:
     return Polynomial(terms, rows, r2, sqrt(power / max(1, left)), scatter)
 
 
+def normal_of(P: Array) -> tuple[float, float]:
+    """Centre and scale [Pa] of z = (P - centre) / scale: mean and sample standard deviation of P (n,), as paper 1."""
+    return float(np.mean(P)), float(np.std(P, ddof=1))
+
+
+def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
+    """Order -> corrected Akaike criterion, and rms of what each point is missed by when it is left out [unit of y].
+
+    Orders from 1 to `MOST_ORDER` for which the criterion is defined: at least order + 4 points.
+    """
+    floor = EXACT * float(np.max(np.abs(y)))
+    n, even = len(P), np.zeros(len(P))
+    found = {}
+    for order in range(1, min(MOST_ORDER, n - 4) + 1):
+        fitted = polynomial(P, y, even, order, normal_of(P))
+        z = (P - normal_of(P)[0]) / normal_of(P)[1]
+        design = z[:, None] ** np.arange(order + 1)
+        residual = y - design @ fitted.terms
+        lever = np.sum(design * fitted.rows.T, axis=1)
+        power = max(float(residual @ residual) / n, floor**2)
+        p = order + 2
+        aicc = n * log(power) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
+        found[order] = aicc, sqrt(float(np.mean((residual / np.maximum(1 - lever, EXACT)) ** 2)))
+    return found
+
+
+def least(terms: Array, ends: tuple[float, float]) -> float:
+    """Least value of a polynomial between `ends`; `terms` from the constant up."""
+    turns = (
+        np.roots(np.trim_zeros((terms[1:] * np.arange(1, len(terms)))[::-1], "f")) if len(terms) > 1 else np.empty(0)
+    )
+    inside = [float(t.real) for t in np.atleast_1d(turns) if abs(t.imag) < 1e-9 and ends[0] < t.real < ends[1]]
+    return float(np.min(np.polyval(terms[::-1], [*ends, *inside])))
+
+
 def curve(
-    estimates: Sequence[Estimate], order: int, trust: Trust | None = None, places: Sequence[int] = ()
+    estimates: Sequence[Estimate],
+    order: int,
+    trust: Trust | None = None,
+    places: Sequence[int] = (),
+    *,
+    normalised: bool = False,
 ) -> Curve | None:
     """A polynomial over the estimates' pressures; None with fewer than `order` + 1 of them.
 
     With `trust` and the `places` of the estimates in its fit, correlations between them are carried through; else they
-    count as independent. What the points scatter about the curve enters as method.
+    count as independent. What the points scatter about the curve enters as method. `normalised`: the terms are those of
+    z = (P - centre) / scale, with the unit of the coefficient (paper 1 eqs. 17-20).
     """
     if len(estimates) < order + 1:
         return None
@@ -74,7 +124,8 @@ def curve(
     known_half = [e.parts.combined for e in estimates]
     widest = max((half for half in known_half if half is not None), default=0.0)
     half = np.array([widest if one is None else one for one in known_half])
-    found = polynomial(P, y, half, order)
+    normal = normal_of(P) if normalised else None
+    found = polynomial(P, y, half, order, normal)
     unit, quantities = QUANTITIES_OF[known.quantity]
     trials = tuple(dict.fromkeys(trial for e in estimates for trial in e.trials))
     terms = []
@@ -92,8 +143,8 @@ def curve(
             Estimate(
                 symbol=known.symbol,
                 value=float(value),
-                unit=unit + UNITS[power],
-                quantity=quantities[power],
+                unit=unit if normalised else unit + UNITS[power],
+                quantity=known.quantity if normalised else quantities[power],
                 method=known.method,
                 parts=parts,
                 n=len(trials),
@@ -101,18 +152,20 @@ def curve(
                 corrected=bias is not None,
                 note="" if parts.repeats is not None else "no repeats part: points of the curve have none",
                 trials=trials,
-                coordinate=TERMS[power],
+                coordinate=f"z^{power}" if normalised else TERMS[power],
             )
         )
     return Curve(
         symbol=known.symbol,
-        form=FORMS[order],
+        form=f"order {order} in z" if normalised else FORMS[order],
         terms=tuple(terms),
         against="pressure",
         domain=(float(P.min()), float(P.max())),
         r2=found.r2,
         residual_rms=found.rms,
         method=known.method,
+        centre=normal[0] if normal else 0.0,
+        scale=normal[1] if normal else 1.0,
     )
 
 

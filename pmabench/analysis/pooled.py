@@ -115,7 +115,7 @@ def solve(segments: Segments, knots: Array, noise: float) -> Fit:
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0
-    prior = _prior(segments, design, knots, noise)
+    prior = prior_of(segments, design, knots, noise)
     normal = design.T @ design + prior.T @ prior
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -123,7 +123,7 @@ def solve(segments: Segments, knots: Array, noise: float) -> Fit:
     return Fit(knots, theta, inverse, design, segments.force - design @ theta, friction)
 
 
-def _prior(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
+def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
     k, p = len(knots), design.shape[1]
     force = float(np.sqrt(np.mean(segments.force**2))) or 1.0

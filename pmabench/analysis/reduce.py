@@ -16,6 +16,7 @@ MOST_REASONS = 3
 REDUCTIONS = {
     "static-load": "static_load",
     "contraction-relaxation": "contraction",
+    "contraction-relaxation-paper-1": "contraction_paper1",
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
     "isobaric-ramp": "isobaric",
@@ -27,13 +28,19 @@ REDUCTIONS = {
     "recorded-sine": "recorded_sines",
     "recorded-pull": "isometric",
 }
-"""Kind of run -> module in this package with `reduce(runs, options) -> Analysis`."""
+"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`."""
 
 
 def specimen_of(run: RunData) -> str:
     """Which specimen a run is of: type and serial as its manifest has them."""
     told = run.manifest.get("specimen")
     return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, Mapping) else str(told or "")
+
+
+def reduction_of(run: RunData) -> str:
+    """Which of `REDUCTIONS` a run needs."""
+    asked = (run.plan.get("settings") or {}).get("reduction")
+    return f"{run.kind}-{asked.get('method')}" if isinstance(asked, Mapping) else run.kind
 
 
 def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
@@ -43,10 +50,11 @@ def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
     """
     specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
     for run in runs:
-        if run.kind not in REDUCTIONS:
-            raise invalid(run.path, f'no reduction for runs of kind "{run.kind}"{did_you_mean(run.kind, REDUCTIONS)}')
+        kind = reduction_of(run)
+        if kind not in REDUCTIONS:
+            raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, REDUCTIONS)}')
         kinds = specimens.setdefault((specimen_of(run), run.simulated), {})
-        kinds.setdefault(run.kind, []).append(run)
+        kinds.setdefault(kind, []).append(run)
     found: list[Analysis] = []
     for kinds in specimens.values():
         analyses = [

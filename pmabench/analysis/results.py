@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import sqrt
+from math import nan, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 SCHEMA = "pmabench.analysis/1"
@@ -129,7 +131,7 @@ class Curve:
 
     symbol: str
     form: str
-    """`line` or `quadratic`, powers in `terms` from the constant up."""
+    """`line`, `quadratic` or `order n in z`, powers of z in `terms` from the constant up."""
     terms: tuple[Estimate, ...]
     against: str
     domain: tuple[float, float]
@@ -137,6 +139,28 @@ class Curve:
     residual_rms: float
     method: str
 
+    centre: float = 0.0
+    scale: float = 1.0
+    """z = (coordinate - centre) / scale [SI]."""
+
+    @property
+    def normalised(self) -> bool:
+        """Whether the terms are those of z and not of the coordinate itself."""
+        return (self.centre, self.scale) != (0.0, 1.0)
+
+    def values(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The coefficient [SI] at coordinates [SI], any shape; UsageError outside the domain."""
+        at = np.asarray(at, dtype=np.float64)
+        low, high = self.domain
+        slack = 1e-9 * max(abs(low), abs(high))
+        outside = ~((at >= low - slack) & (at <= high + slack))
+        if outside.any():
+            quantity = POINT_QUANTITIES.get(self.against, "count")
+            asked, *ends = (show(float(value), quantity) for value in (at[outside].flat[0], low, high))
+            told = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
+            raise UsageError(f"{told} and means nothing outside")
+        z = (at - self.centre) / self.scale
+        return np.asarray(np.polyval([nan if t.value is None else t.value for t in reversed(self.terms)], z))
 
 @dataclass(frozen=True)
 class Dropped:

@@ -83,6 +83,8 @@ def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quic
 
     if "displacement" not in trial.channels or "pressure" not in trial.channels or len(trial.t) < 2:
         return [], ["pressure or displacement is not recorded"]
+    if "from" in trial.point:
+        return _single_step(run, trial)
     P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
     step = next((s for s in steps_of(samples_of(run, trial, 0), trial, Gate.lift) if s.phase == "contract"), None)
     K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
@@ -120,6 +122,25 @@ def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quic
         one_F = load + K_e * x if K_e is not None else None
         found.append(Measured("K", "stiffness", one_K, K_e, assumed=True, pooled=True))
         found.append(Measured("F_ce", "force", one_F, rest, assumed=True, pooled=True))
+    return found, doubts
+
+
+def _single_step(run: RunData, trial: TrialData) -> Found:
+    """x_max and tau of one of paper 1's steps; K of a contraction, with F_ce from the braid."""
+    from pmabench.analysis.contraction_paper1_steps import STILL, Braid, read
+    from pmabench.analysis.segments import samples_of
+
+    asked = (run.plan.get("settings") or {}).get("reduction") or {}
+    step = read(samples_of(run, trial, 0), trial)
+    if isinstance(step, str):
+        return [Measured("x_max", "length", None), Measured("tau", "time", None)], [step]
+    found = [Measured("x_max", "length", step.stroke, noise=20e-6), Measured("tau", "time", step.tau, noise=0.01)]
+    if step.way > 0 and asked:
+        K = Braid.of(asked).stiffness(step.held, step.stroke, step.load, str(asked.get("F_ce_at", "x0")))
+        found.append(Measured("K", "stiffness", K))
+    doubts = []
+    if abs(step.creeps) > STILL:
+        doubts.append(f"still drifting: {100 * abs(step.creeps):.2g} % of its stroke at the end of the hold")
     return found, doubts
 
 

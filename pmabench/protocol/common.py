@@ -147,13 +147,13 @@ class Compilation:
         weights = self.mounted.bench_file.weights
         return None if weights is None else Stack(weights.hanger, weights.plates)
 
-    def put_on(self, point: dict[str, float], demands: str = "vented") -> None:
-        """Ask for the load of a point where it is not on already."""
+    def put_on(self, point: dict[str, float], demands: str = "vented", own: float = 0.0) -> None:
+        """Ask for the load of a point where it is not on already; `own` [N] of it is the muscle's own weight."""
         load = (point["load"], point["mass"])
         if self._on == load:
             return
         self._on = load
-        self.steps.append(Ask("load", self.load_text(load), demands, load))
+        self.steps.append(Ask("load", self.load_text((load[0] - own, load[1])), demands, load))
 
     def load_text(self, load: tuple[float, float]) -> str:
         """What the operator is asked to do for a load."""

@@ -211,6 +211,9 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
 
 def _curve(c: Mapping[str, Any]) -> Curve:
     low, high = (_number(end) for end in c["domain"])
+    scale = _number(c.get("scale", 1.0))
+    if not scale > 0:
+        raise ValueError(f"the scale of a curve is {scale:g}; a number above 0 is expected")
     return Curve(
         symbol=_text(c["symbol"]),
         form=_text(c["form"]),
@@ -220,6 +223,8 @@ def _curve(c: Mapping[str, Any]) -> Curve:
         r2=_number_or_nan(c["r2"]),
         residual_rms=_number_or_nan(c["residual_rms"]),
         method=_text(c["method"]),
+        centre=_number(c.get("centre", 0.0)),
+        scale=scale,
     )
 
 

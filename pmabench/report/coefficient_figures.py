@@ -172,7 +172,7 @@ def _curve(
         return None
     closest = min(matching, key=lambda c: c.residual_rms)
     x = np.linspace(*closest.domain, CURVE_POINTS)
-    y = np.polyval([term.value or 0.0 for term in reversed(closest.terms)], x)
+    y = closest.values(x)
     at = np.array([e.at[over] for _, e in members])
     half = np.interp(x, at, [_reach(e)[1] for _, e in members])
     residual = closest.residual_rms if np.isfinite(closest.residual_rms) else 0.0

@@ -111,6 +111,11 @@ def curves_frame(curves: Iterable[Curve]) -> pd.DataFrame:
                     f"{end} [{plain_unit(against.unit)}]": x / against.scale
                     for end, x in zip(("from", "to"), curve.domain, strict=True)
                 }
+                | {
+                    f"{name} [{plain_unit(against.unit)}]": x / against.scale
+                    for name, x in (("centre", curve.centre), ("scale", curve.scale))
+                    if curve.normalised
+                }
                 | {"r2": curve.r2}
             )
     return pd.DataFrame(rows)

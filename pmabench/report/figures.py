@@ -86,7 +86,23 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
     return found + _generic([t for t in traces if t.figure in left], analysis.simulated)
 
 
-def _overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+FREE_RUN = "the fitted muscle, run freely with the measured pressure"
+CLOSED_FORM = "closed form of single steps with the polynomials of the first method, from the mean dead time on"
+
+
+def _step_overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+    """Steps up and steps down apart: each has its own damping."""
+    ways = [[t for t in traces if t.name.startswith(f"step-{way}-")] for way in ("to", "from")]
+    titles = ("Contraction, measured and closed form", "Relaxation, measured and closed form")
+    return [p for mine, title in zip(ways, titles, strict=True) for p in _overlays(mine, simulated, CLOSED_FORM, title)]
+
+
+def _overlays(
+    traces: Sequence[Trace],
+    simulated: bool,
+    model: str = FREE_RUN,
+    title: str = "Measured and modelled motion",
+) -> list[Picture]:
     able = [t for t in traces if has(t, "t", "displacement", "model")]
     if not able:
         return []
@@ -97,10 +113,9 @@ def _overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
     misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
     worst = int(np.argmax(misfits))
-    title = "Measured and modelled motion" + (f", {panels[0].title}" if len(chosen) == 1 else "")
+    title += f", {panels[0].title}" if len(chosen) == 1 else ""
     caption = (
-        "Grey: measured; red: the fitted muscle, run freely with the measured pressure. Below: their difference, "
-        f"rms {reach(misfits)} {unit}.{how_many(chosen, able)}"
+        f"Grey: measured; red: {model}. Below: their difference, rms {reach(misfits)} {unit}.{how_many(chosen, able)}"
     )
     if any(not np.isfinite(p.columns["model"]).all() for p in panels):
         caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
@@ -182,7 +197,7 @@ def _static(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         curves = []
         for c in (c for c in analysis.curves if c.against == "pressure" and all(e.value is not None for e in c.terms)):
             x = np.linspace(*c.domain, 2)
-            y = np.polyval([e.value or 0.0 for e in reversed(c.terms)], x)
+            y = c.values(x)
             curves.append((clean(c.method, 40), x / shown("pressure").scale, y / shown("force").scale))
         labels = {"x": shown("pressure").label("P"), "y": shown("force").label("F_L")}
         count = len(np.unique(trace.columns["load"]))
@@ -224,6 +239,7 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("overlay",), _overlays),
     (("loop", "pressure-loop"), loop_figures.loops),
     (("bode",), loop_figures.bode),
+    (("step-overlay",), _step_overlays),
     (("oscillation", "growth"), loop_figures.oscillations),
     (("position",), positions),
     (("validation",), validations),

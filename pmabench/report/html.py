@@ -214,6 +214,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "coefficients": grid(*tables.primary_table(analyses)),
         "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
         "curves": grid(tables.curves_table(analyses), group=True),
+        "polynomials": grid(tables.polynomials_table(analyses), group=True),
         "sections": sections,
         "tuning": _tuning(analyses),
         "dropped": _dropped(analyses, names),

@@ -9,7 +9,7 @@ MOST_DIGITS = 7
 """Significant digits of a value whose interval would ask for more."""
 PLAIN = (1e-3, 1e6)
 """Sizes outside these are written with a power of ten."""
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def rounded(value: float | None, half: float | None = None, digits: int = 4) -> str:
@@ -29,7 +29,7 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
     text = _pair(scaled, width, digits)
     if power == 0:
         return text
-    raised = f"×10{str(power).translate(_RAISED)}"
+    raised = f"×10{str(power).translate(RAISED)}"
     return f"({text}){raised}" if half is not None else text + raised
 
 
@@ -47,7 +47,7 @@ def half_width(half: float | None) -> str:
         return "0"
     if not PLAIN[0] <= half < PLAIN[1]:
         power = floor(log10(half))
-        return f"{half / 10.0**power:.1f}×10{str(power).translate(_RAISED)}"
+        return f"{half / 10.0**power:.1f}×10{str(power).translate(RAISED)}"
     return _fixed(half, _decimals(half, 2))
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.report.rounding import cut, half_width, rounded
+from pmabench.report.rounding import RAISED, cut, half_width, rounded
 from pmabench.report.terminal import print_grid
 from pmabench.report.wording import (
     AGREEMENT,
@@ -227,9 +227,9 @@ def parts_table(analysis: Analysis) -> pd.DataFrame:
 
 
 def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
-    """Regression coefficients of every curve with interval, domain, R2 and residual; text."""
+    """Regression coefficients of every curve in its own coordinate, with interval, domain, R2 and residual; text."""
     rows = []
-    for curve in (c for analysis in analyses for c in analysis.curves):
+    for curve in (c for analysis in analyses for c in analysis.curves if not c.normalised):
         label, unit = point_shown(curve.against)
         low, high = (f"{end / unit.scale:.4g}" for end in curve.domain)
         first = shown(curve.terms[0].quantity, curve.terms[0].unit) if curve.terms else shown("", "")
@@ -239,13 +239,37 @@ def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
             head = ("constant", f"× {label}", f"× {label}²")[power] if power < 3 else f"× {label}^{power}"
             row[head] = f"{cell(term)} {shown(term.quantity, term.unit).unit}".strip()
         row[unit.label(f"valid for {label}")] = f"{low} to {high}"
-        row["R²"] = f"{curve.r2:.5f}" if not 0.999995 <= curve.r2 < 1 else ">\u202f0.99999"
+        row["R²"] = _r2(curve.r2)
         row["residual rms"] = f"{half_width(curve.residual_rms / first.scale)} {first.unit}".strip()
         rows.append(row)
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
     tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
     columns = [head for head in heads if head not in tail] + tail
     return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
+
+
+def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Terms of every polynomial in z = (coordinate - centre) / scale, powers from 0 up, one unit a row; text."""
+    rows = []
+    for curve in (c for analysis in analyses for c in analysis.curves if c.normalised and c.terms):
+        label, unit = point_shown(curve.against)
+        first = shown(curve.terms[0].quantity, curve.terms[0].unit)
+        low, high, centre, scale = (f"{x / unit.scale:.5g}" for x in (*curve.domain, curve.centre, curve.scale))
+        row = {"coefficient": clean(curve.symbol), "unit": first.unit}
+        row["method"] = (
+            f"{clean(curve.method)}; z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}".strip()
+        )
+        for n, term in enumerate(curve.terms):
+            row["1" if n == 0 else "z" + str(n).translate(RAISED) * (n > 1)] = cell(term)
+        row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
+        rows.append(row)
+    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "unit"))
+    columns = [head for head in heads if head not in ("R²", "rms")] + ["R²", "rms"]
+    return pd.DataFrame(rows, columns=columns if rows else [], dtype=object).fillna("")
+
+
+def _r2(value: float) -> str:
+    return f"{value:.5f}" if not 0.999995 <= value < 1 else ">\u202f0.99999"
 
 
 def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:

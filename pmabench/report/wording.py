@@ -54,6 +54,8 @@ SYMBOLS: dict[str, str] = {
 """Symbol -> its name; the order is that of columns and figures."""
 
 HEADLINES = ("F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u", "m")
+    "accuracy": "agreement of model and test at rest",
+    "misfit": "residual of the model over time",
 """Symbols of the key numbers on the first page, in this order."""
 
 GROUPS: dict[tuple[str, ...], str] = {
@@ -67,6 +69,8 @@ GROUPS: dict[tuple[str, ...], str] = {
 """Symbols that share one plot, and its title; the first three are drawn over all tests together."""
 
 AGREEMENT = "agreement"
+    ("accuracy",): "Accuracy of the closed form at rest",
+    ("misfit",): "Residual of the closed form, rms over time",
 """Kind of the analysis that compares tests and is none itself."""
 _DIFFERENCE = "Difference of two independent tests of the same specimen; their intervals are added as squares."
 METHODS: dict[str, str] = {
@@ -82,6 +86,17 @@ METHODS: dict[str, str] = {
     "again: friction acts in opposite directions and drops out. Least squares of pressure on load.",
     "static-lift": "As static-mean, from the lift-off alone: F_ce comes out low by the friction.",
     "static-set-down": "As static-mean, from the set-down alone: F_ce comes out high by the friction.",
+    "paper-1-x0": "The way of paper 1: K = S = (F_ce − L) / x_max and B = D = τ S from single steps, "
+    "τ from the first motion to 63.2 % of the stroke, F_ce from the braid's geometry at zero contraction. B_r carries "
+    "the pressure before the release: a reduction, no coefficient at that pressure.",
+    "paper-1-xmax": "The same with F_ce where the contraction ends, as paper 1 takes it: a convention of "
+    "its own. K and B come out several times lower and belong to that F_ce alone.",
+    "measured-pressure-x0": "One least-squares fit over short moving segments of all contractions "
+    "together, driven by the pressure that was measured, with F_ce from the braid's geometry: "
+    "M x″ + B_c(P) x′ + K(P) x = F_ce(P) − L. A step to 0 says nothing of B_r at pressure.",
+    "closed form of paper 1": "x_max (1 − e^(−t/τ)) and x_max e^(−t/τ_r) with the polynomials of the first method, "
+    "begun at the mean dead time. Accuracy 100 (1 − |x_s − x_e| / x_e) compares the ends alone; the residual, all "
+    "samples.",
     "static-half-difference": "Half the difference of lift-off and set-down, as a force: friction between sliding and "
     "static.",
     "onset": "Dead times from the first sample that leaves the noise: of pressure after the command, and of "
@@ -149,6 +164,7 @@ _LABELS = {
     "contraction": "x",
     "setpoint": "set-point",
     "mean": "mean x",
+    "contraction-relaxation-paper-1": "Contraction and relaxation in single steps",
     "frequency": "f",
     "speed": "v",
     "load": "F_L",

@@ -19,6 +19,7 @@ BENCH_OF = {
     "static-load": "mock",
     "static-load-hands-at-pressure": "mock-hands-at-pressure",
     "contraction-relaxation": "mock",
+    "contraction-relaxation-paper1": "mock-dmsp",
     "sinusoidal-displacement": "mock-actuator",
     "ultimate-gain": "mock",
     "positioning-pi": "mock",
@@ -30,8 +31,8 @@ BENCH_OF = {
 
 
 def mounted(name="mock"):
-    other = SPECIMEN.with_stem("daerden-20-200") if "daerden" in name else SPECIMEN
-    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", other)
+    stem = "daerden-20-200" if "daerden" in name else "dmsp-40-305" if "dmsp" in name else SPECIMEN.stem
+    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN.with_stem(stem))
 
 
 def plan(name, *settings, bench=None):

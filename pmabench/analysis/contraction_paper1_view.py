@@ -1,0 +1,131 @@
+"""Paper 1's closed-form model against the test it was fitted to: accuracy at rest, residual over time, overlays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import sqrt
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmabench.analysis.campaign import Campaign
+from pmabench.analysis.contraction_paper1_steps import Braid, Step
+from pmabench.analysis.results import Curve, Estimate, Finding, Trace
+from pmabench.base.quantities import show
+from pmabench.store.records import Array
+
+MODEL = "closed form of paper 1"
+LONGEST_TRACE = 1500
+WORDS = {1: "contracting", -1: "relaxing"}
+
+
+@dataclass
+class Compared:
+    """What the model says of each step."""
+
+    estimates: list[Estimate] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    traces: list[Trace] = field(default_factory=list)
+
+
+def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
+    """x_max [m] where F_ce = L + S x: F_ce at x = 0 (`x0`) or at that x (`xmax`), not below 0."""
+    if float(braid.force(P, 0.0)) <= load:
+        return 0.0
+    if at == "x0":
+        return (float(braid.force(P, 0.0)) - load) / S
+    return float(brentq(lambda x: float(braid.force(P, x)) - load - S * x, 0.0, braid.nominal_length, xtol=1e-12))
+
+
+def compare(
+    campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], braid: Braid, method: str, at: str
+) -> Compared:
+    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of `method`, beside each step.
+
+    Accuracy at rest as paper 1: 100 (1 - |x_s - x_e| / x_e) %, of contractions alone, since a relaxation ends at 0.
+    """
+    found = Compared()
+    of = {c.symbol: c for c in curves if c.method == method}  # the last of each symbol is its polynomial
+    if "K" not in of:
+        return found
+    rms: dict[int, list[float]] = {1: [], -1: []}
+    accuracies: list[tuple[float, float]] = []
+    for way, symbol in ((1, "B_c"), (-1, "B_r")):
+        members = [step for step in steps if step.way == way]
+        if symbol not in of or not members:
+            continue
+        dead = float(np.mean([step.t_d for step in members]))
+        for P in sorted({step.pressure for step in members}):
+            group = [step for step in members if step.pressure == P]
+            S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
+            misfits = []
+            for step in group:
+                x_s = at_rest(braid, P, S, step.load, at)
+                trace = _overlay(campaign, step, x_s, D / S, dead)
+                found.traces.append(trace)
+                ok = campaign.samples[step.trial].ok
+                gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
+                misfits.append(sqrt(float(np.mean(gap**2))))
+            rms[way] += misfits
+            names = tuple(campaign.name(step.trial) for step in group)
+            if way > 0:
+                reached = [1 - abs(at_rest(braid, P, S, s.load, at) - s.stroke) / s.stroke for s in group]
+                value = float(np.mean(reached))
+                accuracies.append((P, value))
+                note = "100 (1 - |x_s - x_e| / x_e); the model was fitted to these trials"
+                found.estimates.append(
+                    Estimate(
+                        "accuracy", value, "1", "ratio", MODEL, {"pressure": P}, n=len(group), note=note, trials=names
+                    )
+                )
+            found.estimates.append(
+                Estimate(
+                    "misfit", float(np.mean(misfits)), "m", "length", MODEL, {"pressure": P}, n=len(group),
+                    note="rms over the whole trial, rest before the step included", trials=names,
+                    coordinate=WORDS[way],
+                )
+            )  # fmt: skip
+    found.traces = [_thinned(trace) for trace in found.traces]
+    found.findings += _findings(rms, accuracies, method)
+    return found
+
+
+def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
+    """Measured and modelled contraction of a trial, all samples."""
+    samples, trial = campaign.samples[step.trial], campaign.trials[step.trial]
+    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
+    fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
+    model = x_s * (1 - fade) if step.way > 0 else x_s * fade
+    told = f"to {show(step.pressure, 'pressure', 4)}" if step.way > 0 else f"from {show(step.pressure, 'pressure', 4)}"
+    return Trace(
+        name=f"step-{'to' if step.way > 0 else 'from'}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
+        figure="step-overlay",
+        title=f"{told}: measured and closed form",
+        columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
+        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
+        marks={"pressure": step.pressure, "load": step.load},
+    )
+
+
+def _thinned(trace: Trace) -> Trace:
+    stride = -(-len(trace.columns["t"]) // LONGEST_TRACE)
+    columns: dict[str, Array] = {name: values[::stride] for name, values in trace.columns.items()}
+    return Trace(trace.name, trace.figure, trace.title, columns, trace.quantities, trace.marks)
+
+
+def _findings(rms: dict[int, list[float]], accuracies: Sequence[tuple[float, float]], method: str) -> list[Finding]:
+    lines = []
+    if accuracies:
+        worst, best = min(accuracies, key=lambda one: one[1]), max(accuracies, key=lambda one: one[1])
+        text = (
+            f"closed form with the polynomials by {method} against the test at rest: accuracy "
+            f"{100 * worst[1]:.2f} % at {show(worst[0], 'pressure', 4)} to {100 * best[1]:.2f} % at "
+            f"{show(best[0], 'pressure', 4)}; the model was fitted to these trials, so this tests its form alone"
+        )
+        lines.append(Finding("note", text))
+    for way, values in rms.items():
+        if values:
+            low, high = (show(end, "length", 3) for end in (min(values), max(values)))
+            lines.append(Finding("note", f"residual of the closed form over time, {WORDS[way]}: {low} to {high} rms"))
+    return lines
