@@ -154,6 +154,10 @@ def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, r
     from pmabench.report.cascade_record import as_data, csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []
+    if out is not None:
+        from pmabench.report.cascade_page import write_drawings
+
+        written += write_drawings(found, out, moments)
     data = as_data(found) | {"written": [str(path) for path in written]}
 
     def human() -> None:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
 """Of shape (points, 2): along the axis and away from it [m]."""
-ENTRY = math.radians(52)
+ENTRY = math.radians(40)
 """Angle of the end's tangent at the fitting to the axis [rad]; paper 1 found its own by trial and prints none."""
-REACH = 2.0
+REACH = 2.4
 """The body begins this many times as far from the fitting as the two tangents meet; paper 1 prints none."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,8 +27,16 @@ HIGHEST = 600e3
 """Most pressure of the plants [Pa]."""
 PLANT_RADIUS, PLANT_ANGLE = 0.010, math.radians(25)
 """What a plant is drawn with where the file does not say it: nominal 20 mm, angle assumed."""
+NAME = "[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}$")]
+
+def _plain(name: str) -> str:
+    if not re.fullmatch(NAME, name):
+        raise ValueError("a name begins with a letter or digit and has at most 40 letters, digits, blanks, _ . or -")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_plain), WithJsonSchema({"type": "string", "pattern": f"^{NAME}$"})]
 Angle = Annotated[
     float,
     BeforeValidator(lambda value: parse_quantity(value, "angle")),
@@ -159,14 +168,17 @@ class _Reading:
         self._sizes()
         self._convention()
         muscles: list[ChainMuscle] = []
+        taken: set[str] = set()
         for index, muscle in enumerate(file.muscles):
             before = len(self.problems)
             self._check(index, muscle)
             if len(self.problems) == before:
                 for number in range(muscle.count):
-                    muscles.append(self._one(muscle, number, len(muscles), (force, mass)))
-        if not self.problems:
-            self._names(muscles)
+                    one = self._one(muscle, number, len(muscles), (force, mass))
+                    if one.name in taken:
+                        self.fault(f'a second muscle is called "{one.name}"', "muscles", index, "name")
+                    taken.add(one.name)
+                    muscles.append(one)
         if self.problems:
             raise InvalidFile(self.problems)
         return ChainPlan(
@@ -228,13 +240,6 @@ class _Reading:
         elif not 0 <= pressure <= HIGHEST + slack:
             self.fault(f"{shown} is outside 0 to {show(HIGHEST, 'pressure')}, the limit of the plants", *place)
 
-    def _names(self, muscles: list[ChainMuscle]) -> None:
-        taken: set[str] = set()
-        for muscle in muscles:
-            if muscle.name in taken:
-                self.fault(f'two muscles are called "{muscle.name}"; give each a name of its own', "muscles")
-            taken.add(muscle.name)
-
     def _one(self, muscle: MuscleFile, number: int, place: int, load: tuple[float, float]) -> ChainMuscle:
         """The muscle `number` of an entry, at `place` in the chain."""
         name = muscle.name or f"muscle {place + 1}"
@@ -242,17 +247,19 @@ class _Reading:
         steps = tuple(Step(round(begin + step.at, 9), step.to) for step in muscle.pressure)
         known: dict[str, Any] = {"length": DMSP_LENGTH, "radius": DMSP_RADIUS, "braid_angle": DMSP_ANGLE}
         law, kind = str(muscle.model), ""
+        unsaid: tuple[str, ...] = ("braid_angle",)
         if muscle.plant is not None:
             kind = muscle.preset or "ideal"
             law = f"{muscle.plant}, {kind}"
             known = {"length": MUSCLES[muscle.plant]().length, "radius": PLANT_RADIUS, "braid_angle": PLANT_ANGLE}
+            unsaid = ("radius", "braid_angle")
         given = {key: getattr(muscle, key) for key in ("radius", "braid_angle") if getattr(muscle, key) is not None}
         shape = {**known, **given}
         return ChainMuscle(
             name=name if muscle.name is None or muscle.count == 1 else f"{name} {number + 1}",
             law=law,
             steps=steps,
-            assumed=tuple(key for key in ("radius", "braid_angle") if key not in given),
+            assumed=tuple(key for key in unsaid if key not in given),
             plant=muscle.plant,
             preset=kind,
             load=load,
