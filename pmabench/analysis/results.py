@@ -138,7 +138,6 @@ class Curve:
     r2: float
     residual_rms: float
     method: str
-
     centre: float = 0.0
     scale: float = 1.0
     """z = (coordinate - centre) / scale [SI]."""
@@ -161,6 +160,7 @@ class Curve:
             raise UsageError(f"{told} and means nothing outside")
         z = (at - self.centre) / self.scale
         return np.asarray(np.polyval([nan if t.value is None else t.value for t in reversed(self.terms)], z))
+
 
 @dataclass(frozen=True)
 class Dropped:

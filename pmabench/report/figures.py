@@ -237,9 +237,9 @@ def _axis(trace: Trace, name: str) -> str:
 DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Picture]]], ...] = (
     (("lift",), _lifts),
     (("overlay",), _overlays),
+    (("step-overlay",), _step_overlays),
     (("loop", "pressure-loop"), loop_figures.loops),
     (("bode",), loop_figures.bode),
-    (("step-overlay",), _step_overlays),
     (("oscillation", "growth"), loop_figures.oscillations),
     (("position",), positions),
     (("validation",), validations),

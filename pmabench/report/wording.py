@@ -50,12 +50,12 @@ SYMBOLS: dict[str, str] = {
     "T_c": "period of the limit cycle",
     "e_sim": "difference from the simulation, rms",
     "e_fs": "steady-state error, of full scale",
+    "accuracy": "agreement of model and test at rest",
+    "misfit": "residual of the model over time",
 }
 """Symbol -> its name; the order is that of columns and figures."""
 
 HEADLINES = ("F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u", "m")
-    "accuracy": "agreement of model and test at rest",
-    "misfit": "residual of the model over time",
 """Symbols of the key numbers on the first page, in this order."""
 
 GROUPS: dict[tuple[str, ...], str] = {
@@ -65,12 +65,12 @@ GROUPS: dict[tuple[str, ...], str] = {
     ("F_c",): "Coulomb friction F_c",
     ("tau_c", "tau_r"): "Time constants",
     ("t_d",): "Dead times t_d",
+    ("accuracy",): "Accuracy of the closed form at rest",
+    ("misfit",): "Residual of the closed form, rms over time",
 }
 """Symbols that share one plot, and its title; the first three are drawn over all tests together."""
 
 AGREEMENT = "agreement"
-    ("accuracy",): "Accuracy of the closed form at rest",
-    ("misfit",): "Residual of the closed form, rms over time",
 """Kind of the analysis that compares tests and is none itself."""
 _DIFFERENCE = "Difference of two independent tests of the same specimen; their intervals are added as squares."
 METHODS: dict[str, str] = {
@@ -82,10 +82,6 @@ METHODS: dict[str, str] = {
     "regulator is slow; kept for comparison with published values.",
     "step-exponential, F_ce known": "K from final contractions alone, with F_ce taken from the static-load study or "
     "from the primary fit.",
-    "static-mean": "F_ce(P) from the mean of the pressures at which each load lifts off its support and sets down "
-    "again: friction acts in opposite directions and drops out. Least squares of pressure on load.",
-    "static-lift": "As static-mean, from the lift-off alone: F_ce comes out low by the friction.",
-    "static-set-down": "As static-mean, from the set-down alone: F_ce comes out high by the friction.",
     "paper-1-x0": "The way of paper 1: K = S = (F_ce − L) / x_max and B = D = τ S from single steps, "
     "τ from the first motion to 63.2 % of the stroke, F_ce from the braid's geometry at zero contraction. B_r carries "
     "the pressure before the release: a reduction, no coefficient at that pressure.",
@@ -97,6 +93,10 @@ METHODS: dict[str, str] = {
     "closed form of paper 1": "x_max (1 − e^(−t/τ)) and x_max e^(−t/τ_r) with the polynomials of the first method, "
     "begun at the mean dead time. Accuracy 100 (1 − |x_s − x_e| / x_e) compares the ends alone; the residual, all "
     "samples.",
+    "static-mean": "F_ce(P) from the mean of the pressures at which each load lifts off its support and sets down "
+    "again: friction acts in opposite directions and drops out. Least squares of pressure on load.",
+    "static-lift": "As static-mean, from the lift-off alone: F_ce comes out low by the friction.",
+    "static-set-down": "As static-mean, from the set-down alone: F_ce comes out high by the friction.",
     "static-half-difference": "Half the difference of lift-off and set-down, as a force: friction between sliding and "
     "static.",
     "onset": "Dead times from the first sample that leaves the noise: of pressure after the command, and of "
@@ -146,6 +146,7 @@ METHODS: dict[str, str] = {
 KINDS: dict[str, str] = {
     "static-load": "Static load",
     "contraction-relaxation": "Contraction and relaxation",
+    "contraction-relaxation-paper-1": "Contraction and relaxation in single steps",
     "sinusoidal-displacement": "Sinusoidal displacement",
     "ultimate-gain": "Ultimate gain",
     "isobaric-ramp": "Isobaric ramps",
@@ -164,7 +165,6 @@ _LABELS = {
     "contraction": "x",
     "setpoint": "set-point",
     "mean": "mean x",
-    "contraction-relaxation-paper-1": "Contraction and relaxation in single steps",
     "frequency": "f",
     "speed": "v",
     "load": "F_L",
