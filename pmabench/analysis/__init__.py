@@ -7,8 +7,10 @@
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
-- isometric, recorded-pull: `isometric`, on the lines of `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine: `recorded_sines`; what imports
-  say beside their samples: `imported`
+- isometric-pressurisation: `isometric_pressurisation`, made of `isometric_lines`, `isometric_curve`, `section` (S over
+  contraction), `isometric_sections` (all contractions at one pressure); words and figures in `isometric_view`
+- isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine:
+  `recorded_sines`; what imports say beside their samples: `imported`
 - shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
   `calibration` (what the channels' uncertainties do to a result)
 """

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.isometric_lines import Test, ends
+from pmabench.analysis.isometric_lines import Mask, Test, ends
 from pmabench.analysis.onset import onset
 from pmabench.store.records import Array, TrialData
 
@@ -50,12 +50,15 @@ class Mean:
         total = np.where(known, self.each, 0.0).sum(axis=0)
         return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
 
+    def of(self, rows: Mask) -> Mean:
+        """That of some of the tests."""
+        return Mean(self.P, self.fill[rows], self.empty[rows])
+
     def gaps(self, low: float) -> Array:
         """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N]."""
         part = (self.empty - self.fill)[:, self.P >= low]
         known = np.isfinite(part)
-        count = known.sum(axis=1)
-        return np.asarray(np.where(known, part, 0.0).sum(axis=1)[count > 0] / count[count > 0])
+        return np.asarray(np.where(known, part, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def mean_of(tests: Sequence[Test]) -> Mean:

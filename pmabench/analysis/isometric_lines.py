@@ -78,6 +78,11 @@ class Pooled:
     repeats: tuple[tuple[float, float], ...]
     """m and c of each repeat: the mean of its sides where the contraction was reached from both, else of one test."""
 
+    @property
+    def rms(self) -> float:
+        """Residual of the tests from their own lines [N]."""
+        return sqrt(sum(line.n * line.rms**2 for line in self.each) / max(1, sum(line.n for line in self.each)))
+
     def half(self, of: str) -> float | None:
         """Half width of the 95 % interval of `m` or `c` from the scatter between repeats, Student's t."""
         return spread([pair["mc".index(of)] for pair in self.repeats])
@@ -97,7 +102,7 @@ def tests_of(
     dropped: list[Dropped] = []
     for run in runs:
         for trial in run.trials:
-            test, reason = _test(run, trial, phases)
+            test, reason = test_of(run, trial, phases)
             reason = reason if test is None else lacks(test)
             if test is None or reason:
                 dropped.append(Dropped(trial.name, trial.point, reason))
@@ -106,7 +111,8 @@ def tests_of(
     return groups, dropped
 
 
-def _test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
+def test_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
+    """The samples of a trial that can be used, or why there are none."""
     missing = [name for name in ("pressure", "force") if name not in trial.channels]
     if missing:
         return None, f"{' and '.join(missing)} not recorded"
@@ -126,10 +132,13 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
 
     Without either, all samples are in the first wanted phase.
     """
-    begun = [
-        (e.t, str(e.data.get("name"))) for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index
-    ]
-    begun = sorted(begun or [(float(c.t), c.phase) for c in trial.commands])
+    told = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
+    begun = [(e.t, str(e.data.get("name"))) for e in told]
+    for command in () if begun else trial.commands:
+        begun.append((command.t, command.phase))
+        if command.kind == "ramp" and command.data.get("rate"):
+            begun.append((ends(command), ""))
+    begun.sort()
     if not begun:
         return np.zeros(len(trial.t))
     index = np.full(len(trial.t), -1.0)
@@ -172,18 +181,19 @@ def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
     if whole is None:
         return None
     with_line = [(test, line) for test, part in zip(tests, parts, strict=True) if (line := line_of(*part)) is not None]
-    sides: dict[object, list[tuple[float, float]]] = {}
-    for number, (test, line) in enumerate(with_line):
+    tests_with, each = [test for test, _ in with_line], tuple(line for _, line in with_line)
+    m, c = (by_repeat(tests_with, [getattr(line, of) for line in each]) for of in ("m", "c"))
+    names = tuple(test.name for test in tests_with)
+    return Pooled(whole, each, names, tuple(zip(m.tolist(), c.tolist(), strict=True)))
+
+
+def by_repeat(tests: Sequence[Test], values: Sequence[float] | Array) -> Array:
+    """Mean of the values of each repeat: of both sides where it was reached from both, else of one test."""
+    groups: dict[object, list[float]] = {}
+    for number, (test, value) in enumerate(zip(tests, values, strict=True)):
         repeat = (test.run.id, test.trial.repeat) if "side" in test.trial.point else number
-        sides.setdefault(repeat, []).append((line.m, line.c))
-    return Pooled(
-        whole,
-        tuple(line for _, line in with_line),
-        tuple(test.name for test, _ in with_line),
-        tuple(
-            (sum(m for m, _ in group) / len(group), sum(c for _, c in group) / len(group)) for group in sides.values()
-        ),
-    )
+        groups.setdefault(repeat, []).append(float(value))
+    return np.array([np.mean(group) for group in groups.values()])
 
 
 def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[str, float]:

@@ -15,7 +15,7 @@ from pmabench.analysis import isometric_view as view
 from pmabench.analysis import section, skew
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.isometric_curve import LEAST, PHASES, begins, mean_of, straight_from
-from pmabench.analysis.isometric_lines import METHOD, Test, estimates_of, pool, spread, tests_of
+from pmabench.analysis.isometric_lines import METHOD, Test, by_repeat, estimates_of, pool, spread, tests_of
 from pmabench.analysis.isometric_sections import Across, Cell, Corrected, across, corrected, given_of
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.base.quantities import show
@@ -64,11 +64,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force = _corrected(cells, given)
     estimates += _corrected_estimate(force, scales)
     findings = [
-        *view.of_cells(cells),
         *view.of_threshold(begun, given),
         *view.of_sections(sections, given),
         *view.of_across(found),
         *view.of_corrected(force, given),
+        *view.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
     ]
     if estimates and (lack := scales.lack(CHANNELS)):
@@ -107,9 +107,12 @@ def _lack(test: Test) -> str:
 
 def _cell(contraction: float, tests: Sequence[Test]) -> Cell:
     mean = mean_of(tests)
-    low, off = straight_from(mean)
-    if low is None:
-        return Cell(contraction, tests, mean, low, off, None)
+    side = np.array([test.trial.point.get("side", 0.0) for test in tests])
+    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
+    off = max(part[1] for part in parts)
+    if None in [part[0] for part in parts]:
+        return Cell(contraction, tests, mean, None, off, None)
+    low = max(float(part[0] or 0.0) for part in parts)
     pooled = pool(tests, lambda test: low <= test.P)
     middle = 0.5 * (low + float(mean.P[-1]))
     upper = pool(tests, lambda test: middle <= test.P)
@@ -123,7 +126,7 @@ def _rate(cell: Cell) -> float:
 
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
-    gaps = cell.mean.gaps(cell.low or 0.0)
+    gaps = by_repeat(cell.tests, cell.mean.gaps(cell.low or 0.0))
     apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
     value = float(gaps.mean())
@@ -140,13 +143,15 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
     """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
     at = {"contraction": cell.contraction}
     late = _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
-    pairs = [pair for test in cell.tests if None not in (pair := begins(test.trial))]
+    pairs = {test: pair for test in cell.tests if None not in (pair := begins(test.trial))}
     found = []
     if pairs:
-        both = np.array(pairs, dtype=np.float64)
-        values, value = both.mean(axis=1), float(both.mean())
+        both = np.array(list(pairs.values()), dtype=np.float64)
+        values, value = by_repeat(list(pairs), both.mean(axis=1)), float(both.mean())
         step = max(1.0 / test.run.rate if test.run.rate else 0.0 for test in cell.tests)
         half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
+        side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
+        half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
         scale = scales.part({"pressure": value}, {"pressure": 1.0})
         found.append(
             Estimate(
@@ -154,7 +159,7 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
                 Parts(repeats=spread(values), method=half, calibration=scale, skew=late), len(values),
                 note=sentences(
                     "" if len(values) > 1 else "no repeats part: one test only",
-                    "method: half the difference of filling and emptying, and half a sample",
+                    "method: half the difference of filling and emptying, with half a sample, or of the two sides",
                 ),
                 trials=tuple(test.name for test in cell.tests),
             )

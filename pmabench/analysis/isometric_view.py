@@ -40,7 +40,8 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
         line = cell.pooled.line
         ends = f"{show(cell.low, 'pressure', 4)} to {show(line.high, 'pressure', 4)}"
         gap = float(cell.mean.gaps(cell.low).mean())
-        text = f"straight from {ends} within {show(cell.off, 'force', 2)}, residual {show(line.rms, 'force', 2)} rms"
+        text = f"straight from {ends} within {show(cell.off, 'force', 2)}"
+        text += f", residual {show(cell.pooled.rms, 'force', 2)} rms"
         found.append(Finding("note", f"{where}: {text}; emptying minus filling {show(gap, 'force', 2)}"))
         found += _moved(cell, where)
     return found
@@ -167,7 +168,7 @@ def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
                 "straight_to": None if pooled is None else pooled.line.high,
                 "within": WITHIN,
                 "off": cell.off,
-                "residual_rms": None if pooled is None else pooled.line.rms,
+                "residual_rms": None if pooled is None else pooled.rms,
                 "samples": 0 if pooled is None else pooled.line.n,
                 "slopes_of_phases": slopes,
             }

@@ -36,6 +36,7 @@ POINT_QUANTITIES = {
     "mass": "mass",
     "displacement": "length",
     "cycles": "count",
+    "side": "count",
 }
 """Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
 

@@ -62,6 +62,8 @@ def others(analysis: Analysis) -> list[Picture]:
         shown_already = over == "pressure" and group in list(GROUPS)[:3]
         if over is None or shown_already or (over == "frequency" and any(t.figure == "bode" for t in analysis.traces)):
             continue
+        if group == ("m",) and any(t.figure == "section" for t in analysis.traces):
+            continue
         if len({e.at[over] for e in members}) < FEWEST:
             continue
         drawn = _figure(group, over, [(analysis, e) for e in members])

@@ -29,6 +29,7 @@ from pmabench.report.pictures import (
 )
 from pmabench.report.plots import Array, Panel
 from pmabench.report.position_figures import positions, validations
+from pmabench.report.section_figures import sections
 from pmabench.report.wording import clean, shown
 
 OVERLAYS, SCATTERS, GENERIC = 6, 9, 6
@@ -148,7 +149,8 @@ def _isometric(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, SCATTERS)
-    optional = {"fit": "fit", "group": "test"}
+    by_branch = all(has(t, "branch") for t in able)
+    optional = {"fit": "fit", "group": "branch" if by_branch else "test"}
     panels = []
     for trace in chosen:
         names = {"x": "pressure", "measured": "force"} | {k: v for k, v in optional.items() if has(trace, v)}
@@ -157,8 +159,8 @@ def _isometric(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         panels.append(panel(trace, names, title))
     labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "force")}
     caption = (
-        "Samples of every test (colours) at set contractions, and the least-squares line through them where it was "
-        f"fitted.{how_many(chosen, able)}"
+        f"Samples of every test ({'blue: filling, red: emptying' if by_branch else 'colours'}) at set contractions, "
+        f"and the least-squares line through them where it was fitted.{how_many(chosen, able)}"
     )
     alt = f"Force over pressure at fixed contraction, with a straight line, for {'; '.join(p.title for p in panels)}."
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)], ("pressure", "force", "fit", "test"))
@@ -246,5 +248,6 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("isobaric", "mean-curve"), ramp_figures.loops),
     (("rubber",), ramp_figures.rubber),
     (("isometric",), _isometric),
+    (("section",), sections),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""

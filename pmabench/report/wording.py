@@ -19,7 +19,7 @@ SYMBOLS: dict[str, str] = {
     "B_r": "damping, relaxing",
     "B": "damping, mean of both directions",
     "F_c": "Coulomb friction",
-    "F_f": "friction, half of lift minus set-down",
+    "F_f": "friction, half the difference of both directions",
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
     "W_c": "work given while contracting",
@@ -35,6 +35,10 @@ SYMBOLS: dict[str, str] = {
     "T_u": "ultimate period",
     "m": "slope of force over pressure",
     "c": "intercept of force over pressure",
+    "p_0": "pressure at which the force begins",
+    "D_0": "free diameter",
+    "theta_0": "braid angle at the nominal length",
+    "alpha": "exponent of S(ε)",
     "tau_P": "rise time of the pressure",
     "X": "stroke",
     "dP/dx": "pressure per contraction",
@@ -137,6 +141,20 @@ METHODS: dict[str, str] = {
     "moving mass taken as exact: K = M ω², B = 2 D ω M.",
     "isometric-line": "One least-squares line F = m P + c through all usable samples above the force threshold, the "
     "tests of one contraction together; the interval is Student's t on the scatter between tests.",
+    "force-threshold": "The pressure at which the force leaves its level at rest while filling and reaches it while "
+    "emptying: the first sample beyond six times the noise (at least 0.2 N), followed back along the line through the "
+    "next samples.",
+    "isometric-sections": "Forces at one pressure over all contractions, a least-squares line F = F_ce − K x.",
+    "isometric-sides": "Half the force after an approach from above minus after one from below: friction inside.",
+    "daerden-section": "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes "
+    "(paper 3). The intervals hold if S has this form; a parameter wider than ±25 % is not told.",
+    "daerden-section, alpha = 2": "The same with α = 2, the force of Tondu and Lopez.",
+    "daerden-section, D_0 of the specimen": "The same with D0 given by the specimen's inner_diameter.",
+    "daerden-section, theta_0 of the specimen": "The same with θ0 given by the specimen's braid_angle.",
+    "corrected-force": "F = π r0² (p − p0) [a (1 − q ε)² − b], q = 1 + e^(−p/bar), with p0 by least squares over all "
+    "contractions, D0 and θ0 of the specimen (paper 2).",
+    "static load against isometric": _DIFFERENCE,
+    "isometric against steps": _DIFFERENCE,
     "static load against contraction": _DIFFERENCE,
     "sine against steps": _DIFFERENCE,
     "sine against (B_c + B_r)/2 of steps": _DIFFERENCE,
@@ -152,6 +170,7 @@ KINDS: dict[str, str] = {
     "isobaric-ramp": "Isobaric ramps",
     "positioning": "Positioning in closed loop",
     "validation": "Validation of a model",
+    "isometric-pressurisation": "Isometric pressurisation",
     "isometric": "Isometric force over pressure",
     "recorded-pull": "Recorded pulls at set pressure",
     "recorded-step": "Recorded steps of pressure",
@@ -196,6 +215,12 @@ COLUMNS: dict[str, str] = {
     "load": "load",
     "lift": "pressure at lift-off",
     "set_down": "pressure at set-down",
+    "slope": "S, force by pressure",
+    "half": "half width of 95 %",
+    "curve": "fitted S(ε)",
+    "low": "lower end of the band",
+    "high": "upper end of the band",
+    "branch": "0 filling, 1 emptying",
 }
 """Column of a trace -> words for axes and headers."""
 
