@@ -10,10 +10,24 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.model.air import Air
 from pmabench.model.curve import Array
-from pmabench.model.library import daerden
+from pmabench.model.library import MODELS, daerden
 from pmabench.model.library.braid import BRAID_ANGLE
+from pmabench.model.library.chamber import R
 from pmabench.model.muscle import Friction
+
+
+def assumed_air() -> Air:
+    """Air behind the regulator that the library's `driven-chamber` assumes."""
+    value = {p.name: p.value for p in MODELS["driven-chamber"].parameters}
+    return Air(
+        fill=float(value["conductance_fill"]),
+        vent=float(value["conductance_vent"]),
+        polytropic=float(value["polytropic"]),
+        rT=R * float(value["temperature"]),
+        atmosphere=float(value["atmosphere"]),
+    )
 
 
 @dataclass(frozen=True)
@@ -45,3 +59,9 @@ class DaerdenMuscle:
     def damping(self, P: Array, v: Array) -> Array:
         """None: the loop's width comes from the way gone, not from the speed [N.s/m]; P [Pa]."""
         return np.zeros(P.shape)
+
+    def volume(self, x: Array) -> Array:
+        """Volume inside [m3] at contractions x [m]."""
+        eps: Any = x / self.length
+        size: Any = (self.diameter, self.length, self.braid_angle, self.alpha)
+        return daerden.muscle_volume(eps, *size)

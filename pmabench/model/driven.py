@@ -5,8 +5,9 @@ Physics
 x(t) is where the actuator is: the commanded position, limited in speed and stroke, behind a first-order follow error.
 The cell at the fixed end reads F = F_0(P, x) - B(P) x' - F_c sign x' + F_h, and 0 where that is negative: a muscle
 cannot push. F_0 is what the muscle pulls at rest (F_ce(P) - K(P) x, or S(eps) P + F_e(eps)); F_h is a hysteresis by
-the way gone alone, if it has one. The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s
-counts as no motion.
+the way gone alone, if it has one. P is the regulator's, or where it has to move air what that makes of the motion
+(`pmabench.model.air`). The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s counts as no
+motion.
 Where F passes the actuator's force it stalls: it holds its place until it is commanded again.
 """
 
@@ -14,12 +15,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from pmabench.model.air import Air, Chamber
 from pmabench.model.curve import Array
 from pmabench.model.hysteresis import Branch, Hysteresis
 from pmabench.model.motion import Motion
@@ -28,6 +30,8 @@ from pmabench.model.regulator import Regulated, Regulator
 from pmabench.model.signal import Wave, to_nanosecond
 
 STILL = 1e-6
+PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber")
+"""What of the plant changes in place."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,7 @@ class DrivenPlant:
         actuator: Actuator,
         *,
         hysteresis: Hysteresis | None = None,
+        air: tuple[Air, Callable[[Array], Array]] | None = None,
         pressure: float = 0.0,
         position: float = 0.0,
         start: float = 0.0,
@@ -142,6 +147,17 @@ class DrivenPlant:
         self.wanted = Regulated(Regulator(dead_time=0.0), position, start)
         self._drive = Regulated(Regulator(dead_time=0.0, lag=actuator.lag), position, start)
         self._branch = Branch(hysteresis, position, start) if hysteresis and hysteresis.height else None
+        self._chamber = Chamber(*air, pressure, start) if air else None
+
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle at this moment [Pa]."""
+        return self.supply.value(self.time) if self._chamber is None else self._chamber.pressure
+
+    def shut(self, *, shut: bool) -> None:
+        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+        if self._chamber is not None:
+            self._chamber.shut = shut
 
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Command pressure [Pa] along `waves`, the first of which starts now or later."""
@@ -167,7 +183,7 @@ class DrivenPlant:
         self.__dict__.update(self._copies())
 
     def _copies(self) -> dict[str, Any]:
-        return {name: copy.copy(getattr(self, name)) for name in ("supply", "wanted", "_drive", "_branch")}
+        return {name: copy.copy(getattr(self, name)) for name in PARTS}
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
@@ -204,7 +220,10 @@ class DrivenPlant:
         """Contraction, its rate, pressure and force at rising times."""
         path = copy.copy(self._drive)
         x, v = self._drive.values(t)
-        P, _ = self.supply.values(t)
+        if self._chamber is None:
+            P, _ = self.supply.values(t)
+        else:
+            P = self._chamber.pressures(self.supply, copy.copy(path), t)
         moves = np.abs(v) > STILL
         F = self.muscle.pull(P, x) - self.muscle.damping(P, v) * v - self.muscle.friction.F_c * np.sign(v) * moves
         if self._branch is not None:

@@ -29,6 +29,10 @@ class Overrides:
     """Pressure error that the regulator does not act on [Pa]."""
     leak: float | None = None
     """Share of the pressure that a leak takes away per second [1/s]; needs a lag above 0 to be seen."""
+    conductance_fill: float | None = None
+    """Air that the regulator lets in by the pressure that is missing [kg/(s Pa)]; plant `daerden`."""
+    conductance_vent: float | None = None
+    """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     fce_eval: str | None = None

@@ -96,6 +96,11 @@ class Plant:
             raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
         self.force, self.mass = force, mass
 
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle at this moment [Pa]."""
+        return self.supply.value(self.time)
+
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Command pressure [Pa] along `waves`, the first of which starts now or later."""
         self.supply.command(waves)

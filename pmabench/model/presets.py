@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from pmabench.model.air import Air
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.hysteresis import Hysteresis
@@ -90,6 +91,8 @@ class Setup:
     """First-order lag of a displacement actuator behind its command [s]."""
     hysteresis: Hysteresis | None = None
     """Felt at a driven end."""
+    air: Air | None = None
+    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
 
     def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant:
         """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
@@ -112,8 +115,9 @@ class Setup:
         if not isinstance(self.muscle, Muscle):
             low, high = (share * self.muscle.length for share in self.muscle.reach)
             actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
+        air = (self.air, self.muscle.volume) if self.air and not isinstance(self.muscle, Muscle) else None
         return DrivenPlant(
-            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, position=position, start=start
+            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, air=air, position=position, start=start
         )
 
 
@@ -135,11 +139,12 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         if overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    from pmabench.model.daerden_muscle import DaerdenMuscle  # needs the library of models, which needs this module
+    from pmabench.model.daerden_muscle import DaerdenMuscle, assumed_air  # needs the library, which needs this module
 
     stretchy = DaerdenMuscle()
     hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
-    return changed(Setup(stretchy, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, hysteresis), kind, overrides)
+    setup = Setup(stretchy, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, hysteresis, assumed_air())
+    return changed(setup, kind, overrides)
 
 
 def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
@@ -176,8 +181,20 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         dead_band=chosen("dead_band", given.dead_band),
         leak=chosen("leak", given.leak),
     )
+    air = setup.air
+    if air is not None:
+        air = replace(
+            air,
+            fill=chosen("conductance_fill", air.fill),
+            vent=chosen("conductance_vent", air.vent),
+            leak=chosen("leak", air.leak),
+        )
+        air = air if air.fill or air.vent else None
+    elif change.conductance_fill is not None or change.conductance_vent is not None:
+        raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
+    regulator = regulator if air is None else replace(regulator, leak=0.0)
     noise = setup.noise.scaled(chosen("noise", 1.0))
-    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis)
+    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis, air)
 
 
 def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:

@@ -170,14 +170,15 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     return options
 
 
-NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": ("hysteresis",)}
+FLOWS = ("hysteresis", "conductance_fill", "conductance_vent")
+NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
 """Options that a plant has no use for; of all others what is for one plant only."""
 
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
     if options.plant == "daerden" and options.free_end != "actuator":
         raise DeviceError(device, "option plant: daerden is for a driven free end; write free_end: actuator beside it")
-    for name in NOT_FOR.get(options.plant, ("hysteresis", "fce_eval")):
+    for name in NOT_FOR.get(options.plant, (*FLOWS, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 

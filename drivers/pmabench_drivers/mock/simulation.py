@@ -75,6 +75,8 @@ class Simulation:
         setup = replace(
             setup, regulator=replace(setup.regulator, vent_ratio=setup.regulator.vent_ratio * options.slow_vent)
         )
+        if setup.air is not None:
+            setup = replace(setup, air=replace(setup.air, vent=setup.air.vent / options.slow_vent))
         self._name, self._options, self._keep_for = device.name, options, memory
         self.faults, self.errors = options.faults, dict(options.errors)
         self._plant: Plant | DrivenPlant
@@ -125,7 +127,7 @@ class Simulation:
     @property
     def pressure(self) -> float:
         """Gauge pressure in the muscle [Pa], without any error of a sensor."""
-        return self._plant.supply.value(self._plant.time)
+        return self._plant.pressure
 
     # -- commands, at the plant's time ----------------------------------------------------------------------------
 
@@ -199,6 +201,8 @@ class Simulation:
         opens = valve.open and not valve.energised
         if not valve.energised and self._has_valve and not self._is_due(faults.dump_stuck_at):
             opens = True
+        if isinstance(self._plant, DrivenPlant):
+            self._plant.shut(shut=shut and not opens and not self._is_due(faults.burst_at))
         forced: tuple[float, float] | None = None
         if self._is_due(faults.burst_at):
             forced = 0.0, BURST_LAG

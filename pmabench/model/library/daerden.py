@@ -45,6 +45,12 @@ def rubber_force(contraction: Array, A: Array, B1: Array, B2: Array) -> Array:
     return np.asarray(A * contraction * (contraction - B1) / (contraction + B2))
 
 
+def muscle_volume(contraction: Array, diameter: Array, length: Array, braid_angle: Array, alpha: Array) -> Array:
+    """V [m3] from eps [1], D0 and l0 [m], theta0 [rad], alpha [1] (paper 3, volume of the muscle)."""
+    shape = 1 / np.sin(braid_angle) ** 2 - (1 - contraction) ** alpha / np.tan(braid_angle) ** 2
+    return np.asarray(math.pi / 4 * diameter**2 * length * shape * (1 - contraction))
+
+
 @described(
     "daerden-force", FAMILY, "Force over contraction with a rubber term, also stretched",
     equation=(
@@ -145,7 +151,7 @@ def daerden_volume(contraction: Array, diameter: Array, length: Array, braid_ang
     size = math.pi / 4 * diameter**2 * length
     round_, straight = 1 / np.sin(braid_angle) ** 2, (1 - contraction) ** alpha / np.tan(braid_angle) ** 2
     return {
-        "volume": size * (round_ - straight) * (1 - contraction),
+        "volume": muscle_volume(contraction, diameter, length, braid_angle, alpha),
         "volume_slope": size * ((alpha + 1) * straight - round_),
     }
 
