@@ -24,9 +24,7 @@ from pmabench.model.library.coefficients import (
     dmsp_40_305,
     dmsp_40_305_contraction,
 )
-from pmabench.model.muscle import Muscle
 from pmabench.model.plant import Plant
-from pmabench.model.regulator import Regulator
 from pmabench.model.signal import Wave, constant
 
 
@@ -181,21 +179,18 @@ class PrintedMuscle:
 class PlantMuscle:
     """A plant of the simulated bench, with its regulator, friction and dead time, alone with the load.
 
-    `force` F_L [N] and moving `mass` [kg]. F_ce and K follow the pressure in the muscle.
+    F_ce and K follow the pressure in the muscle.
     """
 
-    def __init__(
-        self, muscle: Muscle, regulator: Regulator, steps: Sequence[Step], force: float = 0.0, mass: float = 0.5
-    ) -> None:
-        self._muscle = muscle
-        self._plant = Plant(muscle, regulator, force=force, mass=mass)
+    def __init__(self, plant: Plant, steps: Sequence[Step]) -> None:
+        self._plant = plant
         waves: list[Wave] = [] if steps and steps[0].at == 0 else list(constant(0.0, 0.0))
         for step in steps:
             waves += constant(step.at, step.pressure)
-        self._plant.command(tuple(waves))
+        plant.command(tuple(waves))
 
     def advance(self, times: Array) -> Block:
         """Go on to the last of the `times` [s]."""
         motion = self._plant.advance(float(times[-1]), times)
-        muscle = self._muscle
+        muscle = self._plant.muscle
         return Block(motion.P, motion.x, muscle.F_ce.values(motion.P), muscle.K.values(motion.P), muscle.stop)

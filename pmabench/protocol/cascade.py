@@ -6,27 +6,31 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
+from pmabench.bench.plant import read_plant
 from pmabench.files.document import Document, Location, Strict, read_document, validate
 from pmabench.files.quantity import Frequency, Length, Load, Pressure, Time, parse_quantity
 from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
 from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
 from pmabench.model.muscle import Muscle
-from pmabench.model.presets import MUSCLES, preset
+from pmabench.model.overrides import Overrides
+from pmabench.model.plant_file import setup_of
+from pmabench.model.presets import MUSCLES, Setup, changed, preset
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
 """What moves besides the weights, and with a load that is a force [kg]."""
 MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
 HIGHEST = 600e3
-"""Most pressure of the plants [Pa]."""
+"""Most pressure of the presets [Pa]."""
+DMSP = "dmsp-40-305"
 PLANT_RADIUS, PLANT_ANGLE = 0.010, math.radians(25)
-"""What a plant is drawn with where the file does not say it: nominal 20 mm, angle assumed."""
+"""What other plants are drawn with where the file does not say it: 20 mm across, both assumed."""
 NAME = "[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
 
 
@@ -67,7 +71,7 @@ class MuscleFile(Strict):
     model: Literal["dmsp-40-305"] | None = None
     """Paper 1's printed polynomials, in closed form."""
     plant: str | None = None
-    """A plant of the simulated bench."""
+    """A plant of the simulated bench, by its name or by the path of a plant file, relative to this file."""
     preset: Literal["ideal", "bench"] | None = None
     count: Annotated[int, Field(ge=1, le=MOST_MUSCLES)] = 1
     delay: Time = 0.0
@@ -87,7 +91,7 @@ class CascadeFile(Strict):
     source: Annotated[str, Field(max_length=400)] = ""
     load: Load = ("force", 0.0)
     fce_eval: Literal["x0", "xmax"] | None = None
-    """Where F_ce of `model: dmsp-40-305` is taken; one convention for the whole chain."""
+    """Where F_ce of a dmsp-40-305 is taken; one convention for the whole chain."""
     sample_rate: Frequency
     duration: Time
     muscles: Annotated[list[MuscleFile], Field(min_length=1, max_length=MOST_MUSCLES)]
@@ -105,19 +109,26 @@ class ChainMuscle:
     braid_angle: float
     assumed: tuple[str, ...]
     """What of its shape the file does not say."""
-    plant: str | None
-    preset: str
+    setup: Setup | None
+    """The plant; None for the printed model."""
     load: tuple[float, float]
     fce_eval: str
 
     def member(self) -> Member:
         """The muscle at rest, ready to be simulated."""
-        if self.plant is None:
+        if self.setup is None:
             return PrintedMuscle(self.steps, self.load[0], self.fce_eval)
-        setup = preset(self.plant, self.preset)
-        if not isinstance(setup.muscle, Muscle):
-            raise TypeError(self.plant)
-        return PlantMuscle(setup.muscle, setup.regulator, self.steps, *self.load)
+        return PlantMuscle(self.setup.free(*self.load), self.steps)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """What moves the muscles of an entry: its name, the plant (None: the printed model), and its highest pressure."""
+
+    name: str
+    setup: Setup | None
+    length: float
+    highest: float
 
 
 @dataclass(frozen=True)
@@ -141,14 +152,14 @@ class ChainPlan:
 def read_cascade(path: Path) -> ChainPlan:
     """The chain of a file; raises `InvalidFile` with every problem."""
     document = read_document(path)
-    return _Reading(document, validate(CascadeFile, document)).plan()
+    return _Reading(document, validate(CascadeFile, document), path.parent).plan()
 
 
 class _Reading:
     """A file being checked; problems so far."""
 
-    def __init__(self, document: Document, file: CascadeFile) -> None:
-        self.document, self.file = document, file
+    def __init__(self, document: Document, file: CascadeFile, folder: Path) -> None:
+        self.document, self.file, self.folder = document, file, folder
         self.problems: list[Problem] = []
 
     def fault(self, message: str, *location: str | int, key: bool = False) -> None:
@@ -171,10 +182,11 @@ class _Reading:
         taken: set[str] = set()
         for index, muscle in enumerate(file.muscles):
             before = len(self.problems)
-            self._check(index, muscle)
-            if len(self.problems) == before:
+            law = self._law(muscle, ("muscles", index))
+            self._check(index, muscle, law)
+            if law is not None and len(self.problems) == before:
                 for number in range(muscle.count):
-                    one = self._one(muscle, number, len(muscles), (force, mass))
+                    one = self._one(muscle, law, number, len(muscles), (force, mass))
                     if one.name in taken:
                         self.fault(f'a second muscle is called "{one.name}"', "muscles", index, "name")
                     taken.add(one.name)
@@ -196,23 +208,52 @@ class _Reading:
             )
 
     def _convention(self) -> None:
-        printed = any(muscle.model is not None for muscle in self.file.muscles)
-        if printed and self.file.fce_eval is None:
+        asked = any(DMSP in (muscle.model, muscle.plant) for muscle in self.file.muscles)
+        if asked and self.file.fce_eval is None:
             self.fault(
-                '"fce_eval" is missing: x0 takes F_ce of the printed model without contraction, xmax at the final '
-                "contraction as paper 1 does; they give 76 and 42 mm of one muscle at 6 bar"
+                f'"fce_eval" is missing: x0 takes F_ce of a {DMSP} without contraction, xmax at the final contraction '
+                "as paper 1 does; they give 76 and 42 mm of one muscle at 6 bar"
             )
-        if not printed and self.file.fce_eval is not None:
-            self.fault('no muscle here has "model: dmsp-40-305", for which this is', "fce_eval", key=True)
+        if not asked and self.file.fce_eval is not None:
+            self.fault(f"no muscle here is a {DMSP}, for which this is", "fce_eval", key=True)
 
-    def _check(self, index: int, muscle: MuscleFile) -> None:
-        at: Location = ("muscles", index)
+    def _law(self, muscle: MuscleFile, at: Location) -> _Law | None:
+        """What moves the muscle, or None and the reason in the problems."""
         if (muscle.model is None) == (muscle.plant is None):
-            self.fault('needs either "model: dmsp-40-305" or "plant: NAME", one of both', *at)
-        if muscle.plant is not None and muscle.plant not in MUSCLES:
+            self.fault(f'needs either "model: {DMSP}" or "plant: NAME", one of both', *at)
+            return None
+        if muscle.plant is None:
+            if muscle.preset is not None:
+                self.fault("goes with a plant; the printed model has none", *at, "preset", key=True)
+            return _Law(DMSP, None, DMSP_LENGTH, DMSP_PRESSURE.high)
+        kind = muscle.preset or "ideal"
+        if muscle.plant.endswith(".yaml"):
+            return self._plant_of_a_file(muscle.plant, kind, at)
+        if muscle.plant not in MUSCLES:
             self.fault(f'no plant "{muscle.plant}"{did_you_mean(muscle.plant, MUSCLES)}', *at, "plant")
-        if muscle.preset is not None and muscle.plant is None:
-            self.fault("goes with a plant; the printed model has none", *at, "preset", key=True)
+            return None
+        change = Overrides(fce_eval=self.file.fce_eval if muscle.plant == DMSP else None)
+        setup = preset(muscle.plant, kind, change)
+        return _Law(f"{muscle.plant}, {kind}", setup, setup.muscle.length, HIGHEST)
+
+    def _plant_of_a_file(self, name: str, kind: str, at: Location) -> _Law | None:
+        path = self.folder / name
+        if not path.is_file():
+            self.fault(f'there is no plant file "{name}" beside this file', *at, "plant")
+            return None
+        try:
+            numbers = read_plant(path).numbers
+        except InvalidFile as error:
+            self.problems += [problem for problem in error.problems if problem not in self.problems]
+            return None
+        setup = changed(setup_of(numbers), kind)
+        if not isinstance(setup.muscle, Muscle):
+            self.fault("is for a driven end only; a chain needs F_ce and K over pressure", *at, "plant")
+            return None
+        return _Law(f"{numbers['name']}, {kind}", setup, setup.muscle.length, float(numbers["highest_pressure"]))
+
+    def _check(self, index: int, muscle: MuscleFile, law: _Law | None) -> None:
+        at: Location = ("muscles", index)
         if muscle.stagger and muscle.count == 1:
             self.fault('is from one muscle to the next, and "count" is 1; a single one has a "delay"', *at, "stagger")
         last = muscle.delay + (muscle.count - 1) * muscle.stagger
@@ -228,41 +269,35 @@ class _Reading:
                     f"{when}comes at {last + step.at:g} s, and the simulation ends at {self.file.duration:g} s",
                     *place, "at",
                 )  # fmt: skip
-            self._pressure(step.to, muscle, (*place, "to"))
+            if law is not None:
+                self._pressure(step.to, law, (*place, "to"))
 
-    def _pressure(self, pressure: float, muscle: MuscleFile, place: Location) -> None:
-        shown, slack = show(pressure, "pressure"), 1e-6
-        if muscle.model is not None:
-            low, high = DMSP_PRESSURE.low - slack, DMSP_PRESSURE.high + slack
-            if pressure != 0 and not low <= pressure <= high:
-                ends = f"{show(DMSP_PRESSURE.low, 'pressure')} to {show(DMSP_PRESSURE.high, 'pressure')}"
-                self.fault(f"{shown} is neither 0 nor {ends}: {DMSP_PRESSURE.reason}", *place)
-        elif not 0 <= pressure <= HIGHEST + slack:
-            self.fault(f"{shown} is outside 0 to {show(HIGHEST, 'pressure')}, the limit of the plants", *place)
+    def _pressure(self, pressure: float, law: _Law, place: Location) -> None:
+        shown, highest = show(pressure, "pressure"), show(law.highest, "pressure")
+        slack = 1e-6
+        if law.setup is not None:
+            if not 0 <= pressure <= law.highest + slack:
+                self.fault(f"{shown} is outside 0 to {highest}, for which {law.name} is described", *place)
+        elif pressure != 0 and not DMSP_PRESSURE.low - slack <= pressure <= law.highest + slack:
+            low = show(DMSP_PRESSURE.low, "pressure")
+            self.fault(f"{shown} is neither 0 nor {low} to {highest}: {DMSP_PRESSURE.reason}", *place)
 
-    def _one(self, muscle: MuscleFile, number: int, place: int, load: tuple[float, float]) -> ChainMuscle:
+    def _one(self, muscle: MuscleFile, law: _Law, number: int, place: int, load: tuple[float, float]) -> ChainMuscle:
         """The muscle `number` of an entry, at `place` in the chain."""
         name = muscle.name or f"muscle {place + 1}"
         begin = muscle.delay + number * muscle.stagger
-        steps = tuple(Step(round(begin + step.at, 9), step.to) for step in muscle.pressure)
-        known: dict[str, Any] = {"length": DMSP_LENGTH, "radius": DMSP_RADIUS, "braid_angle": DMSP_ANGLE}
-        law, kind = str(muscle.model), ""
-        unsaid: tuple[str, ...] = ("braid_angle",)
-        if muscle.plant is not None:
-            kind = muscle.preset or "ideal"
-            law = f"{muscle.plant}, {kind}"
-            known = {"length": MUSCLES[muscle.plant]().length, "radius": PLANT_RADIUS, "braid_angle": PLANT_ANGLE}
-            unsaid = ("radius", "braid_angle")
-        given = {key: getattr(muscle, key) for key in ("radius", "braid_angle") if getattr(muscle, key) is not None}
-        shape = {**known, **given}
+        dmsp = DMSP in (muscle.model, muscle.plant)
+        radius, angle = (DMSP_RADIUS, DMSP_ANGLE) if dmsp else (PLANT_RADIUS, PLANT_ANGLE)
+        said = {"radius": muscle.radius is not None or dmsp, "braid_angle": muscle.braid_angle is not None}
         return ChainMuscle(
             name=name if muscle.name is None or muscle.count == 1 else f"{name} {number + 1}",
-            law=law,
-            steps=steps,
-            assumed=tuple(key for key in unsaid if key not in given),
-            plant=muscle.plant,
-            preset=kind,
+            law=law.name,
+            steps=tuple(Step(round(begin + step.at, 9), step.to) for step in muscle.pressure),
+            length=law.length,
+            radius=radius if muscle.radius is None else muscle.radius,
+            braid_angle=angle if muscle.braid_angle is None else muscle.braid_angle,
+            assumed=tuple(key for key, known in said.items() if not known),
+            setup=law.setup,
             load=load,
             fce_eval=self.file.fce_eval or "x0",
-            **shape,
         )

@@ -48,7 +48,7 @@ def test_one_printed_muscle_is_the_single_muscle(fce_at, reached):
 @pytest.mark.parametrize("kind", ["ideal", "bench"])
 def test_one_plant_in_a_chain_is_the_plant_alone(kind):
     setup, t = preset("paper0", kind), np.linspace(0, 6, 601)
-    chain = PlantMuscle(setup.muscle, setup.regulator, [Step(0.5, 3e5), Step(3.0, 1e5)], 58.86, 0.5)
+    chain = PlantMuscle(setup.free(58.86, 0.5), [Step(0.5, 3e5), Step(3.0, 1e5)])
     alone = Plant(setup.muscle, setup.regulator, force=58.86, mass=0.5)
     alone.command((*constant(0.0, 0.0), *constant(0.5, 3e5), *constant(3.0, 1e5)))
     course, motion = simulate([chain], t), alone.advance(6.0, t)
@@ -64,7 +64,7 @@ def test_each_muscle_has_its_own_model_pressure_and_delay():
     def muscles():
         return (
             PrintedMuscle([Step(0.2, 3e5), Step(4.0, 5e5)], 50.0),
-            PlantMuscle(setup.muscle, setup.regulator, [Step(1.0, 4e5)], 50.0),
+            PlantMuscle(setup.free(50.0), [Step(1.0, 4e5)]),
         )
 
     together = simulate(muscles(), t)
@@ -103,7 +103,7 @@ def test_block_by_block_it_is_the_same_course():
     setup = preset("paper0", "bench")
 
     def members():
-        return [PrintedMuscle(ON_OFF, 58.86), PlantMuscle(setup.muscle, setup.regulator, ON_OFF, 58.86)]
+        return [PrintedMuscle(ON_OFF, 58.86), PlantMuscle(setup.free(58.86), ON_OFF)]
 
     whole, parts = simulate(members(), t), members()
     blocks = [simulate(parts, block) for block in np.array_split(t, 60)]
