@@ -197,9 +197,8 @@ class _Curves:
             where = f"from 0 kPa to highest_pressure, {show(self._highest, 'pressure')}"
             self._fault((symbol,), f"{text}; it must be {word} {where}{hint}")
         elif not high <= most:
-            self._fault(
-                (symbol,), f"{symbol} is {show(high, quantity, 4)} at {show(at_high, 'pressure', 4)}: no muscle"
-            )
+            text = f"{symbol} is {show(high, quantity, 4)} at {show(at_high, 'pressure', 4)}"
+            self._fault((symbol,), f"{text}, more than any muscle has")
         elif symbol == "F_ce" and seen[0][1] > AT_REST:
             text = f"F_ce is {show(seen[0][1], 'force', 4)} without pressure, and the muscle would creep"
             way = 'give the "domain" from which on it holds: below it the force goes on a straight line to 0 N at 0 kPa'
