@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -47,17 +47,25 @@ def load_of(trial: TrialData) -> tuple[float, float]:
     return float(trial.point.get("load", 0.0)), float(trial.point.get("mass", 0.0)) or LEAST_MASS
 
 
-def from_measured_pressure(model: Described, trial: TrialData) -> Array:
-    """Contraction [m], shape (n,): the muscle of the model, driven by the measured pressure from rest."""
-    t, P = trial.t, trial.channels["pressure"]
-    ok = trial.usable & np.isfinite(P)
-    P = np.interp(t, t[ok], P[ok])
-    load, mass = load_of(trial)
-    grid = np.linspace(t[0], t[-1], len(t))
-    column = np.interp(grid, t, P)[:, None]
-    dt = float(grid[1] - grid[0])
-    found = replay.run(_Coefficients(model), column, dt, np.array([load]), np.array([mass]), np.zeros(1))
-    return np.asarray(np.interp(t, grid, found.x[:, 0]))
+def from_measured_pressure(model: Described, trials: Sequence[TrialData], period: float) -> list[Array]:
+    """Contractions [m], each as long as its trial: the muscle of the model, driven by the measured pressure from rest.
+
+    All trials are stepped side by side every `period` [s].
+    """
+    if not trials:
+        return []
+    grids = [np.arange(trial.t[0], trial.t[-1] + 0.5 * period, period) for trial in trials]
+    P = np.empty((max(map(len, grids)), len(trials)))
+    for column, (trial, grid) in enumerate(zip(trials, grids, strict=True)):
+        measured = trial.channels["pressure"]
+        ok = trial.usable & np.isfinite(measured)
+        P[: len(grid), column] = np.interp(grid, trial.t[ok], measured[ok])
+        P[len(grid) :, column] = P[len(grid) - 1, column]
+    loads, masses = np.array([load_of(trial) for trial in trials]).T
+    x = replay.run(_Coefficients(model), P, period, loads, masses, np.zeros(len(trials))).x
+    return [
+        np.interp(trial.t, grid, x[: len(grid), i]) for i, (trial, grid) in enumerate(zip(trials, grids, strict=True))
+    ]
 
 
 def from_commanded_pressure(model: Described, trial: TrialData) -> Array:

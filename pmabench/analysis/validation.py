@@ -8,6 +8,7 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from pmabench.analysis.calibration import Scales, sentences
@@ -58,11 +59,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     cells: dict[tuple[tuple[str, float], ...], list[_Step]] = {}
     for run in runs:
         model = model_of(run)
-        for trial in run.trials:
-            step = _step(run, trial, model)
-            if isinstance(step, str):
-                dropped.append(Dropped(trial.name, trial.point, step))
-                continue
+        reasons = [_unusable(run, trial, model) for trial in run.trials]
+        dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
+        usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
+        for step in _steps(run, usable, model) if model is not None else []:
+            trial = step.trial
             key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
             cells.setdefault(key, []).append(step)
     order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("pressure", 0.0)))
@@ -80,38 +81,64 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "trials": len(steps),
             "cells": len(order),
             "full_scale": full,
-            "window": list((runs[0].plan.get("settings") or {}).get("window") or ()) if runs else [],
+            "window": list(_window(runs[0])) if runs else [],
             "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
         },
     )
 
 
-def _step(run: RunData, trial: TrialData, model: Described | None) -> _Step | str:
-    """A trial beside its simulations, or why it is not used."""
+def _window(run: RunData) -> tuple[float, float]:
+    low, high = (run.plan.get("settings") or {}).get("window") or (8.0, 10.0)
+    return float(low), float(high)
+
+
+def _begin(trial: TrialData) -> float | None:
+    """When the pressure was commanded [s]."""
+    return next((c.t for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
+
+
+def _inside(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
+    """The usable samples of the window."""
+    low, high = _window(run)
+    t = trial.t - (_begin(trial) or 0.0)
+    return _usable(trial) & (t >= low) & (t <= high)
+
+
+def _usable(trial: TrialData) -> NDArray[np.bool_]:
+    both = np.isfinite(trial.channels["displacement"]) & np.isfinite(trial.channels["pressure"])
+    return np.asarray(trial.usable & both)
+
+
+def _unusable(run: RunData, trial: TrialData, model: Described | None) -> str:
+    """Why a trial is not used; empty where it is."""
     if trial.status != "finished":
         return f"the trial is {trial.status}"
     if model is None:
         return "the plan holds no model to compare with"
     if not {"pressure", "displacement"} <= set(trial.channels):
         return "pressure or displacement is not recorded"
-    begin = next((c.t for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
-    if begin is None:
+    if _begin(trial) is None:
         return "no step of pressure is recorded"
-    window = (run.plan.get("settings") or {}).get("window") or (8.0, 10.0)
-    ok = trial.usable & np.isfinite(trial.channels["displacement"]) & np.isfinite(trial.channels["pressure"])
-    t, x = trial.t - begin, trial.channels["displacement"]
-    inside = ok & (t >= window[0]) & (t <= window[1])
+    inside = _inside(run, trial)
     if inside.sum() < FEWEST:
-        return f"fewer than {FEWEST} usable samples from {window[0]:g} s to {window[1]:g} s after the step"
-    measured = float(x[inside].mean())
-    if measured <= 0:
-        return "it did not contract"
-    simulated = {
-        COMMANDED: from_commanded_pressure(model, trial),
-        MEASURED: from_measured_pressure(model, trial),
-    }
-    means = {method: float(values[inside].mean()) for method, values in simulated.items()}
-    return _Step(run, trial, t[ok], x[ok], {m: values[ok] for m, values in simulated.items()}, measured, means)
+        low, high = _window(run)
+        return f"fewer than {FEWEST} usable samples from {low:g} s to {high:g} s after the step"
+    return "" if trial.channels["displacement"][inside].mean() > 0 else "it did not contract"
+
+
+def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
+    """Usable trials beside their simulations."""
+    found = []
+    driven = from_measured_pressure(model, trials, 1.0 / run.rate)
+    for trial, by_measured in zip(trials, driven, strict=True):
+        ok, inside = _usable(trial), _inside(run, trial)
+        simulated = {COMMANDED: from_commanded_pressure(model, trial), MEASURED: by_measured}
+        means = {method: float(values[inside].mean()) for method, values in simulated.items()}
+        x = trial.channels["displacement"]
+        t = trial.t - (_begin(trial) or 0.0)
+        beside = {method: values[ok] for method, values in simulated.items()}
+        found.append(_Step(run, trial, t[ok], x[ok], beside, float(x[inside].mean()), means))
+    return found
 
 
 def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full: float) -> list[Estimate]:
@@ -153,7 +180,7 @@ def _rms(step: _Step, method: str) -> float:
 def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> list[Finding]:
     if not steps:
         return []
-    window = (runs[0].plan.get("settings") or {}).get("window") or (8.0, 10.0)
+    window = _window(runs[0])
     lines = []
     for method in METHODS:
         worst = max(steps, key=lambda step: abs(step.error(method) / step.measured))

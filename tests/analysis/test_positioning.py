@@ -1,0 +1,247 @@
+"""Held positions: measures against closed forms, limit cycles of an independent plant against the papers' numbers."""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import cache
+from math import exp, pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.position_response import Cycle, cycle_of, respond
+from pmabench.analysis.positioning import reduce
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.engine.laws.position_loop import PositionLoop
+from pmabench.model.described import Described
+from pmabench.model.overrides import Overrides
+from pmabench.model.presets import preset
+from pmabench.store.records import Array, TrialData
+from tests.analysis.loop_rig import TS, Plant51, as_run, as_trial
+
+T = np.arange(0, 40, TS)
+WINDOW = (10.0, 40.0)
+
+
+# -- one response ------------------------------------------------------------------------------------------------
+
+
+def second_order(zeta: float, omega: float, t: Array) -> Array:
+    """Step response of a second-order lag [1]."""
+    fast = omega * sqrt(1 - zeta**2)
+    return 1 - np.exp(-zeta * omega * t) * (np.cos(fast * t) + zeta / sqrt(1 - zeta**2) * np.sin(fast * t))
+
+
+@pytest.mark.parametrize("zeta", [0.2, 0.5, 0.7])
+def test_overshoot_and_settling_of_a_second_order_lag(zeta: float) -> None:
+    """Overshoot exp(-pi zeta / sqrt(1 - zeta^2)); settled no later than ln(1/(0.02 sqrt(1 - zeta^2))) / (zeta omega)."""
+    omega = 4.0
+    seen = respond(T, 0.03 * second_order(zeta, omega, T), 0.03, WINDOW, 0.02)
+    assert seen.overshoot == pytest.approx(exp(-pi * zeta / sqrt(1 - zeta**2)), rel=2e-3)
+    latest = -np.log(0.02 * sqrt(1 - zeta**2)) / (zeta * omega)
+    assert seen.settling is not None
+    assert latest - pi / omega / sqrt(1 - zeta**2) < seen.settling <= latest + TS
+    assert seen.cycle is None
+
+
+@pytest.mark.parametrize("origin", [0.0, 0.002])
+def test_rise_time_and_integral_of_a_first_order_lag(origin: float) -> None:
+    """10 to 90 % takes tau ln 9, the integral of the error is the step times tau, 2 % is reached after tau ln 50."""
+    tau, end = 0.4, 0.03
+    x = end - (end - origin) * np.exp(-T / tau)
+    seen = respond(T, x, end, WINDOW, 0.02, origin=origin)
+    assert seen.rise == pytest.approx(tau * np.log(9), abs=2 * TS)
+    assert seen.IAE == pytest.approx((end - origin) * tau, rel=1e-3)
+    assert seen.settling == pytest.approx(tau * np.log(50), abs=2 * TS)
+    assert seen.overshoot == pytest.approx(0.0, abs=1e-9)
+    assert seen.cycle is None
+
+
+def test_steady_state_error_is_the_mean_in_the_window_with_its_sign() -> None:
+    noise = np.random.default_rng(1).normal(0, 2e-6, len(T))
+    seen = respond(T, 0.0297 + noise, 0.03, WINDOW, 0.005)
+    assert seen.error == pytest.approx(0.3e-3, abs=0.1e-6)
+    assert seen.settling is None
+    assert seen.rise is not None
+
+
+def test_noise_makes_neither_overshoot_nor_cycle() -> None:
+    noise = np.random.default_rng(2).normal(0, 2e-6, len(T))
+    seen = respond(T, 0.03 * (1 - np.exp(-T / 0.3)) + noise, 0.03, WINDOW, 0.02)
+    assert seen.overshoot < 1e-4
+    assert seen.cycle is None
+    assert seen.wander < seen.smallest
+
+
+def stick_slip(size: float, period: float, t: Array) -> Array:
+    """Stands still for half a period, jumps within 50 ms."""
+    return size * (np.clip(np.abs(((t / period) % 1.0) - 0.5) * period / 0.05 - 0.25 * period / 0.05 + 0.5, 0, 1) - 0.5)
+
+
+def test_a_jumping_cycle_has_its_size_and_period_and_sticks() -> None:
+    noise = np.random.default_rng(3).normal(0, 2e-6, len(T))
+    found = cycle_of(T, 0.03 + stick_slip(0.4e-3, 8.1, T) + noise, 24e-6)
+    assert found is not None
+    assert found.size == pytest.approx(0.4e-3, rel=0.02)
+    assert found.period == pytest.approx(8.1, rel=2e-3)
+    assert found.count == 4
+    assert found.sticks
+
+
+@pytest.mark.parametrize("period", [0.35, 2.0, 8.0])
+def test_a_sine_is_a_cycle_that_does_not_stick(period: float) -> None:
+    noise = np.random.default_rng(4).normal(0, 2e-6, len(T))
+    found = cycle_of(T, 0.03 + 0.2e-3 * np.sin(2 * pi * T / period) + noise, 24e-6)
+    assert found is not None
+    assert found.size == pytest.approx(0.4e-3, rel=0.03)
+    assert found.period == pytest.approx(period, rel=5e-3)
+    assert not found.sticks
+
+
+def test_what_dies_out_creeps_or_is_too_slow_is_no_cycle() -> None:
+    dying = 1e-3 * np.exp(-T / 3) * np.sin(2 * pi * T)
+    for x in (dying, 1e-4 * T / 40, 1e-3 * np.exp(-T / 20), 2e-4 * np.sin(2 * pi * T / 25)):
+        assert cycle_of(T, 0.03 + x, 24e-6) is None
+
+
+def test_what_cannot_be_measured_is_said() -> None:
+    with pytest.raises(ValueError, match="samples"):
+        respond(T[:100], np.zeros(100), 0.03, WINDOW, 0.02)
+    with pytest.raises(ValueError, match="beyond the set-point"):
+        respond(T, np.full(len(T), 0.03), 0.01, WINDOW, 0.02, origin=0.03)
+
+
+# -- limit cycles (papers digest 5.4) ----------------------------------------------------------------------------
+
+
+@cache
+def held(K_p: float, T_i: float, setpoint: float, friction: bool = True, noise: bool = True) -> TrialData:
+    """A PI loop around the plant of tests/analysis/loop_rig, which has no mass, from rest."""
+    F_s, F_c = (10.0, 6.0) if friction else (0.0, 0.0)
+    plant = Plant51(same_B=False, F_s=F_s, F_c=F_c, noise=(2e-6, 500.0) if noise else (0.0, 0.0))
+    plant.queue = deque([0.0] * 20)
+    hold = 60.0
+    law = PositionLoop(setpoint=setpoint, duration=hold, K_p=K_p * 1e6, T_i=T_i, low=0.0, high=6e5)
+    rows, command = [], 0.0
+    for k in range(-100, 10**9):
+        t, values = 5.0 + k * TS, plant.read()
+        command = law.update(t, values) if k >= 0 else 0.0
+        rows.append((t, values["displacement"], values["pressure"], command))
+        if law.done:
+            break
+        plant.step(command)
+    t, x, P, u = np.array(rows).T
+    samples = {"t": t, "displacement": x, "pressure": P, "pressure_command": u}
+    return as_trial(samples, {"position": law.result()}, 0, setpoint=setpoint, load=0.0, mass=0.5)
+
+
+def reduced(*trials: TrialData, **settings: Any) -> Analysis:
+    return reduce([as_run("positioning", trials, {"window": [20.0, 60.0], "band": 0.02, **settings})])
+
+
+def value(analysis: Analysis, symbol: str, method: str = "closed-loop") -> Estimate:
+    return next(e for e in analysis.estimates if (e.symbol, e.method) == (symbol, method))
+
+
+def number(estimate: Estimate) -> float:
+    assert estimate.value is not None
+    return estimate.value
+
+
+def test_stick_slip_at_30_mm_cycles_in_8_seconds() -> None:
+    """K_p 7.1 kPa/mm, T_i 0.3 s: 8.1 s, 0.41 mm peak to peak."""
+    analysis = reduced(held(7.1, 0.3, 0.03))
+    assert value(analysis, "T_c").value == pytest.approx(8.1, rel=0.03)
+    assert value(analysis, "x_pp").value == pytest.approx(0.41e-3, rel=0.08)
+    (doubt,) = [f.text for f in analysis.findings if f.level == "doubt"]
+    assert doubt.startswith("stick-slip limit cycle at 30 mm: 0.3")
+    assert "period 8.1" in doubt
+
+
+@pytest.mark.parametrize(("setpoint", "size", "period"), [(0.010, 0.33e-3, 1.7), (0.030, 0.30e-3, 2.4)])
+def test_the_true_ziegler_nichols_gains_hunt_with_friction(setpoint: float, size: float, period: float) -> None:
+    """K_p 28.8 kPa/mm, T_i 0.29 s: 3.3 % at 10 mm in 1.7 s, 1.0 % at 30 mm in 2.4 s."""
+    analysis = reduced(held(28.8, 0.29, setpoint))
+    assert value(analysis, "x_pp").value == pytest.approx(size, rel=0.03)
+    assert value(analysis, "T_c").value == pytest.approx(period, rel=0.03)
+
+
+def test_without_friction_nothing_hunts_and_no_error_is_left() -> None:
+    analysis = reduced(held(28.8, 0.29, 0.03, friction=False))
+    assert not any(e.symbol in ("x_pp", "T_c") for e in analysis.estimates)
+    assert abs(number(value(analysis, "e_ss"))) < 1e-5
+    (told,) = [f.text for f in analysis.findings if "limit cycle" in f.text]
+    assert told.startswith("no limit cycle at 30 mm")
+
+
+# -- beside the simulation ---------------------------------------------------------------------------------------
+
+
+def model(kind: str = "bench", **change: float) -> dict[str, Any]:
+    setup = preset("paper0", kind, Overrides(**change))
+    return Described(setup.muscle, setup.regulator, "preset paper0", (0.0, 1e6)).to_dict()
+
+
+def test_the_simulated_loop_follows_the_independent_plant() -> None:
+    """Without friction both are the same equations; the independent plant steps by Euler at half a millisecond."""
+    analysis = reduced(held(28.8, 0.29, 0.03, friction=False), model=model(friction=0.0))
+    assert value(analysis, "e_sim", "closed-loop, simulated").value == pytest.approx(0.0, abs=60e-6)
+    for symbol, relative in (("OS", 0.03), ("t_r", 0.03), ("t_s", 0.03)):
+        simulated = value(analysis, symbol, "closed-loop, simulated").value
+        assert simulated == pytest.approx(value(analysis, symbol).value, rel=relative)
+
+
+def test_a_wrong_model_is_seen() -> None:
+    trial = held(28.8, 0.29, 0.03, friction=False)
+    right = value(reduced(trial, model=model(friction=0.0)), "e_sim", "closed-loop, simulated").value
+    late = value(reduced(trial, model=model(friction=0.0, dead_time=0.05)), "e_sim", "closed-loop, simulated").value
+    assert right is not None
+    assert late is not None
+    assert late > 3 * right
+
+
+def test_the_description_of_a_model_comes_back() -> None:
+    told = model()
+    assert Described.of(told).to_dict() == told
+
+
+# -- what is not used --------------------------------------------------------------------------------------------
+
+
+def test_a_loop_that_lost_its_signal_is_dropped_with_the_reason() -> None:
+    good = held(28.8, 0.29, 0.03)
+    lost = {**good.found["position"], "ended": "no signal", "found": False, "reason": "displacement gave no number"}
+    bad = TrialData(**{**good.__dict__, "found": {"position": lost}, "index": 1})
+    analysis = reduced(good, bad)
+    assert [d.reason for d in analysis.dropped] == ["displacement gave no number"]
+    assert value(analysis, "e_ss").n == 1
+
+
+def test_repeats_give_an_interval_and_one_run_says_why_it_has_none() -> None:
+    trial = held(28.8, 0.29, 0.03)
+    again = TrialData(**{**trial.__dict__, "index": 1, "channels": {
+        **trial.channels, "displacement": trial.channels["displacement"] - 10e-6}})  # fmt: skip
+    one, two = value(reduced(trial), "e_ss"), value(reduced(trial, again), "e_ss")
+    assert one.ci95 is None
+    assert "repeats" in one.note
+    assert two.value is not None
+    assert one.value is not None
+    assert two.value - one.value == pytest.approx(5e-6 / 0.03, rel=1e-3)
+    assert two.parts.repeats == pytest.approx(12.706 * 5e-6 / 0.03, rel=1e-3)  # t(0.975, 1) s / sqrt(2)
+
+
+def test_the_scale_of_the_displacement_counts() -> None:
+    """With a gain that may be 1 % off the true position is: e_ss by (1 + e) 1 %, the cycle by 1 % of itself."""
+    trial = held(28.8, 0.29, 0.03)
+    run = as_run("positioning", [trial], {"window": [20.0, 60.0]}, gain_uncertainty=0.01)
+    found = reduce([run])
+    assert value(found, "e_ss").parts.calibration == pytest.approx(0.01, rel=1e-3)
+    cycle = value(found, "x_pp")
+    assert cycle.value is not None
+    assert cycle.parts.calibration == pytest.approx(0.01 * cycle.value, rel=1e-3)
+
+
+def test_a_cycle_is_what_it_says() -> None:
+    assert Cycle(1e-3, 1.0, 3, 0.5).sticks
+    assert not Cycle(1e-3, 1.0, 3, 0.1).sticks

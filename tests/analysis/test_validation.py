@@ -1,0 +1,137 @@
+"""A model held against measured steps: errors against closed forms, inputs apart, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.validation import COMMANDED, MEASURED, reduce
+from pmabench.model.curve import Curve
+from pmabench.model.described import Described, tabulated_force
+from pmabench.model.plant import Plant
+from pmabench.model.presets import preset
+from pmabench.model.signal import constant
+from pmabench.store.records import Command, RunData, TrialData
+from tests.analysis.loop_rig import as_run
+
+IDEAL = preset("paper0", "ideal")
+T = np.arange(0, 10.2, 0.002)
+PRESSURES = (200e3, 300e3, 400e3, 500e3)
+
+
+def trial(pressure: float, index: int = 0, off: float = 0.0, short: float = 0.0) -> TrialData:
+    """A step to `pressure` at 0.2 s with pure force 0 N; the regulator ends `short` [Pa] below, x reads `off` more."""
+    plant = Plant(IDEAL.muscle, IDEAL.regulator, force=0.0, mass=0.5)
+    plant.command(constant(0.2, pressure - short))
+    seen = plant.advance(float(T[-1]), T)
+    return TrialData(
+        run="r1", index=index, point={"load": 0.0, "mass": 0.5, "pressure": pressure}, repeat=0, reference=False,
+        status="finished", t=5.0 + T, channels={"pressure": seen.P, "displacement": seen.x + off},
+        flags=np.zeros(len(T), dtype=np.uint16), commands=(Command(5.2, "pressure", "set", pressure, 0.0, "step"),),
+        found={},
+    )  # fmt: skip
+
+
+def model(stiffer: float = 0.0) -> dict[str, Any]:
+    """The ideal preset, with a stiffness that is a share larger."""
+    K = IDEAL.muscle.K
+    harder = Curve(tuple(tuple(c * (1 + stiffer) for c in piece) for piece in K.pieces), K.breaks)
+    return Described(replace(IDEAL.muscle, K=harder), IDEAL.regulator, "the preset", (0.0, 1e6)).to_dict()
+
+
+def run(*trials: TrialData, **told: Any) -> RunData:
+    return as_run("validation", trials, {"window": [8.0, 10.0], **told})
+
+
+def value(analysis: Analysis, symbol: str, pressure: float, method: str = MEASURED) -> Estimate:
+    return next(e for e in analysis.estimates if (e.symbol, e.method, e.at["pressure"]) == (symbol, method, pressure))
+
+
+def number(estimate: Estimate) -> float:
+    assert estimate.value is not None
+    return estimate.value
+
+
+@pytest.fixture(scope="module")
+def trials() -> tuple[TrialData, ...]:
+    return tuple(trial(P, i) for i, P in enumerate(PRESSURES))
+
+
+def test_the_true_model_is_right_to_a_tenth_of_a_permille(trials: tuple[TrialData, ...]) -> None:
+    """Paper 0 claims less than 0.10 %, over the measured contraction."""
+    analysis = reduce([run(*trials, model=model())])
+    for P in PRESSURES:
+        for method in (COMMANDED, MEASURED):
+            assert abs(number(value(analysis, "e_ss", P, method))) < 1e-4
+            assert number(value(analysis, "e_sim", P, method)) < 100e-6
+    assert {e.at["pressure"] for e in analysis.estimates} == set(PRESSURES)
+
+
+def test_a_stiffer_model_contracts_less_by_just_that(trials: tuple[TrialData, ...]) -> None:
+    """x = F_ce / K without load: 5 % more stiffness is -1 + 1/1.05 = -4.76 %, whatever the pressure."""
+    analysis = reduce([run(*trials, model=model(stiffer=0.05))])
+    largest = (1.08 * 500 - 49.0) / (5.6 + 0.5 + 9.7e-6 * 500**2) * 1e-3
+    for P in PRESSURES:
+        p = P / 1e3
+        x = (1.08 * p - 49.0) / (5.6 + 1e-3 * p + 9.7e-6 * p * p) * 1e-3
+        assert value(analysis, "e_ss", P).value == pytest.approx(1 / 1.05 - 1, abs=1e-4)
+        assert value(analysis, "e_fs", P).value == pytest.approx((1 / 1.05 - 1) * x / largest, abs=1e-4)
+
+
+def test_what_the_regulator_does_wrong_is_seen_with_the_commanded_pressure_alone() -> None:
+    """The pressure ends 3 kPa low: the model that is told so is right, the other has 3 kPa dx/dP too much."""
+    analysis = reduce([run(trial(300e3, short=3e3), model=model())])
+    assert abs(number(value(analysis, "e_ss", 300e3, MEASURED))) < 1e-4
+    x = [(1.08 * p - 49.0) / (5.6 + 1e-3 * p + 9.7e-6 * p * p) for p in (297.0, 300.0)]
+    assert value(analysis, "e_ss", 300e3, COMMANDED).value == pytest.approx(x[1] / x[0] - 1, abs=1e-4)
+
+
+def test_the_denominator_is_the_measured_contraction() -> None:
+    analysis = reduce([run(trial(300e3, off=1e-3), model=model())])
+    true = (1.08 * 300 - 49.0) / (5.6 + 0.3 + 9.7e-6 * 300**2) * 1e-3
+    assert value(analysis, "e_ss", 300e3).value == pytest.approx(-1e-3 / (true + 1e-3), rel=1e-3)
+    (told,) = [f.text for f in analysis.findings if f.text.startswith(MEASURED)]
+    assert "mean from 8 s to 10 s after the step, over the measured contraction" in told
+
+
+def test_what_cannot_be_compared_is_dropped_with_the_reason(trials: tuple[TrialData, ...]) -> None:
+    still = replace(trials[0], channels={**trials[0].channels, "displacement": np.zeros(len(T))})
+    short = replace(trials[1], flags=np.where(T > 8.0, 1, 0).astype(np.uint16))
+    blind = replace(trials[2], channels={"pressure": trials[2].channels["pressure"]})
+    ended = replace(trials[3], status="failed")
+    reasons = [d.reason for d in reduce([run(still, short, blind, ended, model=model())]).dropped]
+    assert reasons == [
+        "it did not contract", "fewer than 8 usable samples from 8 s to 10 s after the step",
+        "pressure or displacement is not recorded", "the trial is failed",
+    ]  # fmt: skip
+    assert {d.reason for d in reduce([run(*trials)]).dropped} == {"the plan holds no model to compare with"}
+
+
+def test_a_pressure_beyond_what_is_known_is_doubted(trials: tuple[TrialData, ...]) -> None:
+    told = {**model(), "domain": [250e3, 450e3]}
+    (doubt,) = [f.text for f in reduce([run(*trials, model=told)]).findings if f.level == "doubt"]
+    assert doubt.endswith("at 200 kPa, 500 kPa")
+
+
+@pytest.mark.parametrize(
+    ("points", "pressure", "force"),
+    [
+        ([(2e5, 167.0), (3e5, 275.0)], 2.5e5, 221.0),  # between
+        ([(2e5, 167.0), (3e5, 275.0)], 1e5, 59.0),  # the first line goes on
+        ([(2e5, 167.0), (3e5, 275.0)], 4e4, 0.0),  # a muscle does not push
+        ([(2e5, 167.0), (3e5, 275.0)], 4e5, 383.0),  # and the last
+        ([(2e5, 626.6), (3e5, 917.6)], 1e5, 313.3),  # no force without pressure
+        ([(2e5, 626.6), (3e5, 917.6)], 0.0, 0.0),
+        ([(2e5, 100.0)], 1e5, 50.0),
+        ([(1e5, 10.0), (2e5, 110.0), (3e5, 310.0)], 2.5e5, 210.0),
+    ],
+)
+def test_a_table_of_forces_is_continued_in_a_sensible_way(
+    points: list[tuple[float, float]], pressure: float, force: float
+) -> None:
+    curve = tabulated_force([P for P, _ in points], [F for _, F in points])
+    assert curve(pressure) == pytest.approx(force, abs=1e-9)
