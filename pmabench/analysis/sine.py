@@ -17,6 +17,7 @@ from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.sine_fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.analysis.sine_loop import NotUsable, measure
+from pmabench.analysis.sine_pressure import pressure_and_force
 from pmabench.analysis.sine_traces import traces_of
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -62,6 +63,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
+    pressed = pressure_and_force(members, _muscles(fits), scales)
+    estimates += pressed.estimates
+    findings += pressed.findings
+    traces += pressed.traces
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
     scaled = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
     if estimates and (lack := scales.lack(scaled)):
@@ -80,6 +85,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
+
+
+def _muscles(fits: Mapping[Key, Fitted]) -> dict[str, Muscle | None]:
+    """What the harmonics gave, by name of the trial."""
+    return {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
 
 
 def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:

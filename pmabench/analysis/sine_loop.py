@@ -238,6 +238,17 @@ def _ahead(t: Array, y: Array, frequency: float, lag: float) -> Array:
     return y + lag * _harmonics(t, y, frequency)[1] if lag else y
 
 
+def moving(sine: Sine) -> tuple[Array, Array]:
+    """Displacement [m] and its rate [m/s] of a trial without noise, their first five harmonics; shapes (n,)."""
+    return _harmonics(sine.t, sine.x, sine.frequency)
+
+
+def lagless(run: RunData, trial: TrialData, name: str, frequency: float, rows: NDArray[np.intp]) -> Array:
+    """A channel at some of a trial's samples, the lag of its sensor taken off; shape of `rows`."""
+    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
+    return _ahead(trial.t[rows], trial.channels[name][rows], frequency, lag)
+
+
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
     """Displacement [m] without noise and force [N] of F = const - K x - B x' - F_c sign x' at the trial's times.
 

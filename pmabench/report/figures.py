@@ -247,6 +247,7 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("validation",), validations),
     (("isobaric", "mean-curve"), ramp_figures.loops),
     (("rubber",), ramp_figures.rubber),
+    (("sine-pressure",), ramp_figures.sine_pressure),
     (("isometric",), _isometric),
     (("section",), sections),
 )

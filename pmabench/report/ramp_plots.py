@@ -9,7 +9,20 @@ from collections.abc import Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
-from pmabench.report.plots import FAINT, FULL, HALF, INK, PALETTE, RED, Panel, blank, few_ticks, grid
+from pmabench.report.plots import (
+    CROSSES,
+    FAINT,
+    FULL,
+    HALF,
+    INK,
+    PALETTE,
+    RED,
+    Panel,
+    blank,
+    few_ticks,
+    grid,
+    published,
+)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -26,6 +39,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
     cells = grid(figure, rows, columns, top=0.5, left=0.6, across=0.22, down=0.52)
     first: Axes | None = None
     named: dict[str, Artist] = {}
+    told: dict[str, int] = {}
     for i, (title, lines, mean) in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
         first = first or axes
@@ -37,6 +51,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
             named.setdefault(name, drawn)
         if mean is not None:
             axes.plot(mean.columns["x"], mean.columns["y"], color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
+            published(axes, mean, told)
         axes.set_title(title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:
@@ -90,8 +105,43 @@ def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
     stride = max(1, len(x) // 25)
     axes.plot(x, panel.columns["model"], color=RED, linewidth=1.1, label="fitted", zorder=1)
     axes.plot(x[::stride], panel.columns["y"][::stride], "o", color=INK, markerfacecolor="white", label="measured")
+    for i, (name, at, y) in enumerate(panel.beside):
+        axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])
     axes.legend(loc="best")
     few_ticks(axes)
+    return figure
+
+
+def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
+    """Loops over x: y, and the models `set` and `model`; below each the loop of `error`."""
+    alone = len(panels) == 1
+    figure = blank(HALF if alone else FULL, 3.6)
+    cells = grid(figure, 1, len(panels), top=0.5, left=0.62, across=0.22)
+    first: tuple[Axes, Axes] | None = None
+    for i, panel in enumerate(panels):
+        inner = cells[i].subgridspec(2, 1, height_ratios=(1.7, 1), hspace=0.12)
+        upper = figure.add_subplot(inner[0], sharex=first and first[0], sharey=first and first[0])
+        lower = figure.add_subplot(inner[1], sharex=upper, sharey=first and first[1])
+        first = first or (upper, lower)
+        x = panel.columns["x"]
+        upper.plot(x, panel.columns["y"], color=FAINT, linewidth=2.4, label="measured")
+        upper.plot(x, panel.columns["set"], color=PALETTE[0], linewidth=0.9, label="set pressure")
+        upper.plot(x, panel.columns["model"], color=RED, linewidth=0.9, label="measured pressure")
+        lower.plot(x, panel.columns["error"], color=INK, linewidth=0.9)
+        lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
+        upper.set_title(panel.title)
+        upper.tick_params(labelbottom=False, labelleft=i == 0)
+        lower.tick_params(labelleft=i == 0)
+        lower.set_xlabel(labels["x"])
+        few_ticks(upper, x=4)
+        few_ticks(lower, x=4, y=4)
+        if i == 0:
+            upper.set_ylabel(labels["y"])
+            lower.set_ylabel(labels["error"])
+            figure.align_ylabels([upper, lower])
+    width, height = figure.get_size_inches()
+    handles = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=3)
     return figure

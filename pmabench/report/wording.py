@@ -23,6 +23,8 @@ SYMBOLS: dict[str, str] = {
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
     "W_c": "work given while contracting",
+    "P_err": "largest error of the pressure along the sine",
+    "F_rms": "rms error of the modelled force",
     "F_e": "force of the rubber without pressure",
     "A": "size of the rubber term",
     "B1": "contraction at which the rubber term is 0 again",
@@ -109,6 +111,12 @@ METHODS: dict[str, str] = {
     "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
     "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
+    "pressure error": "Largest difference of measured and set pressure while moving in a direction, the mean over "
+    "cycles.",
+    "modelled with set pressure": "The force that a static model gives, F = f(x) + s(x) P through the branches of the "
+    "slowest sines at all pressures, with damping and friction of the harmonics and the set pressure as input: what an "
+    "ideal source of pressure would make of it (paper 3).",
+    "modelled with measured pressure": "As modelled with set pressure, with the pressure that was measured.",
     "mean-curve": "Mean of the contracting and the expanding branch at constant pressure (paper 3), taken to speed 0 "
     "by a line over the speed. How the branches turn into each other is fitted to the gap between them, exponentially "
     "over the way, and taken off. K is minus the slope of a line through it, F_ce its force at x = 0.",

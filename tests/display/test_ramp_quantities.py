@@ -49,4 +49,6 @@ def test_what_is_wrong_with_a_ramp_is_said():
     assert told(ramp(status="failed"))[1] == ["the trial is failed"]
     upside_down = ramp()
     channels = {**upside_down.channels, "force": 500.0 - upside_down.channels["force"]}
-    assert any("upper one" in doubt for doubt in told(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1])
+    assert any(
+        "upper one" in doubt for doubt in told(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1]
+    )
