@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+import shlex
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
@@ -383,3 +384,32 @@ def test_what_is_no_result_is_refused(tmp_path):
 def test_a_place_that_takes_no_files_is_exit_7(tmp_path):
     (tmp_path / "taken").write_text("")
     call("simulate", "paper1", "--out", tmp_path / "taken" / "x", "-q", code=7)
+
+
+# -- the page of the docs --------------------------------------------------------------------------------------------
+
+
+def test_the_commands_of_the_papers_rows_work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = re.findall(r"`pmabench cascade ([^`]*)`", (ROOT / "docs" / "papers.md").read_text())
+    assert len(rows) >= 4
+    for command in rows:
+        if "--pace" not in command:
+            call(*shlex.split(command))
+    assert (tmp_path / "again" / "cascade.html").is_file()
+
+
+def test_the_commands_and_the_file_of_the_page_work(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "cascade.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    commands = re.findall(r"^pmabench cascade (.*)$", page, re.MULTILINE)
+    assert len(commands) == 4
+    for command in commands:
+        call(*shlex.split(command.partition(">")[0], comments=True))
+    assert re.findall(r">([\d.]+) s</text>", (tmp_path / "again" / "snapshots.svg").read_text()) == ["2.00"]
+    written = {path.name for path in (tmp_path / "chain").iterdir()}
+    told = set(re.findall(r"`([\w-]+\.(?:json|csv|html|svg))`", page.split("## What --out writes")[1]))
+    assert written == told
+    (tmp_path / "own.yaml").write_text(re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1])
+    data = json.loads(call("simulate", "own.yaml", "--json").stdout)
+    assert [m["name"] for m in data["muscles"]] == ["near", "far"]
