@@ -180,6 +180,18 @@ class Finding:
     text: str
 
 
+PUBLISHED = "published"
+"""Kind of an analysis that holds other people's values and is none itself."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Points of somebody else on the axes of a trace: `columns` as in the trace, equally long, SI."""
+
+    label: str
+    columns: Mapping[str, NDArray[np.float64]]
+
+
 @dataclass(frozen=True)
 class Trace:
     """Columns of numbers behind one figure: name, caption, and each column's quantity.
@@ -194,6 +206,8 @@ class Trace:
     columns: Mapping[str, NDArray[np.float64]]
     quantities: Mapping[str, str]
     marks: Mapping[str, float] = field(default_factory=dict)
+    beside: tuple[Beside, ...] = ()
+    """Published points, for the figure alone; they are not stored."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 
 import numpy as np
@@ -190,17 +190,19 @@ def numbers(
     columns: Sequence[tuple[Column, str, str | None]],
     check: Callable[[int, float], str] | None = None,
     within: Callable[[int, float], bool] | None = None,
+    *,
+    blank: bool = False,
 ) -> tuple[list[Array], list[int]]:
     """The columns (column, quantity, unit) [SI] without rows that have an empty cell in one, and those rows' places.
 
     `check` may say of the value [SI] of a column, by its place, what is wrong with it; `within` whether its row counts.
-    Raises InvalidFile with every cell that is no number.
+    With `blank` an empty cell is NaN and its row stays. Raises InvalidFile with every cell that is no number.
     """
     problems: list[Problem] = []
     wide: set[int] = set()
     found: list[Array] = []
     rows = len(table.columns[0].cells)
-    kept = [row for row in range(rows) if all(column.cells[row].text for column, _, _ in columns)]
+    kept = [row for row in range(rows) if blank or all(column.cells[row].text for column, _, _ in columns)]
     for place, (column, quantity, unit) in enumerate(columns):
         try:
             scale = unit_scale(unit, quantity)
@@ -210,6 +212,9 @@ def numbers(
         values = np.empty(len(kept))
         for at, row in enumerate(kept):
             cell = column.cells[row]
+            if not cell.text:
+                values[at] = nan
+                continue
             number = float(cell.text) * scale if _NUMBER.fullmatch(cell.text) else float("nan")
             wrong = "" if isfinite(number) else _no_number(cell.text)
             if not wrong and within is not None and not within(place, number):

@@ -8,7 +8,7 @@ from math import nan
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
 from pmabench.report import plots
 from pmabench.report.pictures import Picture, picture
 from pmabench.report.plots import Array, Points
@@ -93,8 +93,10 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
     several = len({(symbol, coordinate) for symbol, coordinate, _ in series}) > 1
     variants = list(dict.fromkeys(key[:2] for key in series))
     methods = list(dict.fromkeys(key[2] for key in series))
-    first = {a.estimates[0].method for a, _ in members}
-    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))[:MOST_SERIES]
+    first = {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
+    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
+    theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
+    keys = [key for key in keys if key not in theirs][:MOST_SERIES] + theirs
     points: list[Points] = []
     for key in keys:
         symbol, coordinate, method = key
@@ -110,10 +112,15 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
                 y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
                 below=reach_of[:, 0],
                 above=reach_of[:, 1],
-                primary=method in first or len(methods) == 1,
+                primary=key not in theirs and (method in first or len(methods) == 1),
                 group=variants.index(key[:2]) if several else methods.index(method),
-                mark=methods.index(method) if several and len(methods) > 1 else len(points),
+                mark=theirs.index(key)
+                if key in theirs
+                else methods.index(method)
+                if several and len(methods) > 1
+                else len(points),
                 curve=_curve(at, over, unit.scale, x_unit.scale),
+                published=key in theirs,
             )
         )
     names = _and([f"{SYMBOLS.get(s, '')} {s}".strip() for s in dict.fromkeys(e.symbol for e in known)])
@@ -128,8 +135,10 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
     )
     bars = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
     caption = f"{bars}; filled: primary method of each test, open: others."
-    if all(p.primary for p in points):
+    if all(p.primary or p.published for p in points):
         caption = f"{bars}."
+    if theirs:
+        caption += f" Crosses: {_and(list(dict.fromkeys(clean(key[2], 60) for key in theirs)))}, not measured here."
     missing = [e for _, e in members if e.value is None]
     if missing:
         places = _and([f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]])

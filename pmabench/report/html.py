@@ -20,7 +20,7 @@ from pmabench import __version__
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.errors import RecordError
-from pmabench.report import provenance, tables, wording
+from pmabench.report import overlays, provenance, tables, wording
 from pmabench.report.figures import front_pictures, kind_pictures
 from pmabench.report.pictures import Picture
 from pmabench.report.rounding import rounded
@@ -116,13 +116,19 @@ class Section:
 
 
 def write_report(
-    analyses: Sequence[Analysis], runs: Sequence[RunData], path: Path, *, title: str | None = None
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    path: Path,
+    *,
+    title: str | None = None,
+    published: Sequence[overlays.Published] = (),
 ) -> Path:
     """Write the report of `analyses`, with what `runs` tell of bench, specimen and protocol, to `path`.
 
-    Raises RecordError where it cannot be written.
+    `published` tables are drawn beside. Raises RecordError where it cannot be written, InvalidFile for a table that
+    matches no figure.
     """
-    text = render(analyses, runs, title=title)
+    text = render(analyses, runs, title=title, published=published)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", newline="")
@@ -131,7 +137,13 @@ def write_report(
     return path
 
 
-def render(analyses: Sequence[Analysis], runs: Sequence[RunData], *, title: str | None = None) -> str:
+def render(
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    *,
+    title: str | None = None,
+    published: Sequence[overlays.Published] = (),
+) -> str:
     """The report as text."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -144,7 +156,7 @@ def render(analyses: Sequence[Analysis], runs: Sequence[RunData], *, title: str 
     )
     environment.filters["sym"] = symbols_marked
     environment.filters["css"] = css_text
-    return environment.get_template("report.html.j2").render(_context(analyses, runs, title)) + "\n"
+    return environment.get_template("report.html.j2").render(_context(analyses, runs, title, published)) + "\n"
 
 
 def symbols_marked(text: object) -> Any:
@@ -164,7 +176,12 @@ def css_text(text: object) -> Any:
     return Markup("".join(inert))  # noqa: S704
 
 
-def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str | None) -> dict[str, Any]:
+def _context(
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    title: str | None,
+    published: Sequence[overlays.Published],
+) -> dict[str, Any]:
     order = wording.in_order((a.kind for a in analyses), wording.KINDS)
     analyses = sorted(analyses, key=lambda a: order.index(a.kind))
     runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
@@ -172,7 +189,9 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     names = {run: f"R{n}" for n, run in enumerate(ids, 1)}
     simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
     figures = _Figures()
-    front, used = front_pictures(analyses)
+    identity = _identity(analyses, runs, published)
+    analyses, theirs, compared = overlays.beside(analyses, published, overlays.length_of(runs))
+    front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = [_section(a, figures, used) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     judged = [run for run in runs if provenance.accepts(run)]
@@ -191,7 +210,7 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
     return {
         "title": name,
         "version": __version__,
-        "report_id": _identity(analyses, runs),
+        "report_id": identity,
         "simulated": any(simulated),
         "mixed": any(simulated) and not all(simulated),
         "specimens": specimens,
@@ -216,6 +235,8 @@ def _context(analyses: Sequence[Analysis], runs: Sequence[RunData], title: str |
         "curves": grid(tables.curves_table(analyses), group=True),
         "polynomials": grid(tables.polynomials_table(analyses), group=True),
         "sections": sections,
+        "published": grid(overlays.comparison_table(compared)),
+        "publishers": [(wording.clean(p.label, 80), wording.clean(p.source, 600)) for p in published],
         "tuning": _tuning(analyses),
         "dropped": _dropped(analyses, names),
         "methods": _methods(methods),
@@ -237,8 +258,12 @@ class _Figures:
         return Numbered(self.count, picture, grid(picture.table))
 
 
-def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
+def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: Sequence[overlays.Published]) -> str:
     data = plain({"analyses": [a.to_dict() for a in analyses], "runs": [run.id for run in runs]})
+    if published:
+        data["published"] = [
+            [p.label, {name: values.tolist() for name, values in p.columns.items()}] for p in published
+        ]
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
 
 

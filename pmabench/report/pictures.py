@@ -119,7 +119,14 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
     """A panel with columns renamed: `names` from the drawing's name to the trace's; thinned evenly."""
     columns = {new: column(trace, old) for new, old in names.items()}
     stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
-    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks))
+    first, *others = names.values()
+    beside = tuple(
+        (clean(b.label, 60), b.columns[first] / unit_of(trace, first).scale, b.columns[y] / unit_of(trace, y).scale)
+        for b in trace.beside
+        for y in others
+        if first in b.columns and y in b.columns
+    )
+    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), beside)
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> pd.DataFrame:

@@ -25,6 +25,8 @@ INK, QUIET, FAINT = "#1b1f24", "#5b6570", "#9aa5b1"
 BLUE, RED, GREEN, PURPLE, SKY, ORANGE = "#0b5fa5", "#c8500a", "#0a8a64", "#b0578d", "#4aa3df", "#d99000"
 PALETTE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P")
+CROSSES = ("x", "+", "1", "2", "3", "4")
+"""Marks of published values."""
 WARN = "#a14a00"
 
 
@@ -44,6 +46,8 @@ class Points:
     """Marker."""
     curve: tuple[Array, Array, Array] | None = None
     """x, y and half width of the band (NaN: none)."""
+    published: bool = False
+    """Whether these are another's values."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class Panel:
     title: str
     columns: dict[str, Array]
     marks: dict[str, float]
+    beside: tuple[tuple[str, Array, Array], ...] = ()
+    """Published points: label, x, y."""
 
 
 def blank(width: float, height: float) -> Figure:
@@ -105,7 +111,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
     reach = np.concatenate([p.x for p in points]) if points else np.zeros(1)
     step = 0.012 * float(np.ptp(reach))
     order = sorted(range(len(points)), key=lambda i: points[i].primary)
-    beside = [i for i in range(len(points)) if not points[i].primary]
+    beside = [i for i in range(len(points)) if not points[i].primary and not points[i].published]
     for i in order:
         p = points[i]
         color = PALETTE[p.group % len(PALETTE)]
@@ -114,6 +120,9 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
             if p.primary:
                 axes.fill_between(x, y - half, y + half, color=color, alpha=0.16, linewidth=0)
             axes.plot(x, y, color=color, linewidth=1.1 if p.primary else 0.8, linestyle="-" if p.primary else "--")
+        if p.published:
+            axes.plot(p.x, p.y, CROSSES[p.mark % len(CROSSES)], color=INK, markersize=4.5, label=p.label, zorder=3)
+            continue
         shift = 0.0 if p.primary else step * (1 + beside.index(i) // 2) * (-1) ** beside.index(i)
         drawn: list[tuple[Any, Array]] = [(axes, p.y)] + ([] if strip is None else [(strip, apart[i])])
         for place, y in drawn:
@@ -157,6 +166,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
 
 def _apart(points: Sequence[Points]) -> list[Array]:
     """What each series is above the first one's curve, where series lie too close to be told apart; else nothing."""
+    points = [p for p in points if not p.published]
     if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
         return []
     x, y, _ = points[0].curve
@@ -185,6 +195,18 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
         axes.set_ylim(min(known) - room, max(known) + room)
 
 
+def published(axes: Axes, panel: Panel, told: dict[str, int]) -> None:
+    """Published points of a panel as crosses, named in the first panel that has them; `told` counts the labels."""
+    new = []
+    for name, x, y in panel.beside:
+        first = name not in told
+        mark = CROSSES[told.setdefault(name, len(told)) % len(CROSSES)]
+        (drawn,) = axes.plot(x, y, mark, color=INK, markersize=4.5, markeredgewidth=1.0, label=name, zorder=4)
+        new += [drawn] if first else []
+    if new:
+        axes.legend(handles=new, loc="best", handletextpad=0.2)
+
+
 def few_ticks(axes: Axes, x: int = 6, y: int = 6) -> None:
     """At most so many intervals between ticks, at round numbers."""
     from matplotlib.ticker import MaxNLocator
@@ -200,6 +222,7 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     rows = ceil(len(panels) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.55 + 1.85 * rows)
     cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.5)
+    told: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
@@ -208,6 +231,7 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         axes.plot(_closed(x), _closed(y), color=FAINT, linewidth=2.4, label="measured")
         if "model" in panel.columns:
             axes.plot(_closed(x), _closed(panel.columns["model"]), color=RED, linewidth=1.0, label="model")
+        published(axes, panel, told)
         axes.set_title(panel.title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:
@@ -215,8 +239,8 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         axes.set_xlabel(labels["x"])
         few_ticks(axes, x=4)
     width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles[:2], names[:2], loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2)
     return figure
 
 
@@ -264,6 +288,7 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     rows = ceil(len(panels) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.4 + 2.05 * rows)
     cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.55)
+    told: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
@@ -278,6 +303,7 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             if len(known):
                 ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
                 axes.plot(x[ends], panel.columns["fit"][ends], color=INK, linewidth=1.3)
+        published(axes, panel, told)
         axes.set_title(panel.title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:

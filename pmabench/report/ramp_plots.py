@@ -51,7 +51,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
             named.setdefault(name, drawn)
         if mean is not None:
             axes.plot(mean.columns["x"], mean.columns["y"], color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-            published(axes, mean, told)
+        published(axes, mean or lines[0][1], told)
         axes.set_title(title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:
