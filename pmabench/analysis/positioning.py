@@ -45,7 +45,7 @@ CYCLE = ("x_pp", "T_c")
 
 
 @dataclass(frozen=True, eq=False)
-class _Hold:
+class Hold:
     """One usable trial."""
 
     run: RunData
@@ -72,11 +72,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the rms difference of the two contractions [m].
     """
     dropped: list[Dropped] = []
-    cells: dict[tuple[tuple[str, float], ...], list[_Hold]] = {}
+    cells: dict[tuple[tuple[str, float], ...], list[Hold]] = {}
     for run in runs:
         model = model_of(run)
         for trial in run.trials:
-            hold = _hold(run, trial, model)
+            hold = hold_of(run, trial, model)
             if isinstance(hold, str):
                 dropped.append(Dropped(trial.name, trial.point, hold))
                 continue
@@ -102,8 +102,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _hold(run: RunData, trial: TrialData, model: Described | None) -> _Hold | str:
-    """A trial measured, or why it is not used."""
+def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | str:
+    """A trial measured, and simulated where there is a model, or why it is not used."""
     law = trial.found.get("position")
     if trial.status != "finished":
         return f"the trial is {trial.status}"
@@ -139,7 +139,7 @@ def _hold(run: RunData, trial: TrialData, model: Described | None) -> _Hold | st
     if model is not None:
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
         simulated_response = measured(simulated)
-    return _Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
+    return Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
 
 
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
@@ -168,7 +168,7 @@ def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: f
     return sqrt(total)
 
 
-def _estimates(at: dict[str, float], members: Sequence[_Hold]) -> list[Estimate]:
+def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     setpoint = at["setpoint"]
     names = tuple(hold.trial.name for hold in members)
     found = []
@@ -210,13 +210,13 @@ def _why_not(symbol: str) -> str:
     return "it does not stay in the band" if symbol == "t_s" else "it does not come to 90 % of the set-point"
 
 
-def _controller(hold: _Hold) -> dict[str, Any]:
+def _controller(hold: Hold) -> dict[str, Any]:
     """The settings of a set-point's loop, as plain data."""
     names = ("setpoint", "K_p", "T_i", "T_d", "N", "low", "high", "anti_windup", "tracking", "saturated")
     return {name: hold.law.get(name) for name in names}
 
 
-def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[_Hold]]) -> list[Finding]:
+def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[Finding]:
     if not cells:
         return []
     lines: list[Finding] = []
@@ -250,11 +250,11 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[_Hold]]) -> list
     return lines
 
 
-def _relative_error(hold: _Hold) -> float:
+def _relative_error(hold: Hold) -> float:
     return 100 * abs(hold.response.error) / float(hold.law["setpoint"])
 
 
-def _cycles(holds: Sequence[_Hold]) -> list[Finding]:
+def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     """Where it hunts, where it does not, and where the window is too short to tell."""
     lines = []
     hunting = [hold for hold in holds if hold.response.cycle is not None]
@@ -284,7 +284,7 @@ def _cycles(holds: Sequence[_Hold]) -> list[Finding]:
     return lines
 
 
-def _places(holds: Sequence[_Hold]) -> str:
+def _places(holds: Sequence[Hold]) -> str:
     """Set-points in words, each once."""
     points = sorted({float(hold.law["setpoint"]) for hold in holds})
     if len(points) <= 4:
@@ -308,7 +308,7 @@ def _range(ends: Sequence[str], unit: str) -> str:
     return f"{ends[0]} {unit}" if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]} {unit}"
 
 
-def _trace(hold: _Hold) -> Trace:
+def _trace(hold: Hold) -> Trace:
     """Set-point, measured and simulated contraction, and the command, of one hold."""
     setpoint = float(hold.law["setpoint"])
     begin = float(hold.law["t0"])

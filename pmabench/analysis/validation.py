@@ -25,6 +25,7 @@ MEASURED = "measured pressure"
 """The simulation gets the pressure that was there: what the regulator does wrong is none of the model's."""
 METHODS = (COMMANDED, MEASURED)
 ALONE = "one run: no repeats part"
+NO_MODEL = "the plan holds no model to compare with"
 FEWEST = 8
 """Fewest samples of the window."""
 LONGEST_TRACE = 1500
@@ -59,7 +60,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     cells: dict[tuple[tuple[str, float], ...], list[_Step]] = {}
     for run in runs:
         model = model_of(run)
-        reasons = [_unusable(run, trial, model) for trial in run.trials]
+        reasons = [unusable(run, trial) or ("" if model else NO_MODEL) for trial in run.trials]
         dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
         usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
         for step in _steps(run, usable, model) if model is not None else []:
@@ -97,7 +98,7 @@ def _begin(trial: TrialData) -> float | None:
     return next((c.t for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
 
 
-def _inside(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
+def inside_window(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
     """The usable samples of the window."""
     low, high = _window(run)
     t = trial.t - (_begin(trial) or 0.0)
@@ -109,17 +110,15 @@ def _usable(trial: TrialData) -> NDArray[np.bool_]:
     return np.asarray(trial.usable & both)
 
 
-def _unusable(run: RunData, trial: TrialData, model: Described | None) -> str:
-    """Why a trial is not used; empty where it is."""
+def unusable(run: RunData, trial: TrialData) -> str:
+    """Why a trial cannot be compared with any model; empty where it can."""
     if trial.status != "finished":
         return f"the trial is {trial.status}"
-    if model is None:
-        return "the plan holds no model to compare with"
     if not {"pressure", "displacement"} <= set(trial.channels):
         return "pressure or displacement is not recorded"
     if _begin(trial) is None:
         return "no step of pressure is recorded"
-    inside = _inside(run, trial)
+    inside = inside_window(run, trial)
     if inside.sum() < FEWEST:
         low, high = _window(run)
         return f"fewer than {FEWEST} usable samples from {low:g} s to {high:g} s after the step"
@@ -131,7 +130,7 @@ def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[
     found = []
     driven = from_measured_pressure(model, trials, 1.0 / run.rate)
     for trial, by_measured in zip(trials, driven, strict=True):
-        ok, inside = _usable(trial), _inside(run, trial)
+        ok, inside = _usable(trial), inside_window(run, trial)
         simulated = {COMMANDED: from_commanded_pressure(model, trial), MEASURED: by_measured}
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]

@@ -55,6 +55,8 @@ _NEEDS = {
     "contraction-relaxation": ("segments", "steps"),
     "sinusoidal-displacement": ("sine_loop",),
     "ultimate-gain": ("gain_levels",),
+    "positioning": ("positioning",),
+    "validation": ("validation",),
     "isobaric-ramp": ("ramp_loop",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
@@ -262,10 +264,46 @@ def _isobaric(run: RunData, trial: TrialData, expected: Expected | None, quick: 
     ], doubts
 
 
+def _position(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Steady-state error and overshoot of a held position, and its limit cycle where it hunts."""
+    from pmabench.analysis.positioning import hold_of
+
+    hold = hold_of(run, trial)
+    if isinstance(hold, str):
+        return [Measured("e_ss", "ratio", None), Measured("OS", "ratio", None)], [hold]
+    response = hold.response
+    aim = float(hold.law["setpoint"])
+    found = [Measured("e_ss", "ratio", response.error / aim), Measured("OS", "ratio", response.overshoot)]
+    doubts = [] if response.settling is not None else ["it does not settle in the band"]
+    cycle = response.cycle
+    if cycle is not None:
+        found += [Measured("x_pp", "length", cycle.size), Measured("T_c", "time", cycle.period)]
+        what = "stick-slip limit cycle" if cycle.sticks else "it oscillates"
+        doubts.append(f"{what}: {show(cycle.size, 'length', 3)} peak to peak, {cycle.period:.3g} s")
+    return found, doubts
+
+
+def _validation(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The contraction in the window beside the one that the specimen's file expects."""
+    from pmabench.analysis.validation import inside_window, unusable
+
+    reason = unusable(run, trial)
+    if reason:
+        return [Measured("x", "length", None)], [reason]
+    x = float(trial.channels["displacement"][inside_window(run, trial)].mean())
+    P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
+    K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
+    slip = expected.F_c if expected else 0.0
+    predicted = (F_e - slip - load) / K_e if F_e is not None and K_e else None
+    return [Measured("x", "length", x, predicted, tolerance=slip / K_e if K_e else 0.0, noise=20e-6)], []
+
+
 _RULES: dict[str, Callable[..., Found]] = {
     "contraction-relaxation": _contraction,
     "static-load": _static,
     "sinusoidal-displacement": _sine,
     "ultimate-gain": _gain,
+    "positioning": _position,
+    "validation": _validation,
     "isobaric-ramp": _isobaric,
 }
