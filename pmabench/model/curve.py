@@ -5,11 +5,14 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+MANY = 6
+"""With more pieces each value looks up its own piece; with fewer all pieces are made for all values [1]."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,23 @@ class Curve:
 
     def values(self, P: Array) -> Array:
         """Values at pressures P [Pa], any shape."""
+        if len(self.pieces) > MANY:
+            first, *rest = self._columns[:, np.searchsorted(self.breaks, P, side="right")]
+            value: Array = first
+            for column in rest:
+                value = value * P + column
+            return value
         value = _polynomial(self.pieces[0], P)
         for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
             value = np.where(edge <= P, _polynomial(piece, P), value)
         return value
+
+    @cached_property
+    def _columns(self) -> Array:
+        """Coefficients of all pieces, highest power first; shape (powers, pieces)."""
+        powers = max(map(len, self.pieces))
+        padded = [(0.0,) * (powers - len(piece)) + tuple(piece) for piece in self.pieces]
+        return np.array(padded, dtype=np.float64).T
 
     def times(self, factor: float) -> Curve:
         """The curve with all its values times `factor`."""

@@ -15,7 +15,7 @@ from pmabench.model.curve import Array
 from pmabench.model.library import MODELS, daerden
 from pmabench.model.library.braid import BRAID_ANGLE
 from pmabench.model.library.chamber import R
-from pmabench.model.muscle import Friction
+from pmabench.model.muscle import Friction, Muscle
 
 
 def assumed_air() -> Air:
@@ -59,6 +59,10 @@ class DaerdenMuscle:
     def damping(self, P: Array, v: Array) -> Array:
         """None: the loop's width comes from the way gone, not from the speed [N.s/m]; P [Pa]."""
         return np.zeros(P.shape)
+
+    def free(self) -> Muscle:
+        """It has none: a ValueError that says so."""
+        raise ValueError(f"the muscle {self.name} is for a driven free end")
 
     def volume(self, x: Array) -> Array:
         """Volume inside [m3] at contractions x [m]."""

@@ -21,6 +21,7 @@ from pmabench.model.regulator import Regulator
 from pmabench.model.sensors import Noise
 
 if TYPE_CHECKING:
+    from pmabench.model.contractor_muscle import ContractorMuscle
     from pmabench.model.daerden_muscle import DaerdenMuscle
 
 N_PER_MM = 1e3
@@ -65,7 +66,9 @@ def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
 
 MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009, "dmsp-40-305": dmsp_40_305}
 """Those of the three-element model."""
-PLANTS = (*MUSCLES, "daerden")
+CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
+"""Those of paper 2 with their lengths [m] (`pmabench.model.contractor_muscle`)."""
+PLANTS = (*MUSCLES, "daerden", *CONTRACTORS)
 """All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
@@ -84,7 +87,7 @@ KINDS = ("ideal", "bench")
 class Setup:
     """All parameters of a simulated bench."""
 
-    muscle: Muscle | DaerdenMuscle
+    muscle: Muscle | DaerdenMuscle | ContractorMuscle
     regulator: Regulator
     noise: Noise
     follow_lag: float
@@ -102,9 +105,8 @@ class Setup:
         ValueError
             For a muscle that has only a driven end.
         """
-        if not isinstance(self.muscle, Muscle):
-            raise ValueError(f"the muscle {self.muscle.name} is for a driven free end")
-        return Plant(self.muscle, self.regulator, force=force, mass=mass, start=start)
+        muscle = self.muscle if isinstance(self.muscle, Muscle) else self.muscle.free()
+        return Plant(muscle, self.regulator, force=force, mass=mass, start=start)
 
     def driven(self, actuator: Actuator, position: float = 0.0, start: float = 0.0) -> DrivenPlant:
         """The plant with its free end at `position` [m], held by `actuator`, from `start` [s] on.
@@ -115,7 +117,7 @@ class Setup:
         if not isinstance(self.muscle, Muscle):
             low, high = (share * self.muscle.length for share in self.muscle.reach)
             actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
-        air = (self.air, self.muscle.volume) if self.air and not isinstance(self.muscle, Muscle) else None
+        air = (self.air, self.muscle.volume) if self.air and hasattr(self.muscle, "volume") else None
         return DrivenPlant(
             self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, air=air, position=position, start=start
         )
@@ -139,7 +141,13 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         if overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    from pmabench.model.daerden_muscle import DaerdenMuscle, assumed_air  # needs the library, which needs this module
+    # these need the library of models, which needs this module
+    if plant in CONTRACTORS:
+        from pmabench.model.contractor_muscle import ContractorMuscle
+
+        contractor = ContractorMuscle(name=plant, length=CONTRACTORS[plant])
+        return changed(Setup(contractor, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+    from pmabench.model.daerden_muscle import DaerdenMuscle, assumed_air
 
     stretchy = DaerdenMuscle()
     hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
@@ -167,12 +175,14 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
     else:
         for name in ("F_s", "F_c", "b_relax"):
             if getattr(change, name) is not None:
-                raise ValueError(f"{name} is not for the muscle {muscle.name}: its loop is a hysteresis")
+                raise ValueError(
+                    f"{name} is not for the muscle {muscle.name}: it has no friction and no damping by speed"
+                )
     if hysteresis is not None:
         height = hysteresis.height if change.hysteresis is None else change.hysteresis
         hysteresis = replace(hysteresis, height=share * height)
     elif change.hysteresis is not None:
-        raise ValueError(f"hysteresis is not for the muscle {muscle.name}: it has friction F_s and F_c")
+        raise ValueError(f"hysteresis is not for the muscle {muscle.name}; it is for the plant daerden")
     given = setup.regulator
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),

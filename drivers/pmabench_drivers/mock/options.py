@@ -79,7 +79,7 @@ class Options:
     """All options; numbers in SI."""
 
     plant: str = "paper0"
-    """`paper0`, `serres2009`, `dmsp-40-305`, or for a driven free end `daerden` (pmabench.model.presets)."""
+    """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), or for a driven free end `daerden`."""
     numbers: Mapping[str, Any] | None = None
     """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
@@ -128,10 +128,11 @@ class Service:
 
 
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
+CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden"),
+    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
@@ -171,7 +172,9 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
 
 
 FLOWS = ("hysteresis", "conductance_fill", "conductance_vent")
-NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
+NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS} | dict.fromkeys(
+    CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval")
+)
 """Options that a plant has no use for; of all others what is for one plant only."""
 
 

@@ -69,6 +69,16 @@ def sigmoid_length(pressure: Array, nominal_length: Array, exponent: str) -> Val
     return {"length": length * CM, "contraction": (L0 - length) / L0, "c": c * BAR, "d": d, "e": e}
 
 
+def contractor_force(
+    pressure: Array, contraction: Array, radius: Array, braid_angle: Array, threshold: Array
+) -> tuple[Array, Array]:
+    """F [N] and q [1] from p and p0 [Pa gauge], eps [1], r0 [m], theta0 [rad] (paper 2 eqs. 8-9)."""
+    a, b = braid_factors(braid_angle)
+    q = 1 + np.exp(-pressure / BAR)
+    drive = np.maximum(a * np.maximum(1 - q * contraction, 0) ** 2 - b, 0)
+    return math.pi * radius**2 * np.maximum(pressure - threshold, 0) * drive, q
+
+
 @described(
     "corrected-force", "static force", "Force with a dead band of pressure and the correction q(p)",
     equation=(
@@ -106,9 +116,7 @@ def sigmoid_length(pressure: Array, nominal_length: Array, exponent: str) -> Val
 def corrected_force(pressure: Array, contraction: Array, radius: Array, braid_angle: Array, threshold: Array) -> Values:
     """F [N], q and eps_max [1] from p and p0 [Pa gauge], eps [1], r0 [m], theta0 [rad]."""
     a, b = braid_factors(braid_angle)
-    q = 1 + np.exp(-pressure / BAR)
-    drive = np.maximum(a * np.maximum(1 - q * contraction, 0) ** 2 - b, 0)
-    force = math.pi * radius**2 * np.maximum(pressure - threshold, 0) * drive
+    force, q = contractor_force(pressure, contraction, radius, braid_angle, threshold)
     return {"force": force, "q": q, "contraction_max": (1 - np.sqrt(b / a)) / q}
 
 
