@@ -93,6 +93,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped=dropped,
         findings=(
             *_convention(chosen),
+            *_biased(estimates),
             *_creep(campaign, steps),
             *findings,
             *compared.findings,
@@ -308,6 +309,23 @@ def _convention(chosen: str) -> list[Finding]:
         "stands beside it: S, D and F_ce of one must not be used with those of the other"
     )
     return [Finding("note", text)]
+
+
+def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
+    """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
+    parts = []
+    for symbol in ("K", "B_c"):
+        off = [
+            100 * e.bias / (e.value - e.bias)
+            for e in estimates
+            if e.symbol == symbol and e.bias is not None and e.value is not None
+        ]
+        if off:
+            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
+    if not parts:
+        return []
+    text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
+    return [Finding("note", text + ", as it must for B_r, which no second method can tell here")]
 
 
 def _creep(campaign: Campaign, steps: Sequence[Step]) -> list[Finding]:

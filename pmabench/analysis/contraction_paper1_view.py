@@ -56,7 +56,8 @@ def compare(
         if symbol not in of or not members:
             continue
         dead = float(np.mean([step.t_d for step in members]))
-        for P in sorted({step.pressure for step in members}):
+        low, high = (pick(of["K"].domain[i], of[symbol].domain[i]) for i, pick in enumerate((max, min)))
+        for P in sorted({step.pressure for step in members if low <= step.pressure <= high}):
             group = [step for step in members if step.pressure == P]
             S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
             misfits = []

@@ -95,7 +95,8 @@ METHODS: dict[str, str] = {
     "its own. K and B come out several times lower and belong to that F_ce alone.",
     "measured-pressure-x0": "One least-squares fit over short moving segments of all contractions "
     "together, driven by the pressure that was measured, with F_ce from the braid's geometry: "
-    "M x″ + B_c(P) x′ + K(P) x = F_ce(P) − L. A step to 0 says nothing of B_r at pressure.",
+    "M x″ + B_c(P) x′ + K(P) x = F_ce(P) − L. All move one way, so friction counts as less "
+    "F_ce; a step to 0 says nothing of B_r at pressure.",
     "closed form of paper 1": "x_max (1 − e^(−t/τ)) and x_max e^(−t/τ_r) with the polynomials of the first method, "
     "begun at the mean dead time. Accuracy 100 (1 − |x_s − x_e| / x_e) compares the ends alone; the residual, all "
     "samples.",
