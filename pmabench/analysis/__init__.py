@@ -4,6 +4,8 @@
 
 - contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`; the papers'
   way and the dead times are in `contraction_steps`, `steps`, `onset`; words and figures in `contraction_view`
+- the same by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model
+  against test in `contraction_paper1_view`
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
