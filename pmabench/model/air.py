@@ -63,6 +63,11 @@ class Chamber:
         self._under: tuple[Trace, Trace, bool] | None = None
         self._begin, self._node, self._w = start, 0, 0.0
 
+    def __copy__(self) -> Chamber:
+        made = object.__new__(Chamber)
+        made.__dict__.update(self.__dict__)
+        return made
+
     def pressures(self, supply: Regulated, path: Regulated, t: Array) -> Array:
         """Gauge pressure [Pa] at rising times t [s], with the free end on `path` and the regulator at `supply`."""
         P, last, done = np.empty(t.shape), float(t[-1]), 0
@@ -98,13 +103,12 @@ class Chamber:
         grid = self._begin + STEP * np.arange(first, int(nodes[-1]) + 1)
         middle = np.concatenate((grid[:-1] + 0.5 * STEP, 0.5 * (grid[nodes - first] + t)))
         moments = np.concatenate((grid, t))
-        V = self.volume(place.values(moments))
+        V, room = np.split(self.volume(place.values(np.concatenate((moments, middle)))), [len(moments)])
         u = level.values(moments)
         size = V**air.polytropic
         g = (u + air.atmosphere) * size
         before = np.concatenate((np.arange(len(grid) - 1), nodes - first))
         after = np.concatenate((np.arange(1, len(grid)), np.arange(len(grid), len(moments))))
-        room = self.volume(place.values(middle))
         gap = np.maximum(moments[after] - moments[before], 0.0)
         keep, gain = [], []
         for flow in (air.vent, air.fill):

@@ -24,7 +24,7 @@ import numpy as np
 from pmabench.model.air import Air, Chamber
 from pmabench.model.curve import Array
 from pmabench.model.hysteresis import Branch, Hysteresis
-from pmabench.model.motion import Motion
+from pmabench.model.motion import NOTHING, Motion
 from pmabench.model.muscle import Friction
 from pmabench.model.regulator import Regulated, Regulator
 from pmabench.model.signal import Wave, to_nanosecond
@@ -195,6 +195,8 @@ class DrivenPlant:
 
         Whether the actuator stalls is looked at at these times and at `until`.
         """
+        if len(times) == 0 and until == self.time:
+            return NOTHING
         t = np.append(np.asarray(times, dtype=np.float64), until)
         P_set, x_set = self.supply.setpoints(t), self.wanted.setpoints(t)
         columns = [np.empty(t.shape) for _ in range(4)]

@@ -57,6 +57,11 @@ class Branch:
         self._turns = np.empty(0)
         self._known = start
 
+    def __copy__(self) -> Branch:
+        made = object.__new__(Branch)
+        made.__dict__.update(self.__dict__)
+        return made
+
     def forces(self, path: Regulated, t: Array, x: Array) -> Array:
         """F_h [N] at rising times t [s], where `path` is at x [m]; every piece of `path` since the last call counts."""
         F = np.empty(t.shape)

@@ -120,6 +120,11 @@ class Regulated:
         self._end = math.inf
         self._forced = False
 
+    def __copy__(self) -> Regulated:
+        made = object.__new__(Regulated)
+        made.__dict__.update(self.__dict__)
+        return made
+
     def command(self, waves: tuple[Wave, ...]) -> None:
         """Follow `waves`, of rising starts, from the first one's start on, in place of whatever was commanded there."""
         first = waves[0].start

@@ -330,8 +330,12 @@ class Simulation:
     def _one(self, number: int) -> None:
         time_ns = self._time_ns(number)
         plant = self._plant
-        plant.advance(time_ns / 1e9)
-        x, P, F = plant.reading()
+        if isinstance(plant, DrivenPlant):
+            motion = plant.advance(time_ns / 1e9, (time_ns / 1e9,))
+            x, P, F = float(motion.x[0]), float(motion.P[0]), float(motion.F[0])
+        else:
+            plant.advance(time_ns / 1e9)
+            x, P, F = plant.reading()
         values = {
             "pressure": P,
             "displacement": x,
