@@ -22,7 +22,7 @@ LEFT, RIGHT = 84.0, 112.0
 """Room beside the chain: moment and wall; load and contraction [px]."""
 FITTING = 0.085
 """Length of a fitting in nominal lengths of its muscle."""
-THICKEST = 46.0
+THICKEST = 58.0
 """Largest half width of a muscle in the drawing [px]."""
 SNAPSHOTS = 8
 FONT = "'Inter','Segoe UI','Helvetica Neue',Arial,'DejaVu Sans','Liberation Sans',sans-serif"
@@ -67,6 +67,8 @@ class Scene:
         """Pixels per metre."""
         self.half = max(widest, max(link.radius for link in result.muscles)) * self.scale
         """Largest half width of all muscles at all times [px]."""
+        self.low = max(self.half, 16.0) + 5
+        """How far below the axis the contraction is shown [px]."""
         self.end = LEFT + whole * self.scale
         """Where the free end rests without contraction [px]."""
         self.highest = max((max(link.pressure) for link in result.muscles), default=0.0)
@@ -211,7 +213,7 @@ def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
         if load > 0
         else f'<circle cx="5" r="4" fill="#fff" stroke="{INK}" stroke-width="2"/>'
     )
-    low = scene.half + 5
+    low = scene.low
 
     def own(name: str) -> str:
         return f' class="{name}"' if live else ""
@@ -252,7 +254,7 @@ def row_at(result: Result, moment: float) -> int:
 def snapshots(result: Result, moments: Sequence[float], *, head: bool = True) -> str:
     """The chain at several moments below each other, with a scale; one `<svg>` that stands alone."""
     scene = Scene(result)
-    step, top = 2 * scene.half + 34, 82.0 if head else 18.0
+    step, top = 2 * scene.low + 24, 82.0 if head else 18.0
     height = top + step * len(moments) + 44
     parts = [_head(result, scene)] if head else []
     for place, moment in enumerate(moments):

@@ -76,7 +76,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
     environment.filters["sym"] = symbols_marked
     scene = Scene(result)
     rows = frame_rows(result)
-    height = 2 * scene.half + 118
+    height = 2 * scene.low + 108
     first, *others = drawn
     context = {
         "version": __version__,
@@ -84,7 +84,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
         "source": result.source,
         "width": WIDTH,
         "height": round(height, 1),
-        "axis": round(scene.half + 62, 1),
+        "axis": round(scene.low + 57, 1),
         "definitions": definitions(scene),
         "key": pressure_key(scene),
         "chain": chain(scene, 0, names=True),
@@ -159,7 +159,7 @@ def frames(result: Result, scene: Scene, rows: Sequence[int]) -> dict[str, Any]:
         "f": [round(result.force[row], 2) for row in rows],
         "s": [round(result.force_ce_sum[row], 2) for row in rows],
         "end": round(scene.end, 2),
-        "low": round(scene.half + 5, 2),
+        "low": round(scene.low, 2),
         "left": LEFT,
         "track": [round(value, 2) for value in cursor_track()],
     }
