@@ -24,6 +24,7 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
         show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
     )
     name = "-".join(f"{at[key]:g}" for key in at)
+    held = {key: at[key] for key in ("pressure",) if key in at}
     traces = []
     groups = sorted(sines.items())
     for frequency, members in groups:
@@ -40,7 +41,7 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
                 f"Loop at {frequency:g} Hz, {where}",
                 {name: values[last][::stride] for name, values in columns.items()},
                 {"displacement": "length", "force": "force", "model": "force"},
-                {"frequency": frequency, "width": sine.width, "area": sine.area},
+                {"frequency": frequency, "width": sine.width, "area": sine.area} | held,
             )
         )
 

@@ -88,7 +88,8 @@ def beside(
         for trace in analysis.traces:
             found = [(table, points) for table in published if (points := _in_trace(table, trace, length)) is not None]
             traces.append(replace(trace, beside=tuple(points for _, points in found)) if found else trace)
-            compared += [_apart(trace, table, points) for table, points in found if trace.figure in FIGURES]
+            if trace.figure in FIGURES and _slowest(trace, analysis.traces):
+                compared += [_apart(trace, table, points) for table, points in found]
         told.append(replace(analysis, traces=tuple(traces)))
     drawn = {c.label for c in compared}
     problems = [_no_match(table, matchable(analyses, length)) for table in published if table.label not in drawn]
@@ -129,6 +130,10 @@ FIGURES = {
     "rubber": ("displacement", "force", "pressure"),
 }
 """Kind of trace -> its axes, and what is the same in all of it."""
+BINS = 60
+"""In which the branches of a trace are averaged."""
+FURTHER = 0.5
+"""Points further off than this share of the own range are not drawn into a trace's figure: they would squeeze it."""
 QUANTITY = {name: quantity for name, quantity, _ in HEADS}
 MARKS = {"displacement": "contraction", "pressure": "pressure"}
 """Coordinate -> the mark of a trace that holds it."""
@@ -191,25 +196,45 @@ def _in_trace(table: Published, trace: Trace, length: float | None) -> Beside | 
     least, share = NEAR[fixed]
     near = np.abs(columns[fixed] - place) <= max(least, share * abs(place))
     near &= np.isfinite(columns[x]) & np.isfinite(columns[y])
+    own = trace.columns[x][np.isfinite(trace.columns[x])]
+    room = FURTHER * float(np.ptp(own))
+    near &= (columns[x] >= own.min() - room) & (columns[x] <= own.max() + room)
     return Beside(table.label, {x: columns[x][near], y: columns[y][near]}) if near.any() else None
+
+
+def _slowest(trace: Trace, traces: Sequence[Trace]) -> bool:
+    """Whether a loop is the slowest at its pressure: nearest to a curve without speed. Others have no speed."""
+    alike = [t for t in traces if t.figure == trace.figure and t.marks.get("pressure") == trace.marks.get("pressure")]
+    lowest = min(t.marks.get("frequency", 0.0) for t in alike)
+    return trace.figure != "loop" or trace.marks.get("frequency", 0.0) == lowest
 
 
 def _apart(trace: Trace, table: Published, points: Beside) -> Comparison:
     """A trace at the published places within it: branches are averaged in narrow bins."""
     x, y, fixed = FIGURES[trace.figure]
     known = np.isfinite(trace.columns[x]) & np.isfinite(trace.columns[y])
-    xs, ys = trace.columns[x][known], trace.columns[y][known]
-    edges = np.linspace(xs.min(), xs.max(), 61)
-    member = np.clip(np.digitize(xs, edges) - 1, 0, 59)
-    filled = np.unique(member)
-    middle = np.array([xs[member == i].mean() for i in filled])
-    mean = np.array([ys[member == i].mean() for i in filled])
+    own, values = _one_curve(trace.columns[x][known], trace.columns[y][known])
     unit = shown(QUANTITY[fixed])
     place = f"{number((_place(trace, fixed) or 0.0) / unit.scale)} {unit.unit}"
     named = "contraction" if fixed == "displacement" else fixed
     over = f"{'contraction' if x == 'displacement' else x} at {named} {place}"
+    over += f", {number(trace.marks['frequency'])} Hz" if "frequency" in trace.marks else ""
     theirs = list(zip(points.columns[x].tolist(), points.columns[y].tolist(), strict=True))
-    return _compared(y, over, table.label, x, middle, mean, theirs)
+    return _compared(y, over, table.label, x, own, values, theirs)
+
+
+def _one_curve(x: Array, y: Array) -> tuple[Array, Array]:
+    """Rising x as it is; branches averaged in bins, drawn out straight to the ends."""
+    if len(x) < 2 or np.all(np.diff(x) > 0):
+        return x, y
+    edges = np.linspace(x.min(), x.max(), BINS + 1)
+    member = np.clip(np.digitize(x, edges) - 1, 0, BINS - 1)
+    middle, mean = (np.array([values[member == i].mean() for i in np.unique(member)]) for values in (x, y))
+    if len(middle) < 2:
+        return middle, mean
+    slopes = (mean[1] - mean[0]) / (middle[1] - middle[0]), (mean[-1] - mean[-2]) / (middle[-1] - middle[-2])
+    ends = mean[0] + slopes[0] * (x.min() - middle[0]), mean[-1] + slopes[1] * (x.max() - middle[-1])
+    return np.array([x.min(), *middle, x.max()]), np.array([ends[0], *mean, ends[1]])
 
 
 def _compared(

@@ -1,0 +1,175 @@
+"""Published points beside one's own: where they are drawn, what is compared, and what matches nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmabench.analysis.results import Analysis, Estimate, Trace
+from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
+from pmabench.cli.report_overlays import read_overlays
+from pmabench.report.analysis_folder import write_analysis
+from pmabench.report.html import render
+from pmabench.report.overlays import Published, beside, comparison_table, matchable
+from tests.report.samples import all_analyses, contraction, static_load, truth
+
+P = np.array([1e5, 2e5, 3e5, 4e5, 7e5])
+BOOK = Published(
+    "Book", "A book, page 3", Path("book.csv"), {"pressure": P, "K": np.array([truth("K", p) for p in P]) * 1.1}
+)
+
+
+def mean_curve(at=3e5):
+    """A straight force over displacement at one pressure, 1000 N to 500 N in 50 mm."""
+    x = np.linspace(0, 0.05, 101)
+    columns = {"displacement": x, "force": 1000 - 1e4 * x}
+    marks = {"pressure": at}
+    return Trace(
+        "mean-curve-1", "mean-curve", "300 kPa: mean", columns, {"displacement": "length", "force": "force"}, marks
+    )
+
+
+def ramps(*traces):
+    e = Estimate("K", 1e4, "N/m", "stiffness", "mean-curve", {"pressure": 3e5})
+    return Analysis("isobaric-ramp", ("r1",), simulated=True, estimates=(e,), traces=traces)
+
+
+def test_a_coefficient_is_compared_at_the_published_pressures_within_its_range():
+    """(K - 1.1 K) / (1.1 K) is -1/11; 100 and 700 kPa are outside of 150 to 500 kPa."""
+    _, (theirs,), (row,) = beside([contraction()], [BOOK], None)
+    assert [e.at["pressure"] for e in theirs.estimates] == P.tolist()
+    assert {e.method for e in theirs.estimates} == {"Book"}
+    assert (row.name, row.label, row.points, row.places) == ("K", "Book", 3, "200 to 400 kPa")
+    assert row.mean == pytest.approx(-1 / 11, rel=1e-3)
+    assert row.size == pytest.approx(1 / 11, rel=1e-3)
+    assert comparison_table([row])["mean difference [%]"].tolist() == ["−9.09"]
+
+
+def test_own_results_stay_what_they_are():
+    own = all_analyses()
+    told, theirs, _ = beside(own, [BOOK], None)
+    assert [a.to_dict() for a in told] == [a.to_dict() for a in own]
+    assert [a.kind for a in theirs] == ["published"]
+
+
+def test_a_report_says_whose_the_crosses_are_and_counts_them_nowhere_else():
+    text = render([contraction()], [], published=[BOOK])
+    assert "Beside published values" in text
+    assert "A book, page 3" in text
+    assert "Crosses: Book, not measured here." in text
+    assert ">Book<" in text  # the legend
+    coefficients = text[text.index('id="coefficients"') : text.index('id="test-1"')]
+    assert "Book" not in coefficients
+
+
+def test_force_over_contraction_is_matched_by_pressure_and_the_length_of_the_specimen():
+    eps = np.array([-0.5, 0.0, 0.05, 0.10, 0.20, 0.10, 0.40])
+    pressure = np.array([3e5, 3e5, 3e5, 3.01e5, 3e5, 4e5, 3e5])
+    own = 1000 - 1e4 * 0.25 * eps
+    table = Published("Chart", "", Path("c.csv"), {"contraction": eps, "pressure": pressure, "force": own / 0.8})
+    (told,), _, (row,) = beside([ramps(mean_curve())], [table], 0.25)
+    (points,) = told.traces[0].beside
+    assert points.columns["displacement"].tolist() == pytest.approx([0, 0.0125, 0.025, 0.05])  # 3.01 bar is near
+    assert row.points == 4
+    assert row.mean == pytest.approx(-0.2)
+    assert row.over == "contraction at pressure 300 kPa"
+    with pytest.raises(InvalidFile, match="force"):
+        beside([ramps(mean_curve(2e5))], [table], 0.25)
+
+
+def test_branches_count_by_their_mean():
+    """A loop of 30 N either side about a straight line: what is published on the line differs by nothing."""
+    x = np.concatenate([np.linspace(0, 0.05, 500), np.linspace(0.05, 0, 500)])
+    force = 1000 - 1e4 * x + np.repeat([-30.0, 30.0], 500)
+    marks = {"pressure": 3e5, "frequency": 0.5}
+    loop = Trace("loop-1", "loop", "", {"displacement": x, "force": force}, {}, marks)
+    fast = Trace("loop-2", "loop", "", {"displacement": x, "force": 2 * force}, {}, {**marks, "frequency": 2.0})
+    at = np.linspace(0, 0.05, 6)
+    columns = {"displacement": at, "pressure": np.full(6, 3e5), "force": 1000 - 1e4 * at}
+    _, _, rows = beside([ramps(fast, loop)], [Published("Line", "", Path("l.csv"), columns)], None)
+    (row,) = rows  # the slowest alone
+    assert row.over.endswith("300 kPa, 0.5 Hz")
+    assert row.points == 6
+    assert row.size == pytest.approx(0, abs=1e-3)
+
+
+def test_a_table_that_matches_nothing_is_told_what_could_be():
+    table = Published("Chart", "", Path("c.csv"), {"contraction": np.zeros(2), "force": np.ones(2)})
+    with pytest.raises(InvalidFile) as caught:
+        beside([ramps(mean_curve())], [BOOK, table], 0.25)
+    (problem,) = caught.value.problems
+    assert problem.path == "c.csv"
+    assert "matches no figure of this report: it holds contraction, force" in problem.message
+    assert "K [N/mm] over pressure [kPa]" in problem.message
+    assert "force [N] over contraction [%] at pressure 300 kPa" in problem.message
+    assert matchable([ramps(mean_curve())], None)[-1] == "force [N] over displacement [mm] at pressure 300 kPa"
+
+
+def test_hostile_labels_and_values_stay_text_and_make_a_report():
+    odd = np.array([np.nan, 1e12, -5.0, 0.0, 7.0])
+    table = Published("<script>alert(1)</script>", "<b>&", Path("x"), {"pressure": P, "F_ce": odd})
+    text = render([static_load()], [], published=[table])
+    assert "<script>alert" not in text
+    assert "&lt;b&gt;&amp;" in text
+
+
+def test_the_table_on_the_page_is_one(tmp_path):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "published.md").read_text()
+    (text,) = (block for block in page.split("```\n") if block.startswith("# Catalogue"))
+    (tmp_path / "chart.csv").write_text(text)
+    (table,) = read_overlays([f"{tmp_path / 'chart.csv'}:Chart"])
+    assert table.columns["pressure"].tolist() == [2e5, 2e5]
+    assert table.columns["contraction"].tolist() == [0, 0.05]
+    assert table.source == "Catalogue of the maker, 2019, page 12, read off the chart"
+
+
+# -- from the command line -----------------------------------------------------------------------------------------
+
+
+def report(tmp_path, *overlays, code=0):
+    folder = write_analysis(contraction(), tmp_path / "analysis")
+    options = [item for text in overlays for item in ("--overlay", text)]
+    page = tmp_path / "report.html"
+    result = CliRunner().invoke(main, ["report", str(folder), "-o", str(page), *options])
+    assert result.exit_code == code, result.output
+    return page.read_text() if code == 0 else result.stderr
+
+
+def test_overlays_are_read_with_their_units_and_labels(tmp_path):
+    book = tmp_path / "book.csv"
+    rows = "".join(f"{p / 1e5},{truth('K', p) * 1.1},{truth('B_c', p) / 1e3 if p < 3e5 else ''}\n" for p in P)
+    book.write_text("# A book, page 3\nP [bar],S [N/m],D_c [N.s/mm]\n" + rows)
+    other = tmp_path / "chart.csv"
+    other.write_text("P_kPa,F_ce_N,when\n200,160,2020\n300,270,2021\n")
+    text = report(tmp_path, f"{book}:Book 2020", str(other))
+    assert "Book 2020" in text
+    assert "−9.09" in text
+    assert "A book, page 3" in text
+    assert "The file names no source." in text
+    assert ">chart<" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("P [bar],K [N/mm]\n1,x\n2,y\n", 't.csv:2:3  K: "x" is no number'),
+        ("P [bar],K [kPa]\n1,2\n", "no unit of stiffness"),
+        ("P [bar],K\n1,2\n", "needs a unit of stiffness"),
+        ("P [bar],L [mm]\n1,2\n", "a coordinate and a value over it are expected"),
+        ("P [bar],K [N/mm],S [N/mm]\n1,2,3\n", "a second column of K"),
+        ("eps [%],force [N]\n1,2\n", "matches no figure of this report: it holds contraction, force; could be: F_ce"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_told_with_their_place(tmp_path, text, told):
+    table = tmp_path / "t.csv"
+    table.write_text(text)
+    assert told in report(tmp_path, str(table), code=3)
+
+
+def test_files_that_are_not_there_and_labels_that_come_twice_are_told(tmp_path):
+    assert "none.csv  cannot be read" in report(tmp_path, str(tmp_path / "none.csv"), code=3)
+    table = tmp_path / "t.csv"
+    table.write_text("P [bar],K [N/mm]\n2,2\n")
+    assert 'two are called "t"' in report(tmp_path, str(table), str(table), code=2)
