@@ -69,6 +69,22 @@ PAIRS: tuple[tuple[str, str, str, Callable[[Analysis], Values], str, Callable[[A
         "contraction-relaxation",
         _mean_damping,
     ),
+    (
+        "F_ce",
+        "static load against isometric",
+        "static-load",
+        lambda a: _at_pressures(a, "F_ce", "static-mean"),
+        "isometric-pressurisation",
+        lambda a: _at_pressures(a, "F_ce", "isometric-sections"),
+    ),
+    (
+        "K",
+        "isometric against steps",
+        "isometric-pressurisation",
+        lambda a: _at_pressures(a, "K", "isometric-sections"),
+        "contraction-relaxation",
+        _steps("K"),
+    ),
 )
 """Symbol, what is compared, and for both sides the kind of analysis and where its values are."""
 

@@ -102,7 +102,7 @@ def tests_of(
     dropped: list[Dropped] = []
     for run in runs:
         for trial in run.trials:
-            test, reason = test_of(run, trial, phases)
+            test, reason = as_test(run, trial, phases)
             reason = reason if test is None else lacks(test)
             if test is None or reason:
                 dropped.append(Dropped(trial.name, trial.point, reason))
@@ -111,7 +111,7 @@ def tests_of(
     return groups, dropped
 
 
-def test_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
+def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
     """The samples of a trial that can be used, or why there are none."""
     missing = [name for name in ("pressure", "force") if name not in trial.channels]
     if missing:

@@ -41,8 +41,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
     options = options or {}
-    groups, dropped = tests_of(runs, PHASES, _lack)
-    cells = [_cell(contraction, tests) for contraction, tests in sorted(groups.items())]
+    groups, dropped = tests_of(runs, PHASES, lack)
+    cells = [cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
     scales = Scales.of(runs)
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     estimates: list[Estimate] = []
@@ -71,8 +71,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *view.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
     ]
-    if estimates and (lack := scales.lack(CHANNELS)):
-        findings.append(Finding("note", lack))
+    if estimates and (untold := scales.lack(CHANNELS)):
+        findings.append(Finding("note", untold))
     if cells and not estimates:
         findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
     return Analysis.of(
@@ -93,7 +93,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _lack(test: Test) -> str:
+def lack(test: Test) -> str:
     """Why a trial tells nothing; empty where it does."""
     if not all(np.count_nonzero(test.phase == index) > 1 for index in range(len(PHASES))):
         return "it lacks one of the two ramps"
@@ -105,7 +105,8 @@ def _lack(test: Test) -> str:
     return ""
 
 
-def _cell(contraction: float, tests: Sequence[Test]) -> Cell:
+def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
+    """What the tests at one contraction [m] say together."""
     mean = mean_of(tests)
     side = np.array([test.trial.point.get("side", 0.0) for test in tests])
     parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]

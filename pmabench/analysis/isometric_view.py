@@ -68,17 +68,20 @@ def _moved(cell: Cell, where: str) -> list[Finding]:
 
 def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Finding]:
     """The dead band: the pressure at which the force begins at the nominal length."""
-    length = float(given.get("nominal_length", 0.0)) or 0.25
-    near = [e for e in begun if abs(e.at["contraction"]) <= NEAR * length and e.value is not None]
-    if not near:
+    known = [e for e in begun if e.value is not None]
+    if not known:
+        return []
+    at = min((e.at["contraction"] for e in known), key=abs)
+    if abs(at) > NEAR * float(given.get("nominal_length", 0.25)):
         text = "the dead band of pressure is that at contraction 0, which is not among the tests"
-        return [Finding("note", text)] if begun else []
+        return [Finding("note", text)]
     told = []
-    for e in near:
+    for e in (e for e in known if e.at["contraction"] == at):
         half = e.parts.combined
         interval = f" +- {show(half, 'pressure', 2)}" if half is not None else ""
         told.append(f"{show(e.value or 0.0, 'pressure', 4)}{interval} ({e.method})")
-    return [Finding("note", f"dead band: at contraction 0 the force begins at {', '.join(told)}")]
+    where = f"contraction {show(at, 'length', 3)}"
+    return [Finding("note", f"dead band: at {where} the force begins at {', '.join(told)}")]
 
 
 def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:

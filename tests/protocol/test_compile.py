@@ -25,6 +25,7 @@ BENCH_OF = {
     "positioning-pi": "mock",
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
+    "isometric-pressurisation-paper3": "mock-daerden-ideal",
     "isobaric-ramp": "mock-actuator",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
 }
