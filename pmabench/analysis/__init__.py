@@ -9,6 +9,8 @@
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
+- positioning: `positioning`, made of `position_response`; validation: `validation`; both beside `simulated`, the model
+  that a plan carries
 - isometric-pressurisation: `isometric_pressurisation`, made of `isometric_lines`, `isometric_curve`, `section` (S over
   contraction), `isometric_sections` (all contractions at one pressure); words and figures in `isometric_view`
 - isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine:

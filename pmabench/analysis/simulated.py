@@ -20,6 +20,18 @@ LEAST_MASS = 0.5
 """Moving mass where the record tells none [kg]."""
 
 
+CALMED = 0.05
+"""Time over which the measured pressure is averaged before it drives a model with friction [s]."""
+
+
+def _calm(P: Array, width: int) -> Array:
+    """Moving mean over `width` samples, ends held."""
+    if width <= 1:
+        return P
+    padded = np.concatenate((np.full(width // 2, P[0]), P, np.full(width - 1 - width // 2, P[-1])))
+    return np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+
+
 @dataclass(frozen=True)
 class _Coefficients:
     """A described muscle as `replay` takes it."""
@@ -50,16 +62,18 @@ def load_of(trial: TrialData) -> tuple[float, float]:
 def from_measured_pressure(model: Described, trials: Sequence[TrialData], period: float) -> list[Array]:
     """Contractions [m], each as long as its trial: the muscle of the model, driven by the measured pressure from rest.
 
-    All trials are stepped side by side every `period` [s].
+    All trials are stepped side by side every `period` [s]. Where the model has friction the pressure is averaged over
+    `CALMED`: its noise would shake the muscle loose.
     """
     if not trials:
         return []
     grids = [np.arange(trial.t[0], trial.t[-1] + 0.5 * period, period) for trial in trials]
     P = np.empty((max(map(len, grids)), len(trials)))
+    width = round(CALMED / period) if model.muscle.friction.F_c > 0 else 1
     for column, (trial, grid) in enumerate(zip(trials, grids, strict=True)):
         measured = trial.channels["pressure"]
         ok = trial.usable & np.isfinite(measured)
-        P[: len(grid), column] = np.interp(grid, trial.t[ok], measured[ok])
+        P[: len(grid), column] = _calm(np.interp(grid, trial.t[ok], measured[ok]), width)
         P[len(grid) :, column] = P[len(grid) - 1, column]
     loads, masses = np.array([load_of(trial) for trial in trials]).T
     x = replay.run(_Coefficients(model), P, period, loads, masses, np.zeros(len(trials))).x
