@@ -9,15 +9,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from math import isfinite
+from math import cos, isfinite
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.bench.files.plant import PlantFile, Polynomial, Table
+from pmabench.bench.files.plant import LAWS, DaerdenFile, PlantFile, Polynomial, Table
 from pmabench.bench.interface import OutputRecord
-from pmabench.files.document import Document, Location, document_text, read_document, validate
+from pmabench.files.document import Document, Location, check_schema, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
 SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
@@ -58,23 +58,49 @@ def read_plant(path: Path) -> Plant:
 
 def plant_numbers(document: Document) -> dict[str, Any]:
     """What `pmabench.model.plant_file.setup_of` takes; raises `InvalidFile` with every problem."""
-    file = validate(PlantFile, document)
-    compilation = _Curves(document, file.highest_pressure)
-    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in SYMBOLS}
-    if compilation.problems:
-        raise InvalidFile(compilation.problems)
-    return {
+    check_schema(PlantFile, document)
+    law = document.data.get("law")
+    if law is not None and str(law) not in LAWS:
+        raise InvalidFile([document.problem(("law",), f'"{law}" is no law of a plant{did_you_mean(str(law), LAWS)}')])
+    file = validate(LAWS[str(law or "three-element")], document)
+    numbers = {
         "law": file.law,
         "name": file.name,
         "length": file.length,
-        "stop": file.stop,
         "highest_pressure": file.highest_pressure,
-        **curves,
-        "friction": file.friction.model_dump() if file.friction is not None else {},
         "regulator": file.regulator.model_dump(),
         "noise": file.noise.model_dump(),
         "follow_lag": file.follow_lag,
     }
+    if isinstance(file, DaerdenFile):
+        if wrong := list(_beyond_the_law(document, file)):
+            raise InvalidFile(wrong)
+        muscle = {name: getattr(file, name) for name in ("diameter", "braid_angle", "alpha", "A", "B1", "B2")}
+        flow, hysteresis = file.flow, file.hysteresis
+        return {
+            **numbers,
+            **muscle,
+            "reach": list(file.reach),
+            "hysteresis": hysteresis.model_dump() if hysteresis is not None else None,
+            "flow": flow.model_dump() if flow is not None else None,
+        }
+    compilation = _Curves(document, file.highest_pressure)
+    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in SYMBOLS}
+    if compilation.problems:
+        raise InvalidFile(compilation.problems)
+    friction = file.friction.model_dump() if file.friction is not None else {}
+    return {**numbers, "stop": file.stop, **curves, "friction": friction}
+
+
+def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
+    """Where a driven muscle would be where its law says nothing."""
+    if file.reach[0] < -0.9 * file.B2:
+        pole = f"must stay above {-0.9 * file.B2:.4g}, short of the pole of the rubber term at -B2"
+        yield document.problem(("reach", 0), f"{file.reach[0]:.4g} {pole}")
+    furthest = 0.98 * (1 - (1 / (3 * cos(file.braid_angle) ** 2)) ** (1 / file.alpha))
+    if file.reach[1] > furthest:
+        pulls = f"from {furthest:.1%} on the braid does not turn pressure into a pull"
+        yield document.problem(("reach", 1), f"{file.reach[1]:.1%} is too far: {pulls}")
 
 
 class _Curves:

@@ -72,7 +72,7 @@ def _of_models(kind: str) -> dict[str, Any]:
 
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
     from pmabench.bench.files.faults import FaultsFile
-    from pmabench.bench.files.plant import PlantFile
+    from pmabench.bench.files.plant import AnyPlant
     from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.cascade import CascadeFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
@@ -86,6 +86,9 @@ def _of_models(kind: str) -> dict[str, Any]:
         union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
         adapter: TypeAdapter[Any] = TypeAdapter(union)
         return adapter.json_schema()
+    if kind == "plant":
+        laws: TypeAdapter[Any] = TypeAdapter(AnyPlant)
+        return laws.json_schema()
     models: dict[str, type[BaseModel]] = {
         "bench": BenchFile,
         "specimen": SpecimenFile,
@@ -94,6 +97,5 @@ def _of_models(kind: str) -> dict[str, Any]:
         "cascade": CascadeFile,
         "map": MapFile,
         "faults": FaultsFile,
-        "plant": PlantFile,
     }
     return models[kind].model_json_schema()

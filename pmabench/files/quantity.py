@@ -205,6 +205,8 @@ if TYPE_CHECKING:
     Angle: TypeAlias = float
     Gain: TypeAlias = float
     Rate: TypeAlias = float
+    Temperature: TypeAlias = float
+    Conductance: TypeAlias = float
     Stiffness: TypeAlias = float
     Damping: TypeAlias = float
     ForcePerPressure: TypeAlias = float
@@ -224,6 +226,8 @@ else:
     Angle = _type("angle")
     Gain = _type("gain")
     Rate = _type("rate")
+    Temperature = _type("temperature")
+    Conductance = _type("conductance")
     Stiffness = _type("stiffness")
     Damping = _type("damping")
     ForcePerPressure = _type("force per pressure")

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pmabench.model.air import Air
 from pmabench.model.curve import Curve
+from pmabench.model.hysteresis import Hysteresis
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.presets import Setup
 from pmabench.model.regulator import Regulator
@@ -18,6 +20,9 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
     `numbers` are SI; each coefficient is either `points`, pairs of pressure and value, or the arguments of
     `Curve.printed`.
     """
+    regulator, noise, lag = Regulator(**numbers["regulator"]), Noise(**numbers["noise"]), float(numbers["follow_lag"])
+    if numbers["law"] == "daerden":
+        return _daerden(numbers, regulator, noise, lag)
     curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r")}
     muscle = Muscle(
         name=str(numbers["name"]),
@@ -26,12 +31,7 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
         stop=float(numbers["stop"]),
         **curves,
     )
-    return Setup(
-        muscle,
-        Regulator(**numbers["regulator"]),
-        Noise(**numbers["noise"]),
-        float(numbers["follow_lag"]),
-    )
+    return Setup(muscle, regulator, noise, lag)
 
 
 def _curve(given: Mapping[str, Any]) -> Curve:
@@ -39,3 +39,21 @@ def _curve(given: Mapping[str, Any]) -> Curve:
         pressures, values = zip(*given["points"], strict=True)
         return Curve.through(pressures, values)
     return Curve.printed(*given["pieces"], breaks=given["breaks"], unit=given["unit"], pressure=given["pressure"])
+
+
+def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
+    from pmabench.model.daerden_muscle import DaerdenMuscle  # needs the library of models, which needs the presets
+    from pmabench.model.library.chamber import R
+
+    names = ("name", "length", "diameter", "braid_angle", "alpha", "A", "B1", "B2")
+    low, high = numbers["reach"]
+    muscle = DaerdenMuscle(**{name: numbers[name] for name in names}, reach=(float(low), float(high)))
+    hysteresis = air = None
+    if numbers["hysteresis"] is not None:
+        loop = numbers["hysteresis"]
+        hysteresis = Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
+    if numbers["flow"] is not None:
+        flow = numbers["flow"]
+        kept = {name: float(flow[name]) for name in ("fill", "vent", "polytropic", "atmosphere")}
+        air = Air(**kept, rT=R * float(flow["temperature"]), leak=regulator.leak)
+    return Setup(muscle, regulator, noise, lag, hysteresis, air)

@@ -179,9 +179,11 @@ NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOW
 
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
-    if options.plant == "daerden" and options.free_end != "actuator":
-        raise DeviceError(device, "option plant: daerden is for a driven free end; write free_end: actuator beside it")
-    for name in NOT_FOR.get(options.plant, (*FLOWS, "fce_eval")):
+    law = options.plant if options.numbers is None else str(options.numbers["law"])
+    if law == "daerden" and options.free_end != "actuator":
+        way = "is for a driven free end; write free_end: actuator beside it"
+        raise DeviceError(device, f"option plant: {options.plant} {way}")
+    for name in NOT_FOR.get(law, (*FLOWS, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import acos, sqrt
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
@@ -9,7 +10,10 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from pmabench.base.quantities import show
 from pmabench.bench.files.parts import Reading, Text
 from pmabench.files.document import Strict
-from pmabench.files.quantity import Force, Length, Pressure, Rate, Speed, Time
+from pmabench.files.quantity import Angle, Conductance, Force, Length, Pressure, Rate, Ratio, Speed, Temperature, Time
+
+NEUTRAL = acos(1 / sqrt(3)) - 1e-3
+"""Braid angle from which on a muscle does not contract [rad]."""
 
 
 def _within(low: float, high: float, quantity: str) -> AfterValidator:
@@ -117,20 +121,54 @@ class NoiseFile(Strict):
     force: Annotated[Force, _within(0, 1e3, "force")] = 0.0
 
 
+class FlowFile(Strict):
+    """A regulator that has to move air in and out, so that the pressure depends on the motion."""
+
+    fill: Annotated[Conductance, _within(0, 1e-5, "conductance")]
+    """Flow per pressure between its own and the muscle's."""
+    vent: Annotated[Conductance, _within(0, 1e-5, "conductance")]
+    polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.2
+    """1: the air keeps its temperature, 1.4: it takes no heat."""
+    temperature: Annotated[Temperature, _within(230, 370, "temperature")] = 293.0
+    atmosphere: Annotated[Pressure, _within(5e4, 1.1e5, "pressure")] = 101325.0
+
+    @model_validator(mode="after")
+    def _flows(self) -> FlowFile:
+        if not (self.fill or self.vent):
+            raise ValueError('one of "fill" and "vent" must be above zero')
+        return self
+
+
+class HysteresisFile(Strict):
+    """A loop that knows no rate: half its gap, and the contraction over which a turn fades to 1/e."""
+
+    height: Annotated[Force, _within(0, 1e4, "force")]
+    width: Annotated[Ratio, _within(1e-5, 0.5, "ratio")]
+
+
 class PlantFile(Strict):
-    """A muscle of one's own, F = F_ce(P) - K(P) x - B(P) x' - friction, behind its regulator."""
+    """A muscle of one's own behind its regulator; what all laws share."""
 
     schema_: Annotated[Literal["pmabench.plant/1"], Field(alias="schema")]
     name: Annotated[str, Field(min_length=1, max_length=80)]
     source: Text
     """Where the numbers come from."""
-    law: Literal["three-element"]
     length: Annotated[Length, _within(1e-3, 10, "length")]
     """Nominal, without pressure."""
+    highest_pressure: Annotated[Pressure, _within(1e3, 1e6, "pressure")]
+    """Up to which the law holds; the simulated regulator goes no higher."""
+    regulator: RegulatorFile = RegulatorFile()
+    noise: NoiseFile = NoiseFile()
+    follow_lag: Annotated[Time, _within(0, 10, "time")] = 0.0
+    """First-order lag of an actuator that drives the free end behind its command."""
+
+
+class ThreeElementFile(PlantFile):
+    """A muscle F = F_ce(P) - K(P) x - B(P) x' - friction, x the contraction."""
+
+    law: Literal["three-element"]
     stop: Annotated[Length, _within(1e-4, 10, "length")]
     """Contraction at which it cannot go further."""
-    highest_pressure: Annotated[Pressure, _within(1e3, 1e6, "pressure")]
-    """Up to which the coefficients hold; the simulated regulator goes no higher."""
     F_ce: Coefficient
     K: Coefficient
     B_c: Coefficient
@@ -138,13 +176,37 @@ class PlantFile(Strict):
     B_r: Coefficient
     """Damping while it relaxes."""
     friction: FrictionFile | None = None
-    regulator: RegulatorFile = RegulatorFile()
-    noise: NoiseFile = NoiseFile()
-    follow_lag: Annotated[Time, _within(0, 10, "time")] = 0.0
-    """First-order lag of an actuator that drives the free end behind its command."""
 
     @model_validator(mode="after")
-    def _shorter(self) -> PlantFile:
+    def _shorter(self) -> ThreeElementFile:
         if self.stop >= self.length:
             raise ValueError('"stop" must be shorter than "length"')
         return self
+
+
+class DaerdenFile(PlantFile):
+    """A muscle F = S(eps) P + A eps (eps - B1) / (eps + B2) for a driven end, eps = x / length (paper 3)."""
+
+    law: Literal["daerden"]
+    diameter: Annotated[Length, _within(1e-4, 1, "length")]
+    """Free diameter."""
+    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")]
+    """Of the braid to the muscle's axis, at eps = 0."""
+    alpha: Annotated[float, Field(ge=1, le=5)] = 2.0
+    """Exponent; 2 is that of Tondu and Lopez."""
+    A: Annotated[Force, _within(0, 1e6, "force")]
+    """Size of the rubber term."""
+    B1: Annotated[Ratio, _within(0, 1, "ratio")]
+    """Contraction at which the rubber term is 0 again."""
+    B2: Annotated[Ratio, _within(1e-3, 1, "ratio")]
+    """The rubber term has its pole at eps = -B2."""
+    reach: tuple[Annotated[Ratio, _within(-0.5, 0, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    """From where to where it may be driven, as share of the length; below 0 stretched."""
+    hysteresis: HysteresisFile | None = None
+    flow: FlowFile | None = None
+    """Where the pressure depends on the motion."""
+
+
+AnyPlant = Annotated[ThreeElementFile | DaerdenFile, Field(discriminator="law")]
+LAWS: dict[str, type[ThreeElementFile | DaerdenFile]] = {"three-element": ThreeElementFile, "daerden": DaerdenFile}
+"""Name of the law -> its file."""
