@@ -11,25 +11,27 @@ from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_too_fast
+from pmabench.protocol.driven_air import not_pushed_together
 from pmabench.protocol.plan import Follow, Hold, Plan, Record, TrialRecord
-from pmabench.protocol.sweep import FrequencyAxis, Point, PressureAxis, Sweep, expand
+from pmabench.protocol.sweep import FrequencyAxis, LengthAxis, Point, PressureAxis, Sweep, expand
 
 MOST_CYCLES = 1e9
 """More are not counted: such a plan is refused for its length."""
 
 
 class SineAxes(Strict):
-    """What is swept."""
+    """What is swept; the amplitude only where it differs between frequencies."""
 
     pressure: PressureAxis
     frequency: FrequencyAxis
+    amplitude: LengthAxis | None = None
 
 
 class SineTrial(Strict):
     """One sine: whole cycles, at least `cycles` and at least `at_least` long."""
 
     mean: Length
-    amplitude: Length
+    amplitude: Length | None = None
     cycles: Annotated[int, Field(ge=3, le=10_000)]
     at_least: Time = 0.0
     discard: Annotated[int, Field(ge=0)] = 1
@@ -54,21 +56,20 @@ class SinusoidalDisplacement(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per pressure pressurise and go to the mean; per frequency one recorded sine."""
         trial = self.trial
-        for name in ("amplitude", "settle", "approach"):
+        for name in ("settle", "approach"):
             c.positive(getattr(trial, name), ("trial", name))
         not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
         if trial.discard >= trial.cycles:
             c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
-        c.within("displacement", trial.mean - abs(trial.amplitude), ("trial", "amplitude"))
-        c.within("displacement", trial.mean + abs(trial.amplitude), ("trial", "amplitude"))
         at: float | None = None
         for index, point in enumerate(expand(self.sweep, c.document)):
             pressure, frequency = point.values["pressure"], point.values["frequency"]
             c.within("pressure", pressure, point.places["pressure"])
             c.positive(frequency, point.places["frequency"])
-            if frequency <= 0 or trial.approach <= 0:
+            amplitude = self._amplitude(c, point)
+            if frequency <= 0 or trial.approach <= 0 or amplitude is None:
                 continue
-            self._possible(c, point)
+            self._possible(c, point, amplitude)
             if index == 0:
                 c.precondition()
             if at is None or not isclose(at, pressure):
@@ -80,23 +81,40 @@ class SinusoidalDisplacement(ProtocolHead):
                 "pressure": pressure,
                 "frequency": frequency,
                 "mean": trial.mean,
-                "amplitude": trial.amplitude,
+                "amplitude": amplitude,
                 "cycles": float(cycles),
             }
             c.trials.append(TrialRecord(index, values, point.repeat))
             c.steps += [
                 Record("sine", True, index),
-                Follow("sine", "displacement", trial.mean, trial.amplitude, frequency, cycles),
+                Follow("sine", "displacement", trial.mean, amplitude, frequency, cycles),
                 Record("sine", False, index),
                 Hold("rest", 1.0),
             ]
         c.steps += leave(trial.mean, trial.approach)
         return c.plan("sinusoidal-displacement", {"discard": trial.discard, "time_skew": trial.time_skew})
 
-    def _possible(self, c: Compilation, point: Point) -> None:
-        """Check the actuator's speed, and the force predicted from what is believed of the specimen."""
-        trial, frequency = self.trial, point.values["frequency"]
+    def _amplitude(self, c: Compilation, point: Point) -> float | None:
+        """The amplitude of a point [m], checked; None where there is none."""
+        amplitude = point.values.get("amplitude", self.trial.amplitude)
+        where: Location = point.places.get("amplitude", ("trial", "amplitude"))
+        if amplitude is None:
+            c.fault(("trial",), 'lacks "amplitude", which the sweep does not tell either')
+            return None
+        c.positive(amplitude, where)
+        c.within("displacement", self.trial.mean - abs(amplitude), where)
+        c.within("displacement", self.trial.mean + abs(amplitude), where)
+        return float(amplitude) if amplitude > 0 else None
+
+    def _possible(self, c: Compilation, point: Point, amplitude: float) -> None:
+        """Check the actuator's speed, the force believed to come, and the pressure that the motion makes."""
+        mean, frequency, pressure = self.trial.mean, point.values["frequency"], point.values["pressure"]
         where: Location = point.places["frequency"]
-        not_too_fast(c, 2 * pi * frequency * trial.amplitude, where, "the sine moves")
-        path = along_sine(trial.mean, trial.amplitude, frequency)
-        bearable(c, point.values["pressure"], path, where, "mean, amplitude or frequency")
+        not_too_fast(c, 2 * pi * frequency * amplitude, where, "the sine moves")
+        bearable(c, pressure, along_sine(mean, amplitude, frequency), where, "mean, amplitude or frequency")
+
+        def motion(share: float) -> tuple[list[float], float]:
+            return [x for x, _ in along_sine(mean, share * amplitude, frequency)], 1 / frequency
+
+        pace = (frequency, "frequency", "frequency")
+        not_pushed_together(c, pressure, motion, (amplitude, "length", "amplitude"), pace, where)

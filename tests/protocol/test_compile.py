@@ -26,6 +26,7 @@ BENCH_OF = {
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
     "isometric-pressurisation-paper3": "mock-daerden-ideal",
+    "sinusoidal-displacement-paper3": "mock-daerden",
     "isobaric-ramp": "mock-actuator",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
 }

@@ -7,7 +7,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from pmabench.bench.files.parts import Name, PressureAbove0, PressureNotBelow0, RatioAbove0, Reading, Text, TimeAbove0
+from pmabench.bench.files.parts import (
+    ConductanceAbove0,
+    Name,
+    PressureAbove0,
+    PressureNotBelow0,
+    RatioAbove0,
+    Reading,
+    Text,
+    TimeAbove0,
+)
 from pmabench.bench.files.safety import (
     HandsFile,
     InterlockFile,
@@ -51,6 +60,13 @@ class Actuator(Strict):
     force: Force
 
 
+class AirConductance(Strict):
+    """How fast air goes through the regulator and its line: mass flow by difference of pressure."""
+
+    fill: ConductanceAbove0
+    vent: ConductanceAbove0
+
+
 class Air(Strict):
     """The supply and what protects against it."""
 
@@ -62,6 +78,8 @@ class Air(Strict):
     atmosphere: Pressure = 101325.0
     overshoot: PressureNotBelow0 = 0.0
     """Most that the regulator overshoots a step."""
+    conductance: AirConductance | None = None
+    """For `check` to predict the pressure that a driven end makes; without it a fast motion counts as closed."""
 
 
 class VerifiedFile(Strict):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
-from pmabench.files.quantity import Angle, Length, Mass, Pressure, PressureRate, Ratio, Time, raw_quantity
+from pmabench.files.quantity import Angle, Conductance, Length, Mass, Pressure, PressureRate, Ratio, Time, raw_quantity
 
 Reading = Annotated[
     tuple[float, str],
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     RatioAbove0: TypeAlias = float
     AngleAbove0: TypeAlias = float
     MassAbove0: TypeAlias = float
+    ConductanceAbove0: TypeAlias = float
     RatioNotBelow0: TypeAlias = float
 else:
     PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
@@ -52,4 +53,5 @@ else:
     RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
     AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
     MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
+    ConductanceAbove0 = Annotated[Conductance, AfterValidator(above_zero)]
     RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]
