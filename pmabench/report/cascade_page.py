@@ -114,7 +114,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
         ],
         "load": show(result.load, "force"),
         "fce_eval": result.fce_eval,
-        "data": json.dumps(frames(result, scene, rows), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "data": json.dumps(frames(result, scene, rows), allow_nan=False, separators=(",", ":")),
     }
     return environment.get_template("cascade.html.j2").render(context) + "\n"
 
@@ -136,7 +136,7 @@ def frame_rows(result: Result) -> list[int]:
 
 
 def frames(result: Result, scene: Scene, rows: Sequence[int]) -> dict[str, Any]:
-    """All numbers of the animation, in pixels of its drawing, and in s, mm and N."""
+    """All numbers of the animation, in pixels of its drawing, and in s, mm and N; numbers only, no texts."""
     shapes = [scene.shapes(row) for row in rows]
     muscles = []
     for i, link in enumerate(result.muscles):

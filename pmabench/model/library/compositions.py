@@ -191,6 +191,8 @@ def _balance(
         Reference("sum", "0.01077", "", 1.0, "the same", {"time": 20.0}),
         Reference("force_ce", "5312", "N", 1.0, "885.4 N/bar at 6 bar: that of one muscle"),
         Reference("force_ce_sum", "15937", "N", 1.0, "by hand: three times 5312.24 N"),
+        Reference("force_ce_sum", "5312", "N", 1.0, "by hand: the first alone is on", {"time": 0.5}),
+        Reference("force_ce_sum", "10624", "N", 1.0, "by hand: the first is off again", {"time": 10.5}),
     ),
     notes=(
         "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of "
