@@ -87,6 +87,32 @@ def test_samples_are_the_same_however_the_time_is_cut():
     np.testing.assert_allclose(run(rng.integers(1, 1500, 300).tolist()), run([]), atol=1e-3)
 
 
+@pytest.mark.parametrize("moment", [1.0, 1.0003, 1.00049])
+def test_a_step_between_two_nodes_is_the_exponential_of_its_own_moment(moment):
+    plant = bench(dead_time=0.0, regulator_lag=0.0)
+    plant.command(constant(0.0, 1e5))
+    plant.advance(moment)
+    plant.command(constant(moment, 4e5))
+    t = moment + np.array([1e-4, 1e-3, 5e-3, 2e-2])
+    pace = 1.2 * 287 * 293 * 1e-7 / 62.832e-6
+    expected = 4e5 - 3e5 * np.exp(-pace * (t - moment))
+    np.testing.assert_allclose(plant.advance(2.0, t).P, expected, atol=5.0)
+
+
+def test_a_stall_is_found_alike_in_one_stretch_and_in_many():
+    def run(count):
+        plant = preset("daerden", "bench", Overrides(noise=0.0)).driven(Actuator(force=1500.0), position=20e-3)
+        plant.command(constant(0.0, 5e5))
+        plant.advance(1.0)
+        plant.move((*sine(1.0, 20e-3, 5e-3, 4.0, 4), Wave(2.0, 20e-3, slope=-0.1), Wave(2.25, -5e-3)))
+        t = 1.0 + np.arange(1, 1001) / 500
+        parts = [plant.advance(float(part[-1]), part) for part in np.split(t, count)]
+        return np.concatenate([[motion.P, 1e3 * motion.F, 1e6 * motion.x] for motion in parts], axis=1)
+
+    assert -5e3 < run(1)[2, -1] < 15e3
+    np.testing.assert_allclose(run(1), run(500), atol=1e-3)
+
+
 def test_a_snapshot_brings_the_air_back():
     plant, _ = full_stroke(1.0, 0.4)
     snapshot, t = plant.snapshot(), 2.4 + np.arange(500) / 500
