@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import monotonic
 from typing import Any
 
 from pmabench.base.errors import UsageError
@@ -120,8 +121,9 @@ class EmulatedBus:
     # -- the hub's thread ---------------------------------------------------------------------------------------------
 
     def _take(self, frame: Frame) -> None:
+        now = monotonic()
         for node in self.nodes.values():
-            node.take(frame)
+            node.take(frame, now)
 
     def _turn(self, now: float) -> None:
         fault = self.faults.peek()

@@ -153,11 +153,11 @@ class EmulatedNode:
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
-    def take(self, frame: Frame) -> None:
-        """A frame of the bus."""
+    def take(self, frame: Frame, now: float) -> None:
+        """A frame of the bus; all nodes have it at the same moment, `now` [s, monotonic]."""
         if frame.extended:
             return
-        self.now = monotonic()
+        self.now = now
         identifier, data = frame.identifier, frame.data
         if identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
             self._manage(data[0])
