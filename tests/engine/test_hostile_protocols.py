@@ -97,7 +97,7 @@ def judged(name):
 
 BENCHES = {"weights": judged("mock"), "actuator": judged("mock-actuator")}
 BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator",
-              "ultimate-gain": "weights"}  # fmt: skip
+              "ultimate-gain": "weights", "positioning-pi": "weights", "validation": "weights"}  # fmt: skip
 
 number = st.one_of(
     st.floats(0, 700).map(lambda v: f"{v:.6g}"),
@@ -145,6 +145,17 @@ SETTINGS = {
         "trial.gain_steps.start": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/mm"),
         "trial.gain_steps.window": length,
     },
+    "positioning-pi": {
+        "controller.output": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
+        "controller.gains": st.builds(lambda K, T: f"{{K_p: {K:.4g} kPa/mm, T_i: {T}}}", st.floats(-1, 1e12), seconds),
+        "sweep.matrix.setpoint": st.lists(length, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "controller.anti_windup": st.sampled_from(["back-calculation", "clamping"]),
+    },
+    "validation": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.hold": seconds,
+        "trial.window": st.tuples(seconds, seconds).map(lambda v: f"[{v[0]}, {v[1]}]"),
+    },
 }
 SHORT = {
     "contraction-relaxation": {"sweep.matrix.load": "[6 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "1",
@@ -155,6 +166,9 @@ SHORT = {
                       "prepare.precondition.cycles": "0"},
     "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",
                       "trial.gain_steps.level_time": "0.05 s", "trial.gain_steps.settle": "0.05 s"},
+    "positioning-pi": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]",
+                       "sweep.matrix.setpoint": "[30 mm]"},
+    "validation": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]"},
 }  # fmt: skip
 
 

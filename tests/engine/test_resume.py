@@ -15,7 +15,7 @@ from tests.engine.benches import mounted
 DRIVEN = ("sinusoidal-displacement", "isobaric-ramp")
 PLANS = {
     kind: prepare(kind, "mock-actuator" if kind in DRIVEN else "mock", "mas-20-250-paper0").plan
-    for kind in ("contraction-relaxation", "static-load", "ultimate-gain", *DRIVEN)
+    for kind in ("contraction-relaxation", "static-load", "ultimate-gain", "positioning-pi", *DRIVEN)
 }
 
 
