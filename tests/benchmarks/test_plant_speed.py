@@ -1,11 +1,7 @@
-"""How fast the simulated plant is: real-time factors, printed, and ratios within one run. `make bench`."""
-
-import math
-import time
+"""How fast the simulated plant is: real-time factors, printed. `make bench`."""
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
@@ -69,46 +65,3 @@ def test_real_time_factor(case, benchmark):
     if benchmark.stats is not None:
         best = benchmark.stats.stats.min
         print(f"\n{case}: {1e3 * best:.1f} ms for {seconds} s, {seconds / best:.0f} times real time")
-
-
-def rk45(made):
-    """A trial aloft without friction by solve_ivp's default method, restarted at every command too."""
-    muscle, lag, P0, y, parts = made.muscle, made.supply.regulator.lag, 0.0, [0.0, 0.0], [np.zeros(20)]
-    for i, level in enumerate(ALOFT):
-        begin, end = 5.0 * i + 0.04, min(5.0 * (i + 1) + 0.04, 20.0)
-
-        def P(t, begin=begin, level=level, P0=P0):
-            return level + (P0 - level) * math.exp(-(t - begin) / lag)
-
-        def rate(t, y, P=P):
-            p, (x, v) = P(t), y
-            damping = muscle.B_c(p) if v > 0 else muscle.B_r(p)
-            pull = muscle.F_ce(p) - muscle.K(p) * x - damping * v - made.force
-            if x <= 0 and v <= 0 and pull <= 0:
-                return [0.0, 0.0]
-            return [v, pull / made.mass]
-
-        t = SAMPLES[(SAMPLES >= begin) & (SAMPLES < end)]
-        solution = solve_ivp(rate, (begin, end), y, t_eval=t, rtol=1e-7, atol=1e-9)
-        parts.append(solution.y[0])
-        y, P0 = solution.y[:, -1], P(end)
-    return np.concatenate(parts)
-
-
-def best_of(run, times=3):
-    took = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        run()
-        took.append(time.perf_counter() - begin)
-    return min(took)
-
-
-def test_lsoda_from_event_to_event_against_rk45(request):
-    """Both find the same; the ratio is printed, and asserted where benchmarks are asked for."""
-    ours, theirs = levels(plant(friction=0), ALOFT), rk45(plant(friction=0))
-    assert np.abs(ours - theirs).max() < 5e-6
-    if not request.config.getoption("benchmark_disable"):
-        ratio = best_of(lambda: rk45(plant(friction=0))) / best_of(lambda: levels(plant(friction=0), ALOFT))
-        print(f"\nsolve_ivp RK45 takes {ratio:.0f} times as long")
-        assert ratio > 20
