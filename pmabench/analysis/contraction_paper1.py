@@ -84,7 +84,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for at in sorted(METHODS, key=lambda name: name != chosen):
         estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else None)
     curves, findings, orders = _curves([*estimates, *driven], settings.get("orders") or {})
-    compared = view.compare(campaign, steps, curves, braid, METHODS[chosen], chosen)
+    stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
+    compared = view.compare(campaign, steps, curves, stiff, braid, chosen)
     return Analysis.of(
         KIND,
         runs,

@@ -11,11 +11,13 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.contraction_paper1_steps import Braid, Step
+from pmabench.analysis.curves import curve
 from pmabench.analysis.results import Curve, Estimate, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
 
 MODEL = "closed form of paper 1"
+METRIC = "100 (1 - |x_s - x_e| / x_e)"
 LONGEST_TRACE = 1500
 WORDS = {1: "contracting", -1: "relaxing"}
 
@@ -39,18 +41,23 @@ def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
 
 
 def compare(
-    campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], braid: Braid, method: str, at: str
+    campaign: Campaign,
+    steps: Sequence[Step],
+    curves: Sequence[Curve],
+    stiff: Sequence[Estimate],
+    braid: Braid,
+    at: str,
 ) -> Compared:
-    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of `method`, beside each step.
+    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, beside each step.
 
-    Accuracy at rest as paper 1: 100 (1 - |x_s - x_e| / x_e) %, of contractions alone, since a relaxation ends at 0.
+    `stiff` are that method's K; accuracies are of contractions alone, since a relaxation ends at 0.
     """
     found = Compared()
+    method = stiff[0].method if stiff else ""
     of = {c.symbol: c for c in curves if c.method == method}  # the last of each symbol is its polynomial
     if "K" not in of:
         return found
     rms: dict[int, list[float]] = {1: [], -1: []}
-    accuracies: list[tuple[float, float]] = []
     for way, symbol in ((1, "B_c"), (-1, "B_r")):
         members = [step for step in steps if step.way == way]
         if symbol not in of or not members:
@@ -62,34 +69,68 @@ def compare(
             S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
             misfits = []
             for step in group:
-                x_s = at_rest(braid, P, S, step.load, at)
-                trace = _overlay(campaign, step, x_s, D / S, dead)
-                found.traces.append(trace)
+                trace = _overlay(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
+                found.traces.append(_thinned(trace))
                 ok = campaign.samples[step.trial].ok
                 gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
                 misfits.append(sqrt(float(np.mean(gap**2))))
             rms[way] += misfits
-            names = tuple(campaign.name(step.trial) for step in group)
-            if way > 0:
-                reached = [1 - abs(at_rest(braid, P, S, s.load, at) - s.stroke) / s.stroke for s in group]
-                value = float(np.mean(reached))
-                accuracies.append((P, value))
-                note = "100 (1 - |x_s - x_e| / x_e); the model was fitted to these trials"
-                found.estimates.append(
-                    Estimate(
-                        "accuracy", value, "1", "ratio", MODEL, {"pressure": P}, n=len(group), note=note, trials=names
-                    )
-                )
+            told = "rms over the whole trial, rest before the step included"
             found.estimates.append(
-                Estimate(
-                    "misfit", float(np.mean(misfits)), "m", "length", MODEL, {"pressure": P}, n=len(group),
-                    note="rms over the whole trial, rest before the step included", trials=names,
-                    coordinate=WORDS[way],
-                )
-            )  # fmt: skip
-    found.traces = [_thinned(trace) for trace in found.traces]
-    found.findings += _findings(rms, accuracies, method)
+                _estimate(campaign, "misfit", group, float(np.mean(misfits)), told, ("m", "length"), WORDS[way])
+            )
+    ups = [step for step in steps if step.way > 0]
+    fitted, left_out = _accuracies(campaign, ups, of["K"], stiff, braid, at)
+    found.estimates += [*fitted, *left_out]
+    found.findings += _findings(rms, fitted, left_out, method)
     return found
+
+
+def _accuracies(
+    campaign: Campaign, steps: Sequence[Step], K: Curve, stiff: Sequence[Estimate], braid: Braid, at: str
+) -> tuple[list[Estimate], list[Estimate]]:
+    """Accuracy at rest as paper 1, 1 - |x_s - x_e| / x_e: of the fit, and with each inner pressure left out of it."""
+    fitted: list[Estimate] = []
+    left_out: list[Estimate] = []
+    for e in stiff:
+        P = e.at["pressure"]
+        group = [step for step in steps if step.pressure == P]
+        rest = [other for other in stiff if other.at["pressure"] != P]
+        without = curve(rest, len(K.terms) - 1, normalised=K.normalised)
+        for through, found, coordinate, note in (
+            (K, fitted, "", f"{METRIC}; the model was fitted to these trials"),
+            (without, left_out, "left out", f"{METRIC}; the model was fitted without this pressure"),
+        ):
+            if through is None or not through.domain[0] <= P <= through.domain[1]:
+                continue
+            S = float(through.values(np.array(P)))
+            if S > 0:
+                shares = [1 - abs(at_rest(braid, P, S, s.load, at) - s.stroke) / s.stroke for s in group]
+                value = float(np.mean(shares))
+                found.append(_estimate(campaign, "accuracy", group, value, note, ("1", "ratio"), coordinate))
+    return fitted, left_out
+
+
+def _estimate(
+    campaign: Campaign,
+    symbol: str,
+    group: Sequence[Step],
+    value: float,
+    note: str,
+    unit: tuple[str, str],
+    coordinate: str,
+) -> Estimate:
+    return Estimate(
+        symbol,
+        value,
+        *unit,
+        MODEL,
+        {"pressure": group[0].pressure},
+        n=len(group),
+        note=note,
+        trials=tuple(campaign.name(step.trial) for step in group),
+        coordinate=coordinate,
+    )
 
 
 def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
@@ -115,18 +156,23 @@ def _thinned(trace: Trace) -> Trace:
     return Trace(trace.name, trace.figure, trace.title, columns, trace.quantities, trace.marks)
 
 
-def _findings(rms: dict[int, list[float]], accuracies: Sequence[tuple[float, float]], method: str) -> list[Finding]:
+def _findings(
+    rms: dict[int, list[float]], fitted: Sequence[Estimate], left_out: Sequence[Estimate], method: str
+) -> list[Finding]:
     lines = []
-    if accuracies:
-        worst, best = min(accuracies, key=lambda one: one[1]), max(accuracies, key=lambda one: one[1])
-        text = (
-            f"closed form with the polynomials by {method} against the test at rest: accuracy "
-            f"{100 * worst[1]:.2f} % at {show(worst[0], 'pressure', 4)} to {100 * best[1]:.2f} % at "
-            f"{show(best[0], 'pressure', 4)}; the model was fitted to these trials, so this tests its form alone"
-        )
+    if fitted:
+        text = f"closed form with the polynomials by {method} against the test at rest: accuracy {_ends(fitted)}"
+        if left_out:
+            text += f"; with each inner pressure left out of the fit {_ends(left_out)}"
         lines.append(Finding("note", text))
     for way, values in rms.items():
         if values:
             low, high = (show(end, "length", 3) for end in (min(values), max(values)))
             lines.append(Finding("note", f"residual of the closed form over time, {WORDS[way]}: {low} to {high} rms"))
     return lines
+
+
+def _ends(accuracies: Sequence[Estimate]) -> str:
+    worst = min(accuracies, key=lambda e: e.value or 0.0)
+    best = max(e.value or 0.0 for e in accuracies)
+    return f"{100 * (worst.value or 0.0):.2f} ({show(worst.at['pressure'], 'pressure', 4)}) to {100 * best:.2f} %"
