@@ -61,7 +61,26 @@ SYMBOLS: dict[str, str] = {
 }
 """Symbol -> its name; the order is that of columns and figures."""
 
-HEADLINES = ("F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u", "e_ss", "OS", "t_s", "x_pp", "T_c", "m", "p_0", "D_0", "theta_0", "alpha")
+HEADLINES = (
+    "F_ce",
+    "K",
+    "B_c",
+    "B_r",
+    "B",
+    "F_c",
+    "K_u",
+    "T_u",
+    "e_ss",
+    "OS",
+    "t_s",
+    "x_pp",
+    "T_c",
+    "m",
+    "p_0",
+    "D_0",
+    "theta_0",
+    "alpha",
+)
 """Symbols of the key numbers on the first page, in this order."""
 
 GROUPS: dict[tuple[str, ...], str] = {
