@@ -22,6 +22,8 @@ from pmabench.store.records import Array
 
 EXACT = 1e-7
 """Residual rms as a share of the output's span below which data are the model's own."""
+ENOUGH = 4
+"""Starts that ended as low as the best, after which no more are tried."""
 SAME = 1e-6
 ALIKE = 0.5
 """Correlation of neighbouring residuals from which on rows do not count as independent."""
@@ -123,8 +125,13 @@ def fit_model(
     begun = [at for at in starts_of(problem, first, seed) if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
-    ends = sorted((solve(problem, at) for at in begun), key=lambda end: end[0])
-    best = ends[0]
+    ends: list[End] = []
+    for at in begun:
+        ends.append(solve(problem, at))
+        best = min(ends, key=lambda end: end[0])
+        if sum(_as_low(end, best) for end in ends) >= ENOUGH:
+            break
+    tried = len(ends)
     freedom = len(measured) - len(unknown)
     spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
     method = "jacobian"
@@ -142,7 +149,7 @@ def fit_model(
             ends = [best, *ends]
             spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
     computed = problem.output_at(best[1])
-    agreeing = sum(_same(end, best, spread, problem.size) for end in ends[-len(begun) :])
+    agreeing = sum(_same(end, best, spread, problem.size) for end in ends[-tried:])
     at_end = [_at_end(problem, i, float(value)) for i, value in enumerate(best[1])]
     findings = told_apart(unknown, spread, intervals, at_end)
     findings += _other_minima(unknown, ends, best, spread, problem, freedom)
@@ -166,7 +173,7 @@ def fit_model(
         correlation=spread.correlation,
         residual_rms=sqrt(best[0] / max(1, freedom)) * problem.span,
         freedom=freedom,
-        starts=len(begun),
+        starts=tried,
         agreeing=agreeing,
         converged=best[2],
         method=method,
@@ -234,9 +241,13 @@ def _end(
     return middle + reach, None
 
 
+def _as_low(end: End, best: End) -> bool:
+    return end[0] <= best[0] * (1 + 1e-4) + 1e-14
+
+
 def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
     """Whether a start ended at the best values."""
-    if end[0] > best[0] * (1 + 1e-4) + 1e-14:
+    if not _as_low(end, best):
         return False
     errors = np.array([0.0 if e is None else e for e in spread.errors])
     free = np.array([e is not None for e in spread.errors])

@@ -98,8 +98,9 @@ def read_measured(
     if not inputs:
         expected = ", ".join(_example(p.name, p.quantity) for p in model.parameters if not p.choices)
         raise UsageError(f"{table.path} has no column of an input of {model.name}; it takes: {expected}")
-    for head in [*unused, *(other.head.text for name, (other, _) in outputs.items() if name != chosen)]:
-        notes.append(f'column "{head}" is not used')
+    idle = [*unused, *(other.head.text for name, (other, _) in outputs.items() if name != chosen)]
+    if idle and not path.is_dir():
+        notes.append("not used: column " + ", ".join(f'"{head}"' for head in idle))
     if path.is_dir() and not only:
         table, inputs, outputs = _one_method(model, table, chosen, renamed, notes)
     parameters = {p.name: p for p in model.parameters}

@@ -52,7 +52,7 @@ def test_units_of_the_head_count_and_columns_may_have_other_names(tmp_path):
     two = json.loads(result.stdout)
     assert [u["value"] for u in two["parameters"]] == pytest.approx([u["value"] for u in one["parameters"]], rel=1e-6)
     assert 'column "eps" has no unit: taken as a fraction' in result.stderr
-    assert 'column "row" is not used' in result.stderr
+    assert 'not used: column "row"' in result.stderr
 
 
 def test_a_given_input_is_not_fitted_and_free_names_what_is():

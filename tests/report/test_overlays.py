@@ -54,16 +54,6 @@ def test_own_results_stay_what_they_are():
     assert [a.kind for a in theirs] == ["published"]
 
 
-def test_a_report_says_whose_the_crosses_are_and_counts_them_nowhere_else():
-    text = render([contraction()], [], published=[BOOK])
-    assert "Beside published values" in text
-    assert "A book, page 3" in text
-    assert "Crosses: Book, not measured here." in text
-    assert ">Book<" in text  # the legend
-    coefficients = text[text.index('id="coefficients"') : text.index('id="test-1"')]
-    assert "Book" not in coefficients
-
-
 def test_force_over_contraction_is_matched_by_pressure_and_the_length_of_the_specimen():
     eps = np.array([-0.5, 0.0, 0.05, 0.10, 0.20, 0.10, 0.40])
     pressure = np.array([3e5, 3e5, 3e5, 3.01e5, 3e5, 4e5, 3e5])
@@ -144,11 +134,14 @@ def test_overlays_are_read_with_their_units_and_labels(tmp_path):
     other = tmp_path / "chart.csv"
     other.write_text("P_kPa,F_ce_N,when\n200,160,2020\n300,270,2021\n")
     text = report(tmp_path, f"{book}:Book 2020", str(other))
-    assert "Book 2020" in text
+    assert "Beside published values" in text
+    assert "Crosses: Book 2020, not measured here." in text
     assert "−9.09" in text
     assert "A book, page 3" in text
     assert "The file names no source." in text
-    assert ">chart<" in text
+    assert ">chart<" in text  # the legend
+    coefficients = text[text.index('id="coefficients"') : text.index('id="test-1"')]
+    assert "Book 2020" not in coefficients
 
 
 @pytest.mark.parametrize(
