@@ -58,6 +58,8 @@ class Result(_Strict):
     force_ce_sum: Column
     force_ce: Column
     force: Column
+    written: list[str] = []
+    """Files that a command wrote beside what it printed."""
 
 
 UNITS = {
