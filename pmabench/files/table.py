@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,8 @@ LARGEST = 50_000_000
 """Bytes of a file that is read."""
 MOST_ROWS = 200_000
 MOST_PROBLEMS = 50
+BEYOND = 1e30
+"""No measured value is as large [SI]."""
 _NUMBER = re.compile(NUMBER)
 _BRACKETS = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*")
 
@@ -216,7 +218,7 @@ def numbers(
                 values[at] = nan
                 continue
             number = float(cell.text) * scale if _NUMBER.fullmatch(cell.text) else float("nan")
-            wrong = "" if isfinite(number) else _no_number(cell.text)
+            wrong = "" if abs(number) < BEYOND else _no_number(cell.text)
             if not wrong and within is not None and not within(place, number):
                 wide.add(at)
             elif not wrong and check is not None:
@@ -234,4 +236,4 @@ def numbers(
 def _no_number(text: str) -> str:
     if re.fullmatch(r"[+-]?\d+,\d+", text):
         return f'"{text}" has a decimal comma; write a point'
-    return f'"{text}" is no number'
+    return f'"{text}" is {"out of all range" if _NUMBER.fullmatch(text) else "no number"}'
