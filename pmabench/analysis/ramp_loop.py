@@ -111,7 +111,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float) -> Loop:
     bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
     if bad > UNUSABLE_SHARE:
         raise NotUsable(f"{bad:.0%} of the samples are flagged")
-    values = {name: _on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
     branches: dict[str, list[Array]] = {"contract": [], "expand": []}
     pressures: dict[str, list[float]] = {"contract": [], "expand": []}
     speeds, given, lost = [], [], []
@@ -181,7 +181,7 @@ def _between(trial: TrialData, begin: float, end: float) -> NDArray[np.intp]:
     return np.flatnonzero((trial.t >= begin - 1e-9) & (trial.t < end - 1e-9) & trial.usable)
 
 
-def _on_time(run: RunData, trial: TrialData, name: str) -> Array:
+def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp tells what was there one lag ago; NaN if missing."""
     if name not in trial.channels:
         return np.full(trial.t.shape, np.nan)

@@ -20,6 +20,7 @@ REDUCTIONS = {
     "sinusoidal-displacement": "sine",
     "ultimate-gain": "ultimate_gain",
     "isobaric-ramp": "isobaric",
+    "step-displacement": "step_displacement",
     "positioning": "positioning",
     "validation": "validation",
     "isometric-pressurisation": "isometric_pressurisation",

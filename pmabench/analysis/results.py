@@ -29,6 +29,8 @@ POINT_QUANTITIES = {
     "amplitude": "length",
     "frequency": "frequency",
     "speed": "speed",
+    "start": "length",
+    "step": "length",
     "lower": "length",
     "upper": "length",
     "load": "force",

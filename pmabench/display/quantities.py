@@ -58,6 +58,7 @@ _NEEDS = {
     "positioning": ("positioning",),
     "validation": ("validation",),
     "isobaric-ramp": ("ramp_loop",),
+    "step-displacement": ("step_relaxation",),
     "isometric-pressurisation": ("isometric_pressurisation",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
@@ -324,6 +325,26 @@ def _isometric(run: RunData, trial: TrialData, expected: Expected | None, quick:
     ], doubts
 
 
+def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
+    from pmabench.analysis.sine_loop import NotUsable
+    from pmabench.analysis.step_relaxation import measure as steps_of
+
+    P = trial.point.get("pressure")
+    try:
+        steps = steps_of(run, trial, {}).there
+    except NotUsable as reason:
+        return [Measured("K", "stiffness", None)], [str(reason)]
+    K = float(np.mean([step.static for step in steps]))
+    beyond = float(np.mean([abs(step.peak - step.relaxed) for step in steps]))
+    drift = max((abs(step.drift) for step in steps if abs(step.drift) > 3 * step.noise), default=0.0)
+    doubts = [f"the force still drifts by {show(drift, 'force', 2)}"] if drift > DRIFT * beyond > 0 else []
+    return [
+        Measured("K", "stiffness", K, expected.at("K", P) if expected is not None and P is not None else None),
+        Measured("overshoot", "force", beyond, noise=3 * steps[0].noise),
+    ], doubts
+
+
 _RULES: dict[str, Callable[..., Found]] = {
     "contraction-relaxation": _contraction,
     "static-load": _static,
@@ -332,5 +353,6 @@ _RULES: dict[str, Callable[..., Found]] = {
     "positioning": _position,
     "validation": _validation,
     "isobaric-ramp": _isobaric,
+    "step-displacement": _displacement_step,
     "isometric-pressurisation": _isometric,
 }

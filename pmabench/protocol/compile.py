@@ -22,6 +22,7 @@ KINDS = {
     "sinusoidal-displacement": ("sinusoidal_displacement", "SinusoidalDisplacement"),
     "ultimate-gain": ("ultimate_gain", "UltimateGain"),
     "isobaric-ramp": ("isobaric_ramp", "IsobaricRamp"),
+    "step-displacement": ("step_displacement", "StepDisplacement"),
     "positioning": ("positioning", "Positioning"),
     "validation": ("validation", "Validation"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),

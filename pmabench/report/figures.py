@@ -248,6 +248,7 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("isobaric", "mean-curve"), ramp_figures.loops),
     (("rubber",), ramp_figures.rubber),
     (("sine-pressure",), ramp_figures.sine_pressure),
+    (("displacement-step",), ramp_figures.steps),
     (("isometric",), _isometric),
     (("section",), sections),
 )

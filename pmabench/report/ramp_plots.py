@@ -16,6 +16,7 @@ from pmabench.report.plots import (
     HALF,
     INK,
     PALETTE,
+    QUIET,
     RED,
     Panel,
     blank,
@@ -144,4 +145,35 @@ def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     width, height = figure.get_size_inches()
     handles = figure.axes[0].get_legend_handles_labels()
     figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=3)
+    return figure
+
+
+def steps(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
+    """Columns x, y and P over t below each other, a column of axes for each panel; marks as dashed lines on y."""
+    alone = len(panels) == 1
+    rows = ["x", "y", *(["P"] if any("P" in panel.columns for panel in panels) else [])]
+    figure = blank(HALF if alone else FULL, 1.0 + 1.2 * len(rows))
+    cells = grid(figure, 1, len(panels), top=0.46, left=0.62, across=0.24)
+    firsts: dict[str, Axes] = {}
+    for i, panel in enumerate(panels):
+        inner = cells[i].subgridspec(len(rows), 1, height_ratios=[0.7, 1.3, 1.0][: len(rows)], hspace=0.16)
+        top: Axes | None = None
+        for place, row in enumerate(rows):
+            axes = figure.add_subplot(inner[place], sharex=top, sharey=firsts.get(row))
+            top = top or axes
+            firsts.setdefault(row, axes)
+            if row in panel.columns:
+                color = {"x": QUIET, "y": PALETTE[0], "P": RED}[row]
+                axes.plot(panel.columns["t"], panel.columns[row], color=color, linewidth=1.0)
+            for value in panel.marks.values() if row == "y" else ():
+                axes.axhline(value, color=INK, linewidth=0.6, linestyle=(0, (4, 2)))
+            axes.tick_params(labelleft=i == 0, labelbottom=row == rows[-1])
+            few_ticks(axes, x=4, y=4)
+            if i == 0:
+                axes.set_ylabel(labels[row])
+            if place == 0:
+                axes.set_title(panel.title.replace(", ", "\n", 1))
+        if top is not None:
+            figure.axes[-1].set_xlabel(labels["t"])
+    figure.align_ylabels(list(firsts.values()))
     return figure

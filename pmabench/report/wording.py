@@ -23,6 +23,8 @@ SYMBOLS: dict[str, str] = {
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
     "W_c": "work given while contracting",
+    "tau_F": "time constant of the force after a step",
+    "tau_p": "time constant of the pressure after a step",
     "P_err": "largest error of the pressure along the sine",
     "F_rms": "rms error of the modelled force",
     "F_e": "force of the rubber without pressure",
@@ -131,6 +133,11 @@ METHODS: dict[str, str] = {
     "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
     "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
+    "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the rest "
+    "after it: K = −ΔF/Δx; above 0 the step contracts.",
+    "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
+    "that the step makes, are in it.",
+    "step, recovery": "One exponential through force and pressure from the end of the motion on.",
     "pressure error": "Largest difference of measured and set pressure while moving in a direction, the mean over "
     "cycles.",
     "modelled with set pressure": "The force that a static model gives, F = f(x) + s(x) P through the branches of the "
@@ -196,6 +203,7 @@ KINDS: dict[str, str] = {
     "sinusoidal-displacement": "Sinusoidal displacement",
     "ultimate-gain": "Ultimate gain",
     "isobaric-ramp": "Isobaric ramps",
+    "step-displacement": "Steps of displacement",
     "positioning": "Positioning in closed loop",
     "validation": "Validation of a model",
     "isometric-pressurisation": "Isometric pressurisation",
@@ -214,6 +222,8 @@ _LABELS = {
     "mean": "mean x",
     "frequency": "f",
     "speed": "v",
+    "start": "start x",
+    "step": "step of x",
     "load": "F_L",
     "bias": "bias P",
     "mass": "moving mass",

@@ -52,3 +52,21 @@ def test_what_is_wrong_with_a_ramp_is_said():
     assert any(
         "upper one" in doubt for doubt in told(type(upside_down)(**{**vars(upside_down), "channels": channels}))[1]
     )
+
+
+def test_a_step_of_displacement_gives_stiffness_and_what_the_peak_is_beyond():
+    """F = 275 - K x - B x', 5 mm at 50 mm/s: the peak is B v below the relaxed force."""
+    t = np.arange(0.0, 4.2, 0.002)
+    x = 0.01 + np.interp(t, [0, 1.0, 1.1, 2.1, 2.2, 4.2], [0, 0, 0.005, 0.005, 0, 0])
+    v = np.interp(t, [0, 0.999, 1.0, 1.099, 1.1, 2.099, 2.1, 2.199, 2.2, 4.2], [0, 0, 1, 1, 0, 0, -1, -1, 0, 0]) * 0.05
+    commands = (
+        Command(1.0, "displacement", "ramp", 0.015, 0.01, "step", {"rate": 0.05}),
+        Command(2.1, "displacement", "ramp", 0.01, 0.015, "back", {"rate": 0.05}),
+    )
+    channels = {"displacement": x, "force": 275.0 - 7000.0 * x - 1500.0 * v, "pressure": np.full(len(t), 3e5)}
+    point = {"pressure": 3e5, "start": 0.01, "step": 0.005, "speed": 0.05, "cycles": 1.0}
+    trial = TrialData("r", 0, point, 0, False, "finished", t, channels, np.zeros(len(t), np.uint16), commands, {})
+    run = RunData("r", "r", "step-displacement", "running", True, {}, {"settings": {"discard": 0}}, (), {}, 500.0, ())
+    numbers, doubts = measure(run, trial, EXPECTED, Quick())
+    assert doubts == []
+    assert {n.symbol: n.value for n in numbers} == pytest.approx({"K": 7000.0, "overshoot": 75.0}, rel=1e-3)

@@ -97,6 +97,7 @@ def judged(name):
 
 BENCHES = {"weights": judged("mock"), "actuator": judged("mock-actuator")}
 BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator",
+              "step-displacement": "actuator",
               "ultimate-gain": "weights", "positioning-pi": "weights", "validation": "weights"}  # fmt: skip
 
 number = st.one_of(
@@ -131,6 +132,13 @@ SETTINGS = {
         "trial.amplitude": length,
         "sweep.matrix.frequency": st.floats(-1, 30).map(lambda v: f"[{v:.3g} Hz]"),
     },
+    "step-displacement": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "sweep.matrix.step": length.map(lambda v: f"[{v}]"),
+        "sweep.matrix.speed": st.floats(-1, 700).map(lambda v: f"[{v:.3g} mm/s]"),
+        "trial.start": length,
+        "trial.hold": seconds,
+    },
     "isobaric-ramp": {
         "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
         "sweep.matrix.speed": st.floats(-1, 700).map(lambda v: f"[{v:.3g} mm/s]"),
@@ -162,6 +170,8 @@ SHORT = {
                                "trial.relax.hold": "0.1 s", "trial.relax.hold_at_end": "0.2 s"},
     "static-load": {"sweep.matrix.load": "[6 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0"},
     "sinusoidal-displacement": {"sweep.repeat.count": "1", "trial.at_least": "0 s", "prepare.precondition.cycles": "0"},
+    "step-displacement": {"sweep.matrix.pressure": "[300 kPa]", "sweep.matrix.speed": "[20 mm/s]", "trial.hold": "0.3 s",
+                          "prepare.precondition.cycles": "0"},
     "isobaric-ramp": {"sweep.matrix.pressure": "[300 kPa]", "sweep.matrix.speed": "[20 mm/s]", "trial.cycles": "2",
                       "prepare.precondition.cycles": "0"},
     "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",

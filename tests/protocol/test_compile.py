@@ -28,6 +28,7 @@ BENCH_OF = {
     "isometric-pressurisation-paper3": "mock-daerden-ideal",
     "sinusoidal-displacement-paper3": "mock-daerden",
     "isobaric-ramp": "mock-actuator",
+    "step-displacement": "mock-daerden",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
 }
 

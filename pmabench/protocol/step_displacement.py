@@ -1,0 +1,117 @@
+"""Steps of displacement at constant pressure: force before, at its peak and relaxed (paper 3, steps)."""
+
+from __future__ import annotations
+
+from math import isclose
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Length, Speed, Time
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.driven import arrive, bearable, leave, not_too_fast
+from pmabench.protocol.driven_air import not_pushed_together
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.sweep import LengthAxis, Point, PressureAxis, SpeedAxis, Sweep, expand
+
+POINTS = 90
+"""Points of each ramp on which the pressure is predicted."""
+
+
+class StepAxes(Strict):
+    """What is swept: pressure, size of the step (below 0 it stretches first), and speed on the way."""
+
+    pressure: PressureAxis
+    step: LengthAxis
+    speed: SpeedAxis
+
+
+class StepTrial(Strict):
+    """Steps there and back, each with a rest after it."""
+
+    start: Length
+    """Contraction from which the steps go."""
+    hold: Time
+    """Rest after each step, in which the force relaxes; and before the first."""
+    cycles: Annotated[int, Field(ge=2, le=1000)] = 4
+    discard: Annotated[int, Field(ge=0)] = 1
+    """Cycles at the start that do not count: they begin on another branch of the hysteresis."""
+    settle: Time
+    """Time at pressure before the first motion."""
+    approach: Speed
+    """Speed from 0 to the start and back."""
+
+
+class StepDisplacement(ProtocolHead):
+    """Protocol of kind step-displacement."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
+    gives: ClassVar[tuple[str, ...]] = ("K",)
+    kind: Literal["step-displacement"]
+    sweep: Sweep[StepAxes]
+    trial: StepTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per pressure pressurise and go to the start; per step and speed one recorded trial."""
+        trial = self.trial
+        for name in ("hold", "settle", "approach"):
+            c.positive(getattr(trial, name), ("trial", name))
+        not_too_fast(c, trial.approach, ("trial", "approach"), "it approaches")
+        c.within("displacement", trial.start, ("trial", "start"))
+        if trial.discard >= trial.cycles:
+            c.fault(("trial", "discard"), f"leaves nothing of {trial.cycles} cycles")
+        at: float | None = None
+        for index, point in enumerate(expand(self.sweep, c.document)):
+            pressure, step, speed = (point.values[name] for name in ("pressure", "step", "speed"))
+            c.within("pressure", pressure, point.places["pressure"])
+            c.within("displacement", trial.start + step, point.places["step"])
+            c.positive(speed, point.places["speed"])
+            if step == 0:
+                c.fault(point.places["step"], "a step goes somewhere: above 0 it contracts first, below 0 it stretches")
+            if step == 0 or speed <= 0 or trial.approach <= 0 or trial.hold <= 0 or c.too_long():
+                continue
+            self._possible(c, point)
+            if index == 0:
+                c.precondition()
+            if at is None or not isclose(at, pressure):
+                c.steps += arrive(
+                    pressure, trial.start, trial.settle, trial.approach, None if at is None else trial.start
+                )
+                at = pressure
+            values = {"pressure": pressure, "step": step, "speed": speed, "start": trial.start}
+            c.trials.append(TrialRecord(index, {**values, "cycles": float(trial.cycles)}, point.repeat))
+            c.steps += [
+                Record("before", True, index),
+                Hold("before", trial.hold),
+                *self._cycle(step, speed) * trial.cycles,
+                Record("back", False, index),
+            ]
+        c.steps += leave(trial.start, trial.approach)
+        return c.plan("step-displacement", {"discard": trial.discard})
+
+    def _cycle(self, step: float, speed: float) -> list[Step]:
+        start, end = self.trial.start, self.trial.start + step
+        return [
+            Ramp("step", "displacement", start, end, speed),
+            Hold("step", self.trial.hold),
+            Ramp("back", "displacement", end, start, speed),
+            Hold("back", self.trial.hold),
+        ]
+
+    def _possible(self, c: Compilation, point: Point) -> None:
+        """Check the actuator's speed, the force believed to come, and the pressure that the motion makes."""
+        pressure, step, speed = (point.values[name] for name in ("pressure", "step", "speed"))
+        not_too_fast(c, speed, point.places["speed"], "the step moves")
+        start, end = self.trial.start, self.trial.start + step
+        bearable(c, pressure, [(x, v) for x in (start, end) for v in (speed, -speed, 0.0)], point.places["step"],
+                 "the start or the step")  # fmt: skip
+
+        def motion(share: float) -> tuple[list[float], float]:
+            """From the larger contraction: a stretch, a rest as long, and the way back."""
+            high, low = max(start, start + share * step), min(start, start + share * step)
+            down = [high - (high - low) * i / POINTS for i in range(POINTS + 1)]
+            return [*down, *[low] * POINTS, *reversed(down), *[high] * POINTS], 4 * (high - low) / speed
+
+        pace = (speed, "speed", "speed")
+        not_pushed_together(c, pressure, motion, (abs(step), "length", "step"), pace, point.places["step"])
