@@ -54,7 +54,7 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
 
     _not_both(ui, as_csv=as_csv)
     plan = read_cascade(find_file("cascade", file))
-    at = _moments(moments, plan.duration)
+    at = _moments(moments, plan.duration, out)
     members = [muscle.member() for muscle in plan.muscles]
     times = np.arange(plan.rows) / plan.rate
     told: dict[str, float] | None = None
@@ -90,7 +90,7 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
 
     _not_both(ui, as_csv=as_csv)
     found = read_result(source)
-    at = _moments(moments, found.time[-1])
+    at = _moments(moments, found.time[-1], out)
     if pace:
         t = np.array(found.time)
         P, x, F_ce = (
@@ -130,12 +130,14 @@ def _not_both(ui: Ui, *, as_csv: bool) -> None:
         raise UsageError("--csv or --json, not both")
 
 
-def _moments(texts: tuple[str, ...], last: float) -> list[float]:
+def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:
     """The moments of the still [s]; UsageError with all that is wrong."""
     from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
     found, problems = [], []
+    if texts and out is None:
+        problems.append("--at chooses moments of a drawing; say with --out FOLDER where it goes")
     for text in texts:
         try:
             moment = parse_quantity(text, "time")

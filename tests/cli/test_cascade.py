@@ -359,6 +359,7 @@ def test_moments_are_chosen(folder, tmp_path):
     told = call("replay", folder, "--at", "17 s", "--at", "x", code=2).stderr
     assert "outside the simulation, 0 to 16 s" in told
     assert told.count("--at:") == 2
+    assert "--out FOLDER" in told
 
 
 def damaged(folder, change):
