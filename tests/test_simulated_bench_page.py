@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pmabench_drivers.mock.options import CHOICES, Faults, Options, SensorError, Service
 
+from pmabench.cli.emulate import PRESETS
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import PLANTS
 
@@ -22,6 +23,10 @@ def test_every_plant_is_told_and_can_be_chosen():
     told = ["contractor" + name if name.startswith("-") else name for name in first_cells(MUSCLES)]
     assert set(told) - {"plant"} == set(PLANTS)
     assert CHOICES["plant"] == PLANTS
+
+
+def test_the_emulators_take_every_plant_with_a_free_end():
+    assert set(PRESETS) == set(PLANTS) - {"daerden"}
 
 
 def test_every_option_is_told_once():

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from pmabench.bench.interface import OutputRecord
     from pmabench.cli.emulated_faults import Faults, Schedule
 
-PRESETS = ("paper0", "serres2009")
+PRESETS = ("paper0", "serres2009", "dmsp-40-305", *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)))
 
 
 @click.command(name="emulate")
 @click.argument("bench")
-@click.option("--plant", default="paper0", help="The muscle: paper0, serres2009, or the path of a plant file.")
+@click.option("--plant", default="paper0", help=f"The muscle: {', '.join(PRESETS)}, or the path of a plant file.")
 @click.option(
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."
 )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
@@ -47,6 +48,32 @@ def waves(*commands, end):
     return made.x
 
 
+def stroke(name, kind):
+    """20 s of a driven end at 500 Hz in blocks of 1 s, as the mock takes them."""
+    made = preset(name, kind).driven(Actuator(force=9000.0, speed=1.0))
+    made.command(constant(0.0, 300e3))
+    made.move(sine(0.0, 0.0, 5e-3, 1.0, 20))
+    for k in range(20):
+        made.advance(k + 1.0, SAMPLES[500 * k : 500 * (k + 1)])
+    return made.reading()
+
+
+def one_by_one():
+    """2 s of the driven muscle with its air, each sample a stretch of its own."""
+    made = preset("daerden", "bench").driven(Actuator(force=9000.0, speed=1.0))
+    made.command(constant(0.0, 300e3))
+    made.move(sine(0.0, 0.0, 5e-3, 1.0, 20))
+    for t in SAMPLES[1:1001].tolist():
+        made.advance(t, (t,))
+    return made.reading()
+
+
+def hanging():
+    """Paper 1's muscle on a bench: four steps of 5 s."""
+    made = preset("dmsp-40-305", "bench").free(force=5.0, mass=0.5)
+    return levels(made)
+
+
 CASES = {
     "steps, ideal": (20, lambda: levels(plant("ideal", mass=0.5))),
     "steps, stiction": (20, lambda: levels(plant())),
@@ -55,6 +82,11 @@ CASES = {
     "sine 0.5 Hz, stiction": (20, lambda: waves(constant(0, 300e3), sine(2, 300e3, 80e3, 0.5, 9), end=20)),
     "100 s stuck": (100, lambda: waves(constant(0, 50e3), end=100)),
     "closed loop at 500 Hz": (20, closed_loop),
+    "dmsp-40-305, steps": (20, hanging),
+    "driven, paper0": (20, lambda: stroke("paper0", "bench")),
+    "driven, daerden ideal": (20, lambda: stroke("daerden", "ideal")),
+    "driven, daerden with air": (20, lambda: stroke("daerden", "bench")),
+    "driven, daerden with air, sample by sample": (2, one_by_one),
 }
 
 
