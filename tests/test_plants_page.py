@@ -100,6 +100,9 @@ def test_a_few_trials_bring_its_coefficients_back_and_the_run_keeps_the_file(fol
     assert (run / "muscle.yaml").read_text() == FILES["muscle.yaml"]
     (folder / "muscle.yaml").write_text(FILES["muscle.yaml"].replace("stop: 60 mm", "stop: 50 mm"))
     call("pmabench runs verify runs")
+    refused = CliRunner().invoke(main, ["run", "--resume", str(run), "--yes"])
+    assert refused.exit_code == 3
+    assert "the bench is not what it was in this run" in refused.output
     open_run(run)
     call("pmabench process runs/*")
     assert_within(estimates(), 1e-3, 1)

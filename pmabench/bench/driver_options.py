@@ -119,8 +119,8 @@ def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
     if len(data) > LONGEST:
         c.fault(at, f"{name} is longer than {LONGEST} bytes")
         return None
-    c.texts[name] = data.decode("latin-1")
-    return c.texts[name]
+    text = data.decode("latin-1")
+    return text if _keep(c, name, text, at) else None
 
 
 def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str, Any] | None:
@@ -139,7 +139,8 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
         return None
     for sentence in plant.beyond(device.outputs):
         c.fault(at, sentence)
-    c.texts[name] = plant.text
+    if not _keep(c, name, plant.text, at):
+        return None
     return {**plant.numbers, "file": name}
 
 
@@ -152,6 +153,14 @@ def _beside(c: Compilation, name: str, at: Location, example: str) -> Path | Non
     return Path(c.bench_document.place(at)[0]).parent / path
 
 
+def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
+    """Keep the text for the run's snapshot; False, with a problem, where another file stands there by this name."""
+    if name == "protocol.yaml" or c.texts.setdefault(name, text) != text:
+        c.fault(at, f'in the record of a run another file is called "{name}"; give this one a name of its own')
+        return False
+    return True
+
+
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
     """The map file, kept for the run's snapshot; None where it is a problem."""
     path = _beside(c, name, at, "registers/regulator.yaml")
@@ -162,5 +171,4 @@ def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
     except InvalidFile as error:
         c.problems.extend(problem for problem in error.problems if problem not in c.problems)
         return None
-    c.texts[name] = document_text(document)
-    return document
+    return document if _keep(c, name, document_text(document), at) else None

@@ -61,12 +61,15 @@ def continue_run(
 
 
 def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
-    """Which of the files a run is made of differ, as the words of `CHANGES`; bench.json holds zeros and is no file."""
+    """Which of the files a run is made of differ, as the words of `CHANGES`; bench.json holds zeros and is no file.
+
+    Files that a bench names, as maps and plants, are part of it.
+    """
     for name in {*then, *now} - {"bench.json", "README.txt"}:
         digest = hashlib.sha256(now[name].encode()).hexdigest() if name in now else None
         if then.get(name) != digest:
-            kind = "calibration" if name.startswith("calibrations/") else Path(name).stem
-            yield "protocol" if kind == "plan" else kind
+            known = {"specimen.yaml": "specimen", "protocol.yaml": "protocol", "plan.json": "protocol"}
+            yield "calibration" if name.startswith("calibrations/") else known.get(name, "bench")
 
 
 def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:

@@ -218,6 +218,8 @@ def test_a_bench_takes_the_plant_of_a_file_and_keeps_it(tmp_path):
         ("{plant: {law: three-element}}", "the name of a plant, or a plant file beside this one, is expected"),
         ("{plant: paper1}", 'did you mean "paper0"'),
         ("{plant: broken.yaml}", '"source" is missing'),
+        ("{plant: specimen.yaml}", 'in the record of a run another file is called "specimen.yaml"'),
+        ("{plant: protocol.yaml}", 'in the record of a run another file is called "protocol.yaml"'),
         ("{plant: daerden.yaml}", "daerden.yaml is for a driven free end"),
     ],
 )
@@ -225,6 +227,8 @@ def test_a_plant_that_does_not_fit_the_bench_is_told_where_it_is_named(tmp_path,
     written(tmp_path, MUSCLE)
     written(tmp_path, re.sub(r"(?m)^source: .*\n", "", MUSCLE), "broken.yaml")
     written(tmp_path, DAERDEN, "daerden.yaml")
+    for name in ("specimen.yaml", "protocol.yaml"):
+        written(tmp_path, (PLANTS / "paper0.yaml").read_text(), name)
     with pytest.raises(InvalidFile) as caught:
         mount(bench(tmp_path, options), SPECIMEN)
     assert sentence in str(caught.value)
