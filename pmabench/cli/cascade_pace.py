@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
 from pmabench.cli.common import Ui, say
@@ -17,7 +18,8 @@ BLOCK = 0.05
 """Time of one block [s]."""
 CLOSE = 0.02
 """How far elapsed and simulated time may lie apart."""
-WIDTH = 60
+WIDTH, BESIDE = 60, 30
+"""Letters of the whole chain where there is room, and of what stands beside it."""
 Show = Callable[[float, Sequence[float], Sequence[bool]], None]
 """Takes the time [s], the contraction of each muscle [m], and which of them are under pressure."""
 
@@ -60,7 +62,8 @@ def shower(ui: Ui, lengths: Sequence[float]) -> Show:
         if ui.quiet or (not live and t - last[0] < 1 - 1e-9):
             return
         last[0] = t
-        text = f"{t:8.2f} s {drawn(lengths, x, on)} x {1e3 * sum(x):7.2f} mm"
+        width = min(max(get_terminal_size().columns - BESIDE, 10), WIDTH) if live else WIDTH
+        text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
         if live:
             sys.stderr.write(f"\r{text}")
             sys.stderr.flush()
@@ -76,16 +79,16 @@ def show_ended(ui: Ui) -> None:
         say("")
 
 
-def drawn(lengths: Sequence[float], x: Sequence[float], on: Sequence[bool]) -> str:
+def drawn(lengths: Sequence[float], x: Sequence[float], on: Sequence[bool], width: int = WIDTH) -> str:
     """The chain between its fixed end and where its free end rests: muscles as long as they are, `=` under pressure.
 
     >>> drawn([0.3, 0.3], [0.1, 0.0], [True, False])
-    '|[==================][---------------------------]o          .'
+    '|[==================][----------------------------]o          .'
     """
-    whole, place, text = sum(lengths), 0.0, "|"
+    whole, place, text = sum(lengths), 0.0, ""
     for length, contraction, pressed in zip(lengths, x, on, strict=True):
-        begin = round(WIDTH * place / whole)
         place += length - contraction
-        wide = max(round(WIDTH * place / whole) - begin, 1)
-        text += "[" + ("=" if pressed else "-") * (wide - 2) + "]" if wide > 1 else ("=" if pressed else "-")
-    return f"{text}o".ljust(WIDTH + 2) + "."
+        wide = round(width * place / whole) - len(text)
+        sign = "=" if pressed else "-"
+        text += f"[{sign * (wide - 2)}]" if wide > 2 else sign * wide
+    return f"|{text}o".ljust(width + 2) + "."

@@ -1,6 +1,7 @@
 """`pmabench cascade`: files with all problems at once, pacing, results, drawings that need nothing else, replay."""
 
 import csv
+import doctest
 import io
 import json
 import re
@@ -15,9 +16,11 @@ from click.testing import CliRunner
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import InvalidFile
+from pmabench.cli import cascade_pace
 from pmabench.cli.cascade_pace import drawn, pace_told, paced
 from pmabench.cli.common import Ui
 from pmabench.cli.main import main
+from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
 from pmabench.model.outline import quadratic
 from pmabench.protocol.cascade import read_cascade
@@ -234,6 +237,17 @@ def test_the_chain_as_text_is_as_long_as_it_is():
     assert rest.index("o") == 61
     assert short.index("o") == 46
     assert len(rest) == len(short)
+    many = [drawn([0.3] * 100, [0.3 * share] * 100, [True] * 100, 40) for share in (0.0, 0.5)]
+    assert [line.index("o") for line in many] == [41, 21]
+    assert len(set(map(len, many))) == 1
+
+
+def test_the_chain_as_text_is_what_its_docstring_shows():
+    assert doctest.testmod(cascade_pace) == (0, 1)
+
+
+def test_examples_of_the_models_hold():
+    assert doctest.testmod(cascade) == (0, 2)
 
 
 # -- drawings --------------------------------------------------------------------------------------------------------
