@@ -69,4 +69,4 @@ def test_a_step_of_displacement_gives_stiffness_and_what_the_peak_is_beyond():
     run = RunData("r", "r", "step-displacement", "running", True, {}, {"settings": {"discard": 0}}, (), {}, 500.0, ())
     numbers, doubts = measure(run, trial, EXPECTED, Quick())
     assert doubts == []
-    assert {n.symbol: n.value for n in numbers} == pytest.approx({"K": 7000.0, "overshoot": 75.0}, rel=1e-3)
+    assert {n.symbol: n.value for n in numbers} == pytest.approx({"K": 7000.0, "overshoot": 75.0}, rel=0.01)
