@@ -23,7 +23,7 @@ from pmabench.files.quantity import unit_factor
 SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
 """Coefficient -> quantity."""
 LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0}
-MOST = {"F_ce": 1e6, "K": 1e8, "B_c": 1e7, "B_r": 1e7}
+MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7}
 """What each must lie between at all pressures of the plant [SI]."""
 JUMP = 0.02
 """Most that a coefficient may jump at a break, of its highest value."""

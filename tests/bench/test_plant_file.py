@@ -19,6 +19,7 @@ from pmabench.bench.plant import read_plant
 from pmabench.bench.records import device_from
 from pmabench.model.plant_file import setup_of
 from pmabench.model.presets import changed, preset
+from pmabench.model.signal import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN
 
 PLANTS = ROOT / "fixtures" / "plants"
@@ -235,7 +236,7 @@ def test_a_plant_that_does_not_fit_the_bench_is_told_where_it_is_named(tmp_path,
     assert all(problem.line > 0 or "absent" in problem.path for problem in caught.value.problems)
 
 
-@settings(max_examples=200)
+@settings(max_examples=40)
 @given(
     st.lists(st.floats(-3, 3), min_size=1, max_size=7), st.sampled_from([0, 100, 250]), st.sampled_from([80, 125, 250])
 )
@@ -249,7 +250,7 @@ def test_a_polynomial_is_refused_just_where_it_falls_too_low(tmp_path_factory, n
     except InvalidFile as error:
         (problem,) = error.problems
         if "more than any muscle" in problem.message:
-            assert values.max() > 1e5, error
+            assert values.max() > 1e3, error
             return
         assert lowest < 0.001 + 1e-9, error
         told = float(re.search(r"K falls to (\S+) N/mm", problem.message)[1])
@@ -320,3 +321,20 @@ def test_a_hostile_file_is_a_muscle_or_has_sentences(tmp_path_factory, data):
         assert values.min() >= least - 1e-6 * max(1.0, values.max())
     assert muscle.F_ce(0.0) <= 1.0
     assert math.isfinite(muscle.contraction(numbers["highest_pressure"]))
+
+
+@pytest.mark.parametrize("K", ["1000 N/mm", "0.001 N/mm"])
+@pytest.mark.parametrize("B", ["10000 N.s/mm", "0.001 N.s/mm"])
+@pytest.mark.parametrize(("mass", "force"), [(0.01, 0.0), (50.0, 500.0)])
+def test_the_ends_of_what_is_taken_are_simulated(tmp_path, K, B, mass, force):
+    text = re.sub(r"(?m)^(K|B_c|B_r): .*$", lambda key: f"{key[1]}: {K if key[1] == 'K' else B}", MUSCLE)
+    text = re.sub(r"(?m)^friction: .*$", "friction: {F_s: 100 N, F_c: 1 N, speed: 0.01 mm/s}", text)
+    found = setup(tmp_path, text)
+    plant = found.free(force=force, mass=mass)
+    for second, P in enumerate((300e3, 500e3, 0.0)):
+        plant.command(constant(float(second), P))
+        motion = plant.advance(second + 1.0, np.arange(second * 100, (second + 1) * 100) / 100)
+        assert np.isfinite(motion.x).all()
+        assert np.isfinite(motion.F).all()
+        assert motion.x.min() >= 0
+        assert motion.x.max() <= found.muscle.stop + 1e-9
