@@ -26,6 +26,7 @@ G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
 """What moves besides the weights, and with a load that is a force [kg]."""
 MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
+FEWEST_ROWS = 10
 HIGHEST = 600e3
 """Most pressure of the presets [Pa]."""
 DMSP = "dmsp-40-305"
@@ -200,6 +201,10 @@ class _Reading:
     def _sizes(self) -> None:
         count = sum(muscle.count for muscle in self.file.muscles)
         rows = self.file.sample_rate * self.file.duration
+        if 0 < rows < FEWEST_ROWS:
+            self.fault(
+                f"makes {rows:.3g} samples; at least {FEWEST_ROWS} are needed: take a higher rate", "sample_rate"
+            )
         if count > MOST_MUSCLES:
             self.fault(f"makes {count} muscles; at most {MOST_MUSCLES} are simulated", "muscles")
         elif count * rows > MOST_VALUES:

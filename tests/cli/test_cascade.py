@@ -103,6 +103,7 @@ def test_every_problem_comes_at_once_with_its_place(tmp_path):
         (HEAD + MUSCLE + '    name: "=cmd"\n', 9, "a name begins with a letter or digit"),
         (HEAD + MUSCLE + "    count: 101\n", 9, "100"),
         (HEAD.replace("100 Hz", "20 kHz") + MUSCLE, 4, "1 Hz to 10 kHz"),
+        (HEAD.replace("100 Hz", "1 Hz") + MUSCLE, 4, "makes 5 samples; at least 10"),
         (HEAD.replace("muscles:", "load: -1 N\nmuscles:") + MUSCLE, 6, "no load"),
         (HEAD.replace("cascade/1", "bench/1") + MUSCLE, 1, "is a bench file"),
     ],
