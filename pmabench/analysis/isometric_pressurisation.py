@@ -27,6 +27,8 @@ SECTION = "daerden-section"
 CHANNELS = ("pressure", "force")
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
+SENSELESS = 1e9
+"""Pressures [Pa] and forces [N] beyond this are none."""
 QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
 
 
@@ -97,6 +99,8 @@ def lack(test: Test) -> str:
     """Why a trial tells nothing; empty where it does."""
     if not all(np.count_nonzero(test.phase == index) > 1 for index in range(len(PHASES))):
         return "it lacks one of the two ramps"
+    if max(np.abs(test.P).max(), np.abs(test.F).max()) > SENSELESS:
+        return "its pressure or force is beyond all sense"
     if np.ptp(test.P) <= 0:
         return "its pressure does not change"
     if np.ptp(test.F) < PULLED:
@@ -253,13 +257,14 @@ def _section_estimates(sections: Mapping[str, section.Section], scales: Scales) 
     found = []
     for method, one in sections.items():
         for name in one.free:
-            half, is_open = one.half(name), name in one.open
+            half, is_open = one.half(name), one.other_form or name in one.open
             quantity, unit = QUANTITY[name]
             value = float(getattr(one, name))
             # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
             gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
             told = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
-            note = f"not told apart from the others: {told}" if is_open else ""
+            why = "S(eps) has another form" if one.other_form else "not told apart from the others"
+            note = f"{why}: {told}" if is_open else ""
             parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
             n = len(one.slopes.S)
             found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
@@ -275,7 +280,11 @@ def _corrected(cells: Sequence[Cell], given: Mapping[str, Any]) -> Corrected | N
 def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
     if force is None:
         return []
+    n = max(1, len(force.repeats))
+    if not force.holds:
+        note = f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
+        return [Estimate("p_0", None, "Pa", "pressure", CORRECTED, {}, Parts(), n, note=note)]
     scale = scales.part({"pressure": force.p_0}, {"pressure": 1.0})
     parts = Parts(repeats=spread(force.repeats), calibration=scale)
     note = "" if len(force.repeats) > 1 else "no repeats part: one repeat only"
-    return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, max(1, len(force.repeats)), note=note)]
+    return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]

@@ -24,7 +24,13 @@ GRID = 50e3
 """Pressures at which F_ce and K are told are multiples of this [Pa]."""
 PULLS = 0.02
 """Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
+APART = 1e-5
+"""Contractions that were measured nearer to each other make no line [m]."""
+FURTHEST = 10.0
+"""A displacement beyond this is none [m]."""
 FURTHEST_THRESHOLD = 2e5
+UNLIKE = 0.02
+"""Residual of the corrected force from which on the muscle is another, as a share of the largest force."""
 CORRECTED_TO = 5e5
 """Highest pressure of the corrected force [Pa] (paper 2)."""
 
@@ -49,7 +55,7 @@ class Cell:
         found = []
         for test in self.tests:
             x = test.trial.channels.get("displacement", np.empty(0))
-            known = x[np.isfinite(x)]
+            known = x[np.abs(x) < FURTHEST]
             found.append(float(known.mean()) if len(known) else self.contraction)
         return np.array(found)
 
@@ -101,10 +107,11 @@ def across(cells: Sequence[Cell]) -> list[Across]:
         ]
         group, x, F = (np.array([row[i] for row in rows], dtype=np.float64) for i in range(3))
         places = np.unique(group)
-        if len(places) < 3:
+        centres = np.sort([float(x[group == g].mean()) for g in places])
+        if len(places) < 3 or np.min(np.diff(centres)) < APART:
             continue
         line = weighted_line(group, x, F, np.full(len(F), float(F.max())))
-        means = [(float(x[group == g].mean()), float(F[group == g].mean())) for g in places]
+        means = sorted((float(x[group == g].mean()), float(F[group == g].mean())) for g in places)
         off = max(abs(f - line.start - line.slope * at) for at, f in means)
         between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
         found.append(Across(P, line, off, float(np.ptp([f for _, f in means])), between, tuple(row[3] for row in rows)))
@@ -123,6 +130,13 @@ class Corrected:
     """Residual [N]."""
     rms_without_q: float
     """With q = 1 and a dead band of its own [N]."""
+    largest: float
+    """Largest mean force [N]."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the residual is small enough for p_0 to mean the dead band."""
+        return self.rms <= UNLIKE * self.largest
 
 
 def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle: float) -> Corrected | None:
@@ -134,7 +148,7 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
     for cell in cells:
         for x, F, test in zip(cell.place, cell.mean.each, cell.tests, strict=True):
             use = np.isfinite(F) & (cell.mean.P >= 0) & (cell.mean.P <= CORRECTED_TO)
-            if cell.contraction >= 0:
+            if cell.contraction >= 0 and x <= length and np.count_nonzero(use) > 1:
                 eps = np.full(int(use.sum()), max(x, 0.0) / length)
                 rows.append((test.trial.repeat, cell.mean.P[use], eps, F[use]))
     if not rows:
@@ -161,7 +175,7 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
     p_0, rms = best(rows)
     repeats = sorted({row[0] for row in rows})
     alone = tuple(best([row for row in rows if row[0] == repeat])[0] for repeat in repeats) if len(repeats) > 1 else ()
-    return Corrected(p_0, alone, rms, best(rows, plain=True)[1])
+    return Corrected(p_0, alone, rms, best(rows, plain=True)[1], max(float(row[3].max()) for row in rows))
 
 
 def given_of(specimen: object) -> Mapping[str, float]:

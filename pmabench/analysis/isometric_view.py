@@ -11,7 +11,7 @@ from pmabench.analysis.isometric_curve import PHASES, WITHIN
 from pmabench.analysis.isometric_lines import Used, branches
 from pmabench.analysis.isometric_sections import Across, Cell, Corrected
 from pmabench.analysis.results import Estimate, Finding, Trace
-from pmabench.analysis.section import ALPHAS, Section
+from pmabench.analysis.section import ALPHAS, NAMES, Section
 from pmabench.base.quantities import show
 
 LONGEST_TRACE = 1500
@@ -21,8 +21,6 @@ MOVED = 0.01
 """A change of the force by the moving of the driven end that is doubted, as a share of its span."""
 BENT = 0.05
 """A distance from the line over contractions that is told, as a share of the span of the forces."""
-OFF_FORM = 0.01
-"""Distance of a slope from S(eps) that is doubted, as a share of the largest."""
 NEAR = 0.01
 """Contractions so near to 0 count as 0, as a share of the nominal length."""
 
@@ -99,11 +97,11 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
         if one.freedom > 0:
             text += f", the curve known to +-{float(one.band(one.slopes.eps).max()) / largest:.2%} of its largest value"
         found.append(Finding("note", f"{text}; condition number {one.condition:.0f}"))
-        if one.open:
+        if one.open and not one.other_form:
             found.append(Finding("doubt", f"{method}: {_open(one)}"))
-        if off > OFF_FORM and off * largest > 3 * float(one.slopes.error.max()):
-            text = "the slopes leave the curve further than their repeats scatter: S(eps) has another form here"
-            found.append(Finding("doubt", f"{method}: {text}, and the parameters mean little"))
+        if one.other_form:
+            text = "slopes lie further from the curve than they scatter: S(eps) has another form here"
+            found.append(Finding("note" if one.free != NAMES else "doubt", f"{method}: {text}; no parameters are told"))
     return found
 
 

@@ -25,6 +25,8 @@ FLOOR = 2e-3
 NAMES = ("D_0", "theta_0", "alpha")
 OPEN = 0.25
 """A parameter whose 95 % interval is wider than this share of its value is not told apart from the others."""
+FURTHEST = 3.0
+"""Errors by which a slope may be off the curve."""
 STEP = 1e-6
 
 
@@ -72,6 +74,12 @@ class Section:
     def rms(self) -> float:
         """Residual [N/Pa]."""
         return float(np.sqrt(np.mean((self.slopes.S - self.at(self.slopes.eps)) ** 2)))
+
+    @property
+    def other_form(self) -> bool:
+        """Whether a slope is further from the curve than three times its error: S(eps) is not of this form."""
+        off = self.slopes.S - self.at(self.slopes.eps)
+        return self.freedom > 0 and bool(np.max(np.abs(off) * self.slopes.weight) > FURTHEST)
 
     def _jacobian(self, eps: Array) -> Array:
         """Change of S by the free parameters, shape (n, free)."""

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ def test_the_muscle_of_paper_0_gives_its_dead_band_force_and_stiffness(tmp_path,
     for P, (force, stiffness) in TRUTH.items():
         assert F_ce[P]["value"] == pytest.approx(force, abs=0.3)
         assert K[P]["value"] == pytest.approx(stiffness, rel=2e-3)
-    assert any("cannot be told apart" in f["text"] for f in analysis["findings"])
+    assert any("S(eps) has another form" in f["text"] for f in analysis["findings"])
     if bench == "mock-actuator-ideal":
         report = tmp_path / "report.html"
         call("report", run, "-o", report)
@@ -72,6 +73,21 @@ def test_the_muscle_of_paper_0_gives_its_dead_band_force_and_stiffness(tmp_path,
         assert "blue: filling, red: emptying" in text
         with next((tmp_path / "analyses").rglob("estimates.csv")).open(newline="") as file:
             assert {row["symbol"] for row in csv.DictReader(file)} >= {"m", "c", "H", "p_0", "F_ce", "K"}
+
+
+def test_the_contractor_of_paper_2_gives_its_dead_band_by_three_rules(tmp_path):
+    """Row 30: 0.45 bar within 0.02 bar; with q(p) the corrected force leaves next to nothing."""
+    small = ("sweep.repeat.count=2", "sweep.matrix.contraction=[0 %, 8 %, 16 %]", "sample_rate=50 Hz")
+    _, analysis = analysed(tmp_path, "isometric-pressurisation", "mock-contractor", "contractor-30", *small)
+    found = [values(analysis, "p_0", method)[0.0] for method in ("force-threshold", "isometric-line")]
+    found += values(analysis, "p_0", "corrected-force").values()
+    for e in found:
+        assert e["value"] == pytest.approx(45e3, abs=2e3)
+        assert e["ci95"][0] <= 45e3 <= e["ci95"][1]
+        assert e["ci95"][1] - e["ci95"][0] < 8e3
+    (told,) = [f["text"] for f in analysis["findings"] if f["text"].startswith("corrected force")]
+    residuals = re.findall(r"([\d.]+) N", told)
+    assert float(residuals[0]) < 0.1 * float(residuals[1])
 
 
 def test_slopes_that_are_accepted_or_not(tmp_path):
