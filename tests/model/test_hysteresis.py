@@ -33,13 +33,13 @@ COMMANDS = {
 @pytest.mark.parametrize("lag", [0.0, 0.005, 0.3])
 @pytest.mark.parametrize("name", COMMANDS)
 def test_it_is_the_integral_along_the_path(name, lag):
-    """The library's path of 200,000 points knows no turn; it misses each by at most one step, worth 0.04 N."""
-    made, t = path(*COMMANDS[name], lag=lag), np.linspace(0.0, 6.0, 200_001)
+    """The library's path of 40,000 points knows no turn; it misses each by at most one step, worth 0.2 N."""
+    made, t = path(*COMMANDS[name], lag=lag), np.linspace(0.0, 6.0, 40_001)
     x = copy.copy(made).values(t)[0]
     expected = hysteresis_path(x, LOOP.height, LOOP.width)
     F = Branch(LOOP, 0.0, 0.0).forces(made, t, x)
     assert np.abs(F).max() > 15
-    np.testing.assert_allclose(F, expected, atol=0.05)
+    np.testing.assert_allclose(F, expected, atol=0.25)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.005, 0.3])
