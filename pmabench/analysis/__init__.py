@@ -15,6 +15,7 @@
   contraction), `isometric_sections` (all contractions at one pressure); words and figures in `isometric_view`
 - isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine:
   `recorded_sines`; what imports say beside their samples: `imported`
+- a library model fitted to a table (`model fit`): `model_fit`, made of `model_problem`, `identifiability`
 - shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
   `calibration` (what the channels' uncertainties do to a result)
 """

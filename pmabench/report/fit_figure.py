@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 MOST_CURVES = 8
 """Combinations of the other inputs up to which each has a curve; with more, computed is drawn over measured."""
 POINTS = 121
+MOST_MARKS = 400
+"""Marks of a curve that are drawn, evenly chosen."""
 ALONE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background: #fff"'
 """What an SVG element needs to be a file."""
 
@@ -98,10 +100,11 @@ def _curves(
             f"{shown(known[name].quantity).unit}".strip()
             for name, value in group.items()
         )
+        drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
         for axes, y in ((upper, fit.measured), (lower, residual)):
             axes.plot(
-                x[mine] / x_unit.scale,
-                y[mine] / unit.scale,
+                x[drawn] / x_unit.scale,
+                y[drawn] / unit.scale,
                 MARKERS[i % len(MARKERS)],
                 color=color,
                 markerfacecolor="white",
