@@ -22,9 +22,11 @@ from pmabench.analysis.contraction_known_force import fit_known_force
 from pmabench.analysis.contraction_paper1_steps import STILL, Braid, Step, read
 from pmabench.analysis.curves import compare_orders, curve, least
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
+from pmabench.analysis.segments import Samples, moved
 from pmabench.analysis.steps import mean_over, mean_with_half
+from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
-from pmabench.store.records import RunData
+from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation-paper-1"
 METHODS = {"x0": "paper-1-x0", "xmax": "paper-1-xmax"}
@@ -54,8 +56,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     Geometry, convention and orders stand in the plan's `reduction`; runs whose plan says otherwise are dropped.
     """
-    settings = dict(runs[0].plan.get("settings", {}).get("reduction", {})) | dict(options or {})
-    alike = [run for run in runs if run.plan.get("settings", {}).get("reduction") == _told(runs[0])]
+    settings = dict(_told(runs[0]) or {}) | dict(options or {})
+    braid, chosen, orders = _asked(runs[0], settings)
+    alike = [run for run in runs if _told(run) == _told(runs[0])]
     dropped = [
         Dropped(trial.name, trial.point, "another geometry, convention or order than in the first run: reduce it apart")
         for run in runs
@@ -77,19 +80,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if campaign is None or not any(step.way > 0 for step in steps):
         told = Finding("fault", "no contraction can be read: there is no S, and no D without it")
         return Analysis.of(KIND, runs, dropped=dropped, findings=[told], facts={"options": settings, "trials_used": 0})
-    braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
     up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
     driven = _driven(campaign, up, braid)
     estimates: list[Estimate] = []
     for at in sorted(METHODS, key=lambda name: name != chosen):
         estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else None)
-    curves, findings, orders = _curves([*estimates, *driven], settings.get("orders") or {})
+    curves, findings, compared_orders = _curves([*estimates, *driven], orders)
     stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
     compared = view.compare(campaign, steps, curves, stiff, braid, chosen)
     return Analysis.of(
         KIND,
         runs,
-        estimates=(*estimates, *driven, *_vented(driven, down, campaign), *compared.estimates),
+        estimates=(*estimates, *driven, *_vented(driven, down), *compared.estimates),
         curves=curves,
         dropped=dropped,
         findings=(
@@ -98,14 +100,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *_creep(campaign, steps),
             *findings,
             *compared.findings,
-            *skew.findings(alike, campaign.channels, campaign.skew, estimates),
+            *skew.findings(alike, campaign.channels, campaign.skew, driven),
         ),
         traces=compared.traces,
         facts={
             "options": settings,
             "trials": sum(len(run.trials) for run in runs),
             "trials_used": len(steps),
-            "orders": orders,
+            "orders": compared_orders,
             "steps": [
                 {
                     "trial": campaign.name(s.trial),
@@ -123,7 +125,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _told(run: RunData) -> Any:
-    return run.plan.get("settings", {}).get("reduction")
+    return (run.plan.get("settings") or {}).get("reduction")
+
+
+def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[str, int]]:
+    """Geometry, convention and orders; InvalidFile where the plan does not tell them as `check` leaves them."""
+    try:
+        braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
+        orders = {str(symbol): int(order) for symbol, order in dict(settings.get("orders") or {}).items()}
+        if chosen not in METHODS or not all(x > 0 for x in vars(braid).values()) or any(n < 1 for n in orders.values()):
+            raise ValueError
+    except (KeyError, TypeError, ValueError) as error:
+        text = (
+            'the plan\'s "reduction" tells no radius, nominal_length, braid_angle above 0, F_ce_at x0 or xmax, '
+            "and orders from 1 on; was it made by hand? Make the run's plan with `pmabench check`"
+        )
+        raise invalid(run.path, text) from error
+    return braid, chosen, orders
 
 
 def _grouped(steps: Sequence[Step]) -> list[_Group]:
@@ -224,29 +242,51 @@ def _against(e: Estimate, driven: Sequence[Estimate] | None) -> Estimate:
 def _driven(campaign: Campaign, up: Sequence[_Group], braid: Braid) -> list[Estimate]:
     """K and B_c with the measured pressure, F_ce at x = 0; repeats are fitted apart, their scatter is the interval."""
     tested = np.array([group.pressure for group in up])
-    members = {s.trial for group in up for s in group.steps}
-    rounds = sorted({campaign.trials[number].repeat for number in members})
-    found: dict[tuple[str, float], list[float]] = {}
-    for repeat in rounds:
-        chosen = [campaign.samples[n] for n in sorted(members) if campaign.trials[n].repeat == repeat]
-        for P, values in fit_known_force(chosen, campaign.rate, tested, lambda P: braid.force(P, 0.0)).items():
-            for symbol, value in zip(("K", "B_c"), values, strict=True):
-                found.setdefault((symbol, P), []).append(value)
+    members = sorted({s.trial for group in up for s in group.steps})
+    samples = {n: campaign.samples[n] for n in members}
+    found = _fitted(campaign, samples, tested, braid)
+    late = dict.fromkeys(found, 0.0)
+    for names, bound in skew.causes(campaign.runs, campaign.channels).items():
+        ways = [
+            _fitted(campaign, {n: moved(one, names, way * bound) for n, one in samples.items()}, tested, braid)
+            for way in (1.0, -1.0)
+        ]
+        for key, values in found.items():
+            changes = [abs(float(np.mean(again[key]) - np.mean(values))) for again in ways if key in again]
+            late[key] += max(changes, default=0.0)
     estimates = []
     for (symbol, P), fitted in sorted(found.items(), key=lambda item: (list(SYMBOLS).index(item[0][0]), item[0][1])):
         mean, half = mean_with_half(fitted)
-        unit, quantity = SYMBOLS[symbol]
         names = tuple(campaign.name(s.trial) for group in up if group.pressure == P for s in group.steps)
-        note = sentences(GIVEN, ONCE if half is None else "")
-        estimates.append(
-            Estimate(
-                symbol, mean, unit, quantity, DRIVEN, {"pressure": P}, Parts(half), len(names), note=note, trials=names
-            )
+        e = Estimate(
+            symbol,
+            mean,
+            *SYMBOLS[symbol],
+            DRIVEN,
+            {"pressure": P},
+            Parts(half, skew=late[symbol, P]),
+            len(names),
+            note=sentences(GIVEN, ONCE if half is None else ""),
+            trials=names,
         )
+        estimates.append(skew.settled(e, "pressure and displacement", campaign.skew))
     return estimates
 
 
-def _vented(driven: Sequence[Estimate], down: Sequence[_Group], campaign: Campaign) -> list[Estimate]:
+def _fitted(
+    campaign: Campaign, samples: Mapping[int, Samples], tested: Array, braid: Braid
+) -> dict[tuple[str, float], list[float]]:
+    """Symbol and pressure [Pa] -> the values of all rounds of repeats."""
+    found: dict[tuple[str, float], list[float]] = {}
+    for repeat in sorted({campaign.trials[n].repeat for n in samples}):
+        chosen = [one for n, one in samples.items() if campaign.trials[n].repeat == repeat]
+        for P, values in fit_known_force(chosen, campaign.rate, tested, lambda P: braid.force(P, 0.0)).items():
+            for symbol, value in zip(("K", "B_c"), values, strict=True):
+                found.setdefault((symbol, P), []).append(value)
+    return found
+
+
+def _vented(driven: Sequence[Estimate], down: Sequence[_Group]) -> list[Estimate]:
     """B_r by the measured pressure: none, and why."""
     if not driven:
         return []

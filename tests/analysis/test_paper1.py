@@ -18,8 +18,8 @@ from pmabench.analysis.contraction_paper1 import DRIVEN, KIND, METHODS, reduce
 from pmabench.analysis.curves import compare_orders, curve, least, normal_of
 from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.base.errors import UsageError
-from pmabench.store.records import Array, ChannelInfo, Command, Flag, RunData, TrialData
+from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData
 
 PRESSURES = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0]) * 1e5
 PRINTED = {
@@ -350,6 +350,20 @@ def test_a_step_that_had_not_come_to_rest_is_doubted():
     assert not any("still moved" in f.text for f in reduce([run]).findings)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"radius": None}, {"radius": "wide"}, {"radius": -0.02}, {"braid_angle": float("nan")}, {"F_ce_at": "x1"},
+        {"orders": {"K": 0}}, {"orders": {"K": "many"}}, {"orders": 3},
+    ],
+)  # fmt: skip
+def test_a_plan_that_does_not_tell_the_geometry_is_refused_in_a_sentence(change: dict[str, object]):
+    run = single_steps([3e5])
+    asked = {**run.plan["settings"]["reduction"], **change}
+    with pytest.raises(InvalidFile, match='the plan\'s "reduction" tells no radius'):
+        reduce([replace(run, plan={"settings": {"reduction": asked}})])
+
+
 def test_runs_of_another_geometry_are_not_mixed_in():
     one, two = single_steps(PRESSURES[:3]), single_steps(PRESSURES[:3], F_ce_at="xmax", name="r2")
     analysis = reduce([one, two])
@@ -399,3 +413,27 @@ def test_a_curve_with_centre_and_scale_is_a_plain_one_without():
     plain = Curve("K", "line", (), "pressure", (0.0, 1.0), 1.0, 0.0, "m")
     assert not plain.normalised
     assert replace(plain, centre=1.0).normalised
+
+
+def test_clocks_of_two_devices_count_where_pressure_and_displacement_meet():
+    """tau and x_max are read in one channel; the fit with the measured pressure, here of lag T, needs both."""
+    S, D, T, late = 4e4, 1.8e4, 0.1, 5e-3
+    run = single_steps(PRESSURES[::2], S=lambda P: S, D_c=lambda P: D, D_r=lambda P: D)
+    trials = []
+    for trial in run.trials:
+        since = np.maximum(trial.t - trial.t[0] - 0.24, 0.0)
+        lagged = {
+            "pressure": trial.point["pressure"] * -np.expm1(-since / T),
+            "displacement": trial.channels["displacement"].max()
+            * (1 - (D / S * np.exp(-since * S / D) - T * np.exp(-since / T)) / (D / S - T)),
+        }
+        trials.append(replace(trial, channels=lagged) if trial.point["from"] == 0 else trial)
+    run = replace(run, trials=tuple(trials))
+    infos = {name: replace(info, stream=name) for name, info in run.channels.items()}
+    clocks = {"pressure": ClockInfo(uncertainty=late, how="host arrivals"), "displacement": ClockInfo()}
+    analysis, once = reduce([replace(run, channels=infos, clocks=clocks)]), reduce([run])
+    for P, e in of(analysis, "B_c", DRIVEN).items():
+        assert e.value == pytest.approx(D, rel=2e-3), P
+        assert 0.01 * late * S < e.parts.skew < late * S, P
+    assert all(e.parts.skew == 0 for e in analysis.estimates if e.method in METHODS.values())
+    assert all(e.parts.skew == 0 for e in once.estimates)
