@@ -15,6 +15,7 @@ import pandas as pd
 from pmabench.analysis.results import PUBLISHED, Analysis, Beside, Estimate, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
+from pmabench.report.coefficient_figures import BESIDE
 from pmabench.report.provenance import get
 from pmabench.report.rounding import rounded
 from pmabench.report.wording import clean, number, point_shown, shown
@@ -145,7 +146,10 @@ def _place(trace: Trace, fixed: str) -> float | None:
 
 
 def _plain(e: Estimate, symbol: str) -> bool:
-    return e.symbol == symbol and "pressure" in e.at and e.value is not None and not e.coordinate
+    """Whether it stands in the figure of that symbol over pressure."""
+    return (
+        e.symbol == symbol and "pressure" in e.at and set(e.at) <= BESIDE and e.value is not None and not e.coordinate
+    )
 
 
 def _as_analysis(table: Published, analyses: Sequence[Analysis]) -> Analysis:

@@ -47,6 +47,15 @@ def test_a_coefficient_is_compared_at_the_published_pressures_within_its_range()
     assert comparison_table([row])["mean difference [%]"].tolist() == ["−9.09"]
 
 
+def test_values_that_stand_in_another_figure_are_not_compared():
+    """K at several contractions is no K over pressure."""
+    local = [
+        Estimate("K", 1e4 * n, "N/m", "stiffness", "local", {"pressure": 3e5, "contraction": 0.01 * n}) for n in (1, 2)
+    ]
+    with pytest.raises(InvalidFile, match="these runs have none"):
+        beside([Analysis("isobaric-ramp", (), simulated=False, estimates=tuple(local))], [BOOK], None)
+
+
 def test_own_results_stay_what_they_are():
     own = all_analyses()
     told, theirs, _ = beside(own, [BOOK], None)
