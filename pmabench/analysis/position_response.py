@@ -21,6 +21,8 @@ SMALLEST = 1e-4
 """A cycle counts where it is larger than this share of the set-point, than the noise and than two counts."""
 SUSTAINED = 0.5
 """Last cycle over first from which on it is sustained [1]."""
+OVERDUE = 1.5
+"""Without a further cycle for so many periods it has died out [1]."""
 FEWEST = 2
 """Fewest whole cycles that are called a limit cycle."""
 STILL = 0.01
@@ -112,7 +114,7 @@ def respond(
 def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
     """The sustained oscillation of `x` [m] at `t` [s], shape (n,), if it has one larger than `smallest` [m].
 
-    Cycles go from one upward crossing of the middle to the next, with a hysteresis of a fifth of the size, so that
+    Cycles go from one upward crossing of the middle to the next, with a hysteresis of a tenth of the size, so that
     the corners of a stick-slip cycle do not matter.
     """
     period = float(np.median(np.diff(t)))
@@ -120,7 +122,7 @@ def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
     low, high = float(smooth.min()), float(smooth.max())
     if high - low <= smallest:
         return None
-    ups = _upward(smooth, 0.5 * (low + high), 0.2 * (high - low))
+    ups = _upward(smooth, 0.5 * (low + high), 0.1 * (high - low))
     if len(ups) < FEWEST + 1:
         return None
     parts = [smooth[a : b + 1] for a, b in pairwise(ups)]
@@ -128,6 +130,8 @@ def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
     if sizes[-1] < SUSTAINED * sizes[0] or sizes.mean() <= smallest:
         return None
     length = float(t[ups[-1]] - t[ups[0]]) / len(parts)
+    if t[-1] - t[ups[-1]] > OVERDUE * length:
+        return None
     whole = x[ups[0] : ups[-1] + 1]
     step = max(1, round(length / 40 / period))
     means = whole[: len(whole) // step * step].reshape(-1, step).mean(axis=1)

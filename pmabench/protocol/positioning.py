@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -103,7 +104,7 @@ class Positioning(ProtocolHead):
                 Hold("vent", trial.rest),
             ]
         settings: dict[str, Any] = {"window": [begin, end], "band": trial.band, "form": controller.form}
-        if len(table) == 1 and not isinstance(controller.gains, dict) and table[0][0] == table[0][0]:
+        if len(table) == 1 and isfinite(table[0][0]):
             settings["gains_of"] = table[0][0]
         if self.model is not None:
             model = described(c, self.model, ("model",))

@@ -100,8 +100,8 @@ def test_a_sine_is_a_cycle_that_does_not_stick(period: float) -> None:
 
 
 def test_what_dies_out_creeps_or_is_too_slow_is_no_cycle() -> None:
-    dying = 1e-3 * np.exp(-T / 3) * np.sin(2 * pi * T)
-    for x in (dying, 1e-4 * T / 40, 1e-3 * np.exp(-T / 20), 2e-4 * np.sin(2 * pi * T / 25)):
+    dying = [1e-3 * np.exp(-T / tau) * np.sin(2 * pi * T) for tau in (3, 33)]
+    for x in (*dying, 1e-4 * T / 40, 1e-3 * np.exp(-T / 20), 2e-4 * np.sin(2 * pi * T / 25)):
         assert cycle_of(T, 0.03 + x, 24e-6) is None
 
 
@@ -199,6 +199,24 @@ def test_a_wrong_model_is_seen() -> None:
     assert right is not None
     assert late is not None
     assert late > 3 * right
+
+
+def test_what_friction_kept_from_before_is_where_the_step_begins() -> None:
+    """Resting at 1 mm, 31 mm is 1 mm over a step of 29 mm, and the simulated muscle rests there too."""
+    t = 5.0 + np.arange(-0.2, 40.0, TS)
+    after = t - 5.0
+    rise = 1e-3 + 30e-3 * np.clip(after, 0, 1)
+    x = np.where(after < 3, rise, 30e-3)
+    told = {"t0": 5.0, "t1": float(t[-1]), "setpoint": 0.03, "ended": "time", "K_p": 28.8e6, "T_i": 0.29, "T_d": 0.0}
+    law = {**told, "N": 10.0, "low": 0.0, "high": 6e5, "anti_windup": "clamping", "tracking": None, "start": 0.0}
+    samples = {"t": t, "displacement": x, "pressure": 0 * t}
+    trial = as_trial(samples, {"position": law}, setpoint=0.03, load=0.0, mass=2.0)
+    analysis = reduced(trial, model=model())
+    assert value(analysis, "OS").value == pytest.approx(1 / 29, rel=0.02)
+    assert value(analysis, "t_r").value == pytest.approx(0.8 * 29 / 30, abs=0.01)
+    (trace,) = analysis.traces
+    early = (trace.columns["t"] < 0.04) & (trace.columns["t"] > -0.1)
+    assert trace.columns["model"][early] == pytest.approx(1e-3)
 
 
 def test_the_description_of_a_model_comes_back() -> None:
