@@ -178,7 +178,7 @@ def _muscle(i: int, shape: Shape, scene: Scene, tag: str, *, names: bool) -> str
     return (
         f'<g{own} transform="translate({px(shape.begin)} 0)">'
         f'<path class="outline" d="{d}" fill="url(#rubber)" stroke="#1b1f24" stroke-opacity=".55" stroke-width=".8"/>'
-        f'<path class="tint" d="{d}" fill="url(#tint)" fill-opacity="{opacity(shape.tint):.3f}"/>{strands}'
+        f'<path class="tint" d="{d}" fill="url(#tint)" opacity="{opacity(shape.tint):.3f}"/>{strands}'
         f"{_fitting(fitting, shape.fitting, -1)}"
         f'<g class="far" transform="translate({px(shape.length)} 0)">{_fitting(fitting, shape.fitting, 1)}</g>'
         f"{name}</g>"
@@ -286,7 +286,7 @@ def pressure_key(scene: Scene) -> str:
     steps = "".join(
         f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#rubber)"/>'
         f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#tint)" '
-        f'fill-opacity="{opacity(i / 7):.3f}"/>'
+        f'opacity="{opacity(i / 7):.3f}"/>'
         for i in range(8)
     )
     return (
