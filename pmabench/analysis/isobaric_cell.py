@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isnan
 from typing import Any
@@ -31,6 +31,7 @@ UNEVEN = 0.05
 LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+NO_REPEATS = "no repeats part: too few loops"
 ONE_SPEED = "one speed only: hysteresis and damping cannot be told apart"
 AT_SPEED = "one speed only: half the difference of the dampings times the speed is still in it"
 
@@ -65,7 +66,13 @@ class Cell:
         x = members[0].loop.x
         for member in members[1:]:
             x = x[np.isin(np.round(x, 9), np.round(member.loop.x, 9))]
-        cropped = [Member(m.run, m.trial, m.loop.cropped(x)) for m in members] if len(x) else list(members)
+        known = [member for member in members if member.loop.turns is not None]
+        slowest = min(known, key=lambda m: m.speed).loop.turns if known else None
+        # hysteresis knows no rate: where the turns do not show they are those of the slowest loop
+        loops = [m.loop if m.loop.turns is not None else replace(m.loop, turns=slowest) for m in members]
+        if len(x):
+            loops = [loop.cropped(x) for loop in loops]
+        cropped = [Member(m.run, m.trial, loop) for m, loop in zip(members, loops, strict=True)]
         apart = skew.apart([m.run for m in members], ("displacement", "force"))
         return cls(at, cropped, x if len(x) else members[0].loop.x, apart)
 
@@ -255,13 +262,15 @@ class Cell:
     ) -> Estimate:  # fmt: skip
         trials = tuple(member.trial.name for member in self.members if "speed" not in at or n is None
                        or member.speed == at["speed"])  # fmt: skip
+        if value is not None and parts.repeats is None:
+            note = sentences(NO_REPEATS, note)
         found = Estimate(symbol, value, *kind, method, dict(at), parts, len(trials), note=note, trials=trials)
         return skew.settled(found, BETWEEN, self.skew)
 
     def _window_error(self, place: float) -> tuple[float, float]:
         """What the width of the cubic makes of force [N] and slope [N/m] at a place."""
         wide, narrow = _local(self.x, self.curve, place), _local(self.x, self.curve, place, WINDOW / 2)
-        return abs(wide[0] - narrow[0]), abs(wide[1] - narrow[1])
+        return 2 * abs(wide[0] - narrow[0]), 2 * abs(wide[1] - narrow[1])
 
     def _uneven(self, dF_dP: float | None) -> float:
         """What of the gap unequal pressure of the two branches may be worth [N]."""

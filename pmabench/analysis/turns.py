@@ -48,24 +48,44 @@ def _fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Arra
 
 
 def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
-    """The turns in a gap [N] at `x` [m], both of shape (n,); None where none show."""
-    flat = float(np.std(gap))
-    if len(x) < 8 or flat <= 1e-9 * float(np.max(np.abs(gap))):
+    """The turns in a gap [N] at `x` [m], both of shape (n,); None where none show.
+
+    The gap of the open loop is a constant, or where that does not do a parabola over the stroke: pressure that depends
+    on the motion makes one.
+    """
+    return _found(x, gap, lower, upper, 0) or _found(x, gap, lower, upper, 2)
+
+
+def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
+    """The turns beside a gap of a power of `order` over the stroke."""
+    z = (2 * x - lower - upper) / (upper - lower)
+    powers = [z**k for k in range(order + 1)]
+
+    def left(columns: list[Array]) -> tuple[float, float]:
+        """The first coefficient, and the rms of what is left [N]."""
+        design = np.column_stack(columns)
+        terms, *_ = np.linalg.lstsq(design, gap, rcond=None)
+        return float(terms[0]), float(np.sqrt(np.mean((gap - design @ terms) ** 2)))
+
+    flat = left(powers)[1] if len(x) >= 8 else 0.0
+    if flat <= 1e-9 * float(np.max(np.abs(gap))):
         return None
 
     def solve(w: float) -> tuple[float, float]:
         first, second = _fading(x, lower, upper, w)
-        shape = 2.0 - first - second
-        h = float(shape @ gap) / max(float(shape @ shape), 1e-300)
-        return h, float(np.sqrt(np.mean((gap - h * shape) ** 2)))
+        return left([2.0 - first - second, *powers[1:]])
 
     stroke = upper - lower
     bounds = np.log(0.5 * float(x[1] - x[0])), np.log(WIDEST * stroke)
     starts = np.linspace(*bounds, 40)
     best = starts[int(np.argmin([solve(float(np.exp(s)))[1] for s in starts]))]
     step = starts[1] - starts[0]
-    found = minimize_scalar(lambda s: solve(float(np.exp(s)))[1], bounds=(best - step, best + step), method="bounded",
-                            options={"xatol": 1e-6})  # fmt: skip
+    found = minimize_scalar(
+        lambda s: solve(float(np.exp(s)))[1],
+        bounds=(best - step, best + step),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
     w = float(np.exp(found.x))
     h, rms = solve(w)
     if rms > BETTER * flat or w >= WIDEST * stroke or h <= 0:

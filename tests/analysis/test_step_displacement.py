@@ -11,6 +11,7 @@ from pmabench.analysis.step_relaxation import recovery
 from pmabench.base.errors import InvalidFile
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded
+from tests.analysis.test_honesty import unexplained
 
 SHORT = (("trial.cycles", "3"), ("trial.hold", "0.6 s"), ("prepare.precondition.cycles", "0"))
 
@@ -132,3 +133,8 @@ def test_what_a_step_cannot_be(change, says):
         planned(
             "step-displacement", "mock-daerden", "daerden-20-200", ("sweep.matrix.pressure", "[550 kPa]"), *fast, change
         )
+
+
+def test_every_missing_part_has_its_reason(mas, paper3):
+    assert unexplained(reduce([mas])) == []
+    assert unexplained(reduce([paper3])) == []
