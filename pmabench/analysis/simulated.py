@@ -59,8 +59,11 @@ def load_of(trial: TrialData) -> tuple[float, float]:
     return float(trial.point.get("load", 0.0)), float(trial.point.get("mass", 0.0)) or LEAST_MASS
 
 
-def from_measured_pressure(model: Described, trials: Sequence[TrialData], period: float) -> list[Array]:
-    """Contractions [m], each as long as its trial: the muscle of the model, driven by the measured pressure from rest.
+def from_measured_pressure(
+    model: Described, trials: Sequence[TrialData], period: float, origins: Sequence[float]
+) -> list[Array]:
+    """Contractions [m], each as long as its trial: the muscle of the model, driven by the measured pressure from
+    rest at `origins` [m].
 
     All trials are stepped side by side every `period` [s]. Where the model has friction the pressure is averaged over
     `CALMED`: its noise would shake the muscle loose.
@@ -76,17 +79,21 @@ def from_measured_pressure(model: Described, trials: Sequence[TrialData], period
         P[: len(grid), column] = _calm(np.interp(grid, trial.t[ok], measured[ok]), width)
         P[len(grid) :, column] = P[len(grid) - 1, column]
     loads, masses = np.array([load_of(trial) for trial in trials]).T
-    x = replay.run(_Coefficients(model), P, period, loads, masses, np.zeros(len(trials))).x
+    x = replay.run(_Coefficients(model), P, period, loads, masses, np.maximum(0.0, origins)).x
     return [
         np.interp(trial.t, grid, x[: len(grid), i]) for i, (trial, grid) in enumerate(zip(trials, grids, strict=True))
     ]
 
 
-def from_commanded_pressure(model: Described, trial: TrialData) -> Array:
-    """Contraction [m], shape (n,): muscle and regulator of the model, driven by the pressures that were commanded."""
+def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 0.0) -> Array:
+    """Contraction [m], shape (n,): muscle and regulator of the model, driven by the pressures that were commanded.
+
+    It rests at `origin` [m] before.
+    """
     load, mass = load_of(trial)
     start = float(trial.t[0])
     plant = Plant(model.muscle, model.regulator, force=load, mass=mass)
+    plant.x = min(max(0.0, origin), model.muscle.stop)
     for command in trial.commands:
         if command.output == "pressure" and command.kind == "set" and command.t <= trial.t[-1]:
             plant.command(constant(max(0.0, command.t - start), command.value))

@@ -125,13 +125,20 @@ def unusable(run: RunData, trial: TrialData) -> str:
     return "" if trial.channels["displacement"][inside].mean() > 0 else "it did not contract"
 
 
+def _rest(trial: TrialData) -> float:
+    """Where it rested before the step [m]: friction keeps something of what was before."""
+    before = _usable(trial) & (trial.t < (_begin(trial) or 0.0))
+    return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
+
+
 def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
     """Usable trials beside their simulations."""
     found = []
-    driven = from_measured_pressure(model, trials, 1.0 / run.rate)
-    for trial, by_measured in zip(trials, driven, strict=True):
+    origins = [_rest(trial) for trial in trials]
+    driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
+    for trial, by_measured, origin in zip(trials, driven, origins, strict=True):
         ok, inside = _usable(trial), inside_window(run, trial)
-        simulated = {COMMANDED: from_commanded_pressure(model, trial), MEASURED: by_measured}
+        simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
