@@ -332,14 +332,16 @@ def _first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]],
 
 
 def _tiles(analyses: Sequence[Analysis]) -> list[Tile]:
-    """Key numbers: each headline symbol by the first primary method that gives it, at the middle of what was tested."""
+    """Key numbers: each headline symbol by the method of its test that comes first, at the middle of what was tested.
+
+    Where that method found none (no limit cycle) there is none: what others give, as a simulation, is no key number.
+    """
     found = []
     for symbol in wording.HEADLINES:
         for analysis in analyses:
-            known = [
-                e for e in analysis.estimates if e.symbol == symbol and e.value is not None and "frequency" not in e.at
-            ]
-            members = [e for e in known if e.method == known[0].method and set(e.at) == set(known[0].at)]
+            told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
+            known = [e for e in told if e.value is not None and e.method == told[0].method]
+            members = [e for e in known if set(e.at) == set(known[0].at)]
             if members:
                 found.append(_tile(members))
                 break
