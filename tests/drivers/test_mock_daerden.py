@@ -56,6 +56,24 @@ def test_a_clogged_silencer_lets_out_less_air(slow):
     np.testing.assert_allclose(rig.array("pressure")[-11:], expected, atol=20.0)
 
 
+def test_taken_back_in_time_it_gives_the_same_again():
+    def run(back):
+        rig = Rig(daerden(noise=1.0))
+        rig.pressure(400)
+        rig.wait(0.5, 0.1)
+        rig.mock.write("displacement", 15.0)
+        rig.wait(0.5, 0.1)
+        if back:
+            rig.mock.write("displacement", 5.0)
+            rig.wait(0.5, 0.05)
+            rig.back_to(1.0)
+        rig.mock.write("displacement", 10.0)
+        rig.wait(0.5, 0.02 if back else 0.1)
+        return np.array([rig.array("pressure"), rig.array("force")])
+
+    np.testing.assert_allclose(run(back=True), run(back=False), rtol=0, atol=1e-3)
+
+
 @pytest.mark.parametrize("free_end", [{}, {"free_end": "weights"}])
 def test_it_needs_a_driven_end(free_end):
     with pytest.raises(DeviceError, match="free_end: actuator"):
