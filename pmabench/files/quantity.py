@@ -204,7 +204,6 @@ if TYPE_CHECKING:
     Ratio: TypeAlias = float
     Angle: TypeAlias = float
     Gain: TypeAlias = float
-    Conductance: TypeAlias = float
     Rate: TypeAlias = float
     Temperature: TypeAlias = float
     Conductance: TypeAlias = float
@@ -226,7 +225,6 @@ else:
     Ratio = _type("ratio")
     Angle = _type("angle")
     Gain = _type("gain")
-    Conductance = _type("conductance")
     Rate = _type("rate")
     Temperature = _type("temperature")
     Conductance = _type("conductance")
