@@ -220,16 +220,16 @@ def cascade(
         there = index < count
         own = np.where(there, pressure + index * pressure_step, pressure)
         tau = dmsp_40_305(own, "polynomial")
-        sizes = (np.asarray(size) for size in (DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE))
-        muscle = dmsp_40_305_contraction(own, load, *sizes, fce_at)
+        radius, length, angle = (np.asarray(size) for size in (DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE))
+        muscle = dmsp_40_305_contraction(own, load, radius, length, angle, fce_at)
         since = time - index * delay
         risen = -np.expm1(-np.clip(since, 0, hold) / tau["tau_contract"])
         ratio[index] = there * risen * np.exp(-np.maximum(since - hold, 0) / tau["tau_relax"])
         x[index], S[index] = ratio[index] * muscle["displacement"], muscle["stiffness"]
         F_ce[index] = there * (since >= 0) * (since < hold) * muscle["force_ce"]
     total = x.sum(axis=0)
-    flat = (item.reshape(most, -1) for item in (F_ce, S))
-    force = held_force(*flat, np.full(most, DMSP_LENGTH), total.ravel())
+    stops = np.full(most, DMSP_LENGTH)
+    force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), stops, total.ravel())
     return {
         "sum": ratio.sum(axis=0), "displacement": total, "force_ce_sum": F_ce.sum(axis=0),
         "force_ce": F_ce.max(axis=0), "force": force.reshape(shape),
