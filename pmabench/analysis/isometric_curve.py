@@ -23,6 +23,8 @@ SHORTEST = 0.5
 FEWEST_BINS = 5
 LEAST = 0.2
 """Change of the force that counts as one, where there is less noise [N]."""
+REST = 1.0
+"""How long before and after the ramps the force is at rest [s]."""
 AROUND = 0.25
 """The pressure at a moment is that of a line through the samples so far to both sides [s]."""
 
@@ -121,7 +123,8 @@ def begins(trial: TrialData) -> tuple[float | None, float | None]:
         return None, None
     least = max(LEAST, 1e-3 * float(np.max(np.abs(F))))
     turn, over = ramps["empty"].t, ends(ramps["empty"])
-    up, down = t < turn, (t >= turn)
+    up = (t >= ramps["fill"].t - REST) & (t < turn)
+    down = (t >= turn) & (t <= over + REST)
     rise = onset(t[up], F[up], ramps["fill"].t, least)
     fall = onset(-t[down][::-1], F[down][::-1], -over, least)
     return _at(t[up], P[up], rise), _at(t[down], P[down], None if fall is None else -fall)

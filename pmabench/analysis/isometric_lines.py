@@ -34,6 +34,8 @@ class Test:
     t: Array
     P: Array
     F: Array
+    x: Array
+    """Displacement [m]; NaN where it was not recorded."""
     phase: Array
     """Index into the phase names, shape (n,); -1 where none is known."""
 
@@ -124,7 +126,8 @@ def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test
     wanted = trial.usable & ((phase >= 0) | (not phases))
     wanted &= np.isfinite(trial.channels["pressure"]) & np.isfinite(trial.channels["force"])
     P, F = trial.channels["pressure"][wanted], trial.channels["force"][wanted]
-    return Test(run, trial, trial.t[wanted], P, F, phase[wanted]), ""
+    x = trial.channels.get("displacement", np.full(len(trial.t), np.nan))[wanted]
+    return Test(run, trial, trial.t[wanted], P, F, x, phase[wanted]), ""
 
 
 def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.isometric_curve import PHASES, WITHIN
+from pmabench.analysis.isometric_curve import PHASES, REST, WITHIN
 from pmabench.analysis.isometric_lines import Used, branches
 from pmabench.analysis.isometric_sections import Across, Cell, Corrected
 from pmabench.analysis.results import Estimate, Finding, Trace
@@ -47,11 +47,7 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
 
 def _moved(cell: Cell, where: str) -> list[Finding]:
     """Whether the driven end gave way while the force rose."""
-    moves = [
-        float(np.ptp(x[np.isfinite(x)]))
-        for test in cell.tests
-        if (x := test.trial.channels.get("displacement")) is not None and np.isfinite(x).any()
-    ]
+    moves = [float(np.ptp(x)) for test in cell.tests if len(x := test.x[np.isfinite(test.x)])]
     span = float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force))
     off = cell.place - cell.contraction
     said = []
@@ -146,12 +142,8 @@ def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Find
         text = f"the corrected force of paper 2 is not compared: the specimen tells no {' and no '.join(lacks)}"
         return [Finding("note", text)]
     told = f"residual {show(force.rms, 'force', 3)} rms with q(p), {show(force.rms_without_q, 'force', 3)} without"
-    return [
-        Finding(
-            "note",
-            f"corrected force with D_0 and theta_0 of the specimen: p_0 {show(force.p_0, 'pressure', 4)}, {told}",
-        )
-    ]
+    found = f"p_0 {show(force.p_0, 'pressure', 4)}" if force.holds else "does not fit"
+    return [Finding("note", f"corrected force with D_0 and theta_0 of the specimen: {found}, {told}")]
 
 
 def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -261,17 +253,19 @@ def _section(one: Section, cells: Sequence[Cell], length: float) -> Trace:
 
 def _over_time(cell: Cell) -> Trace:
     """Pressure and force of the first test over time (paper 4)."""
-    trial = cell.tests[0].trial
-    stride = max(1, -(-len(trial.t) // LONGEST_TRACE))
+    test = cell.tests[0]
+    trial = test.trial
+    during = np.flatnonzero((trial.t >= test.t[0] - REST) & (trial.t <= test.t[-1] + REST))
+    during = during[:: max(1, -(-len(during) // LONGEST_TRACE))]
     where = show(cell.contraction, "length", 3)
     return Trace(
         name=f"over-time-{cell.contraction * 1e3:g}mm",
         figure="pressurisation",
         title=f"Pressure and force over time at a contraction of {where}",
         columns={
-            "t": (trial.t - trial.t[0])[::stride],
-            "pressure": trial.channels["pressure"][::stride],
-            "force": trial.channels["force"][::stride],
+            "t": trial.t[during] - trial.t[during[0]],
+            "pressure": trial.channels["pressure"][during],
+            "force": trial.channels["force"][during],
         },
         quantities={"t": "time", "pressure": "pressure", "force": "force"},
         marks={"contraction": cell.contraction},

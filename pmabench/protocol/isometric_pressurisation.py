@@ -5,7 +5,6 @@ Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
@@ -15,12 +14,14 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Time, parse_quantity
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import leave, not_too_fast, predicted_force
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, TrialRecord
+from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
 from pmabench.protocol.sweep import Point, Sweep, expand
 
 FEWEST_SAMPLES = 200
 """Samples that one slow ramp must have."""
+REST = 1.0
+"""Rest before and after the ramps, the level from which the force begins [s]."""
 SIDES = {"straight": (0,), "from-both-sides": (-1, 1)}
 """Approach -> the sides from which each contraction is reached: -1 from below, 1 from above."""
 
@@ -59,7 +60,7 @@ class IsometricAxes(Strict):
 
 
 class Move(Strict):
-    """How the driven end goes from one contraction to the next, unrecorded."""
+    """How the driven end goes from the nominal length to a contraction and back."""
 
     pressure: Pressure
     """Pressure meanwhile, so that the muscle does not buckle."""
@@ -85,7 +86,7 @@ class IsometricTrial(Strict):
 
     move: Move
     settle: Time
-    """Time at rest before the ramp; its last second and the second after the ramp are recorded."""
+    """Time at rest at the contraction, besides one second before the ramp and one after it."""
     pressurise: Pressurise
 
 
@@ -102,21 +103,22 @@ class IsometricPressurisation(ProtocolHead):
         """The plan: per contraction move there, and there up and down with the pressure."""
         self._checked(c)
         points = expand(self.sweep, c.document)
-        route = _Route(self.trial)
         sides = SIDES[self.trial.move.approach]
         able = self.trial.move.speed > 0 and self.trial.pressurise.rate > 0
         for point in points if able and not c.problems else ():
             x = self._contraction(c, point)
             self._bearable(c, x, point.places["contraction"])
             for side in sides:
-                if not c.trials:
+                index = len(c.trials)
+                if not index:
                     c.precondition()
-                    route.begin(c)
+                    c.steps += [Set("move", "pressure", self.trial.move.pressure), Hold("move", self.trial.settle)]
                 if c.too_long():
                     return c.plan(self.kind, {})
-                route.trial(c, x, side, point.repeat)
-        if able and c.trials:
-            route.end(c)
+                values = {"contraction": x} | ({"side": float(side)} if side else {})
+                c.trials.append(TrialRecord(index, values, point.repeat))
+                c.steps += _steps(self.trial, x, side, index)
+        c.steps += [Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
         pressurise = self.trial.pressurise
         settings = {name: getattr(pressurise, name) for name in ("start", "stop", "rate")}
         return c.plan(self.kind, settings)
@@ -174,44 +176,30 @@ class IsometricPressurisation(ProtocolHead):
             )
 
 
-@dataclass
-class _Route:
-    """The steps from trial to trial: where the driven end is [m], and the pressure commanded [Pa]."""
+def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
+    """One trial: from the nominal length to x [m], from `side`; one slow ramp up and down; and back.
 
-    of: IsometricTrial
-    at: float = 0.0
-
-    def begin(self, c: Compilation) -> None:
-        """Pressure for the first move."""
-        c.steps += [Set("move", "pressure", self.of.move.pressure), Hold("move", self.of.settle)]
-
-    def _go(self, c: Compilation, to: float, phase: str = "move") -> None:
-        if abs(to - self.at) > 1e-9:
-            c.steps.append(Ramp(phase, "displacement", self.at, to, self.of.move.speed))
-            self.at = to
-
-    def trial(self, c: Compilation, x: float, side: int, repeat: int) -> None:
-        """Move to x [m], from `side`, then one slow ramp up and down."""
-        ramp, index = self.of.pressurise, len(c.trials)
-        point = {"contraction": x} | ({"side": float(side)} if side else {})
-        c.trials.append(TrialRecord(index, point, repeat))
-        self._go(c, x + side * self.of.move.beyond)
-        self._go(c, x, "approach")
-        if abs(ramp.start - self.of.move.pressure) > 1e-6:
-            c.steps.append(Ramp("rest", "pressure", self.of.move.pressure, ramp.start, ramp.rate))
-        c.steps += [
-            Hold("rest", self.of.settle),
-            Record("rest", True, index),
-            Hold("rest", 1.0),
-            Ramp("fill", "pressure", ramp.start, ramp.stop, ramp.rate),
-            Hold("top", ramp.hold),
-            Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
-            Hold("end", 1.0),
-            Record("end", False, index),
-        ]
-        if abs(ramp.start - self.of.move.pressure) > 1e-6:
-            c.steps.append(Ramp("move", "pressure", ramp.start, self.of.move.pressure, ramp.rate))
-
-    def end(self, c: Compilation) -> None:
-        """Back to the nominal length, and vent."""
-        c.steps += leave(self.at, self.of.move.speed)
+    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    """
+    ramp, move = of.pressurise, of.move
+    places = [0.0, x + side * move.beyond, x] if side else [0.0, x]
+    phases = ["move", "approach"] if side else ["approach"]
+    there: list[Step] = [
+        Ramp(phase, "displacement", begin, end, move.speed)
+        for phase, begin, end in zip(phases, places, places[1:], strict=False)
+        if abs(end - begin) > 1e-9
+    ]
+    apart = abs(ramp.start - move.pressure) > 1e-6
+    return [
+        Record("move", True, index),
+        *there,
+        *([Ramp("rest", "pressure", move.pressure, ramp.start, ramp.rate)] if apart else []),
+        Hold("rest", of.settle + REST),
+        Ramp("fill", "pressure", ramp.start, ramp.stop, ramp.rate),
+        Hold("top", ramp.hold),
+        Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
+        Hold("end", REST),
+        *([Ramp("return", "pressure", ramp.start, move.pressure, ramp.rate)] if apart else []),
+        *([Ramp("return", "displacement", x, 0.0, move.speed)] if abs(x) > 1e-9 else []),
+        Record("return", False, index),
+    ]

@@ -6,8 +6,9 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
+from pmabench.engine.resume import remaining
 from pmabench.protocol.compile import make_plan
-from pmabench.protocol.plan import Ramp, Record, Set
+from pmabench.protocol.plan import Ramp, Set
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAIN = ROOT / "protocols" / "isometric-pressurisation.yaml"
@@ -30,33 +31,47 @@ def test_shares_and_lengths_name_the_same_place():
     assert [trial.point for trial in one.trials] == [{"contraction": 0.02}] * 2
 
 
-def test_the_driven_end_stands_still_while_the_pressure_ramps():
-    """Paper 3: fixed position, slow pressurisation. No motion is commanded while a trial is recorded."""
-    found = plan(("sweep.matrix.contraction", "[0 %, 8 %]"), ("sweep.repeat.count", "1"))
-    recording, ramps, at = False, [], 0.0
-    for step in found.steps:
-        if isinstance(step, Record):
-            recording = step.on
+def moves_and_ramps(steps):
+    """Motions, and ramps of pressure with the place at which they happen; each motion begins where the last ended."""
+    moves, ramps, at = [], [], 0.0
+    for step in steps:
         if isinstance(step, Ramp) and step.output == "displacement":
-            assert not recording
             assert step.origin == pytest.approx(at)
             at = step.to
-        if isinstance(step, Ramp) and recording:
+            moves.append((step.phase, round(at, 6)))
+        elif isinstance(step, Ramp) and step.phase in {"fill", "empty"}:
             ramps.append((step.phase, step.origin, step.to, step.rate, at))
+    assert at == 0.0
+    return moves, ramps
+
+
+def test_the_driven_end_stands_still_while_the_pressure_ramps():
+    """Paper 3: fixed position, slow pressurisation."""
+    found = plan(("sweep.matrix.contraction", "[0 %, 8 %]"), ("sweep.repeat.count", "1"))
+    moves, ramps = moves_and_ramps(found.steps)
     up, down = ("fill", 0.0, 500e3, 20e3), ("empty", 500e3, 0.0, 20e3)
     assert ramps == [(*up, 0.0), (*down, 0.0), (*up, 0.02), (*down, 0.02)]
-    assert at == 0.0
+    assert moves == [("approach", 0.02), ("return", 0.0)]
     assert isinstance(found.steps[-2], Set)
     assert found.steps[-2].value == 0.0
 
 
 def test_from_both_sides_it_goes_beyond_first():
-    found = plan(("sweep.matrix.contraction", "[6 %]"), path=SIDES, bench="mock-daerden-ideal",
-                 specimen="daerden-20-200")  # fmt: skip
-    assert [trial.point["side"] for trial in found.trials] == [-1.0, 1.0, -1.0, 1.0]
-    moves = [s for s in found.steps if isinstance(s, Ramp) and s.output == "displacement"]
-    assert [round(s.to, 6) for s in moves[:4]] == [0.008, 0.012, 0.016, 0.012]
-    assert [s.phase for s in moves[:4]] == ["move", "approach"] * 2
+    found = plan(("sweep.matrix.contraction", "[6 %]"), ("sweep.repeat.count", "1"), path=SIDES,
+                 bench="mock-daerden-ideal", specimen="daerden-20-200")  # fmt: skip
+    assert [trial.point["side"] for trial in found.trials] == [-1.0, 1.0]
+    moves, _ = moves_and_ramps(found.steps)
+    below, above = ("move", 0.008), ("move", 0.016)
+    there, back = ("approach", 0.012), ("return", 0.0)
+    assert moves == [below, there, back, above, there, back]
+
+
+def test_a_run_that_goes_on_never_jumps():
+    """Whichever trials are done, the driven end is where each motion begins."""
+    found = plan(path=SIDES, bench="mock-daerden-ideal", specimen="daerden-20-200")
+    for done in ({0}, {0, 1, 2}, {0, 3, 5}, set(range(31))):
+        _, ramps = moves_and_ramps(remaining(found, done))
+        assert len(ramps) == 2 * (32 - len(done))
 
 
 @pytest.mark.parametrize(
