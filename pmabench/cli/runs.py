@@ -55,8 +55,10 @@ def show_run(ui: Ui, run: Path) -> int | None:
     from pmabench.display.wording import point_text
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
+    from pmabench.store.sampling import sampling
 
     data = open_run(run)
+    taken = sampling(data.trials)
     summary: dict[str, Any] = {
         "schema": "pmabench.run-summary/1",
         "id": data.id,
@@ -78,6 +80,7 @@ def show_run(ui: Ui, run: Path) -> int | None:
             }
             for t in data.trials
         ],
+        "sampling": vars(taken) if taken is not None else None,
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
@@ -95,6 +98,12 @@ def show_run(ui: Ui, run: Path) -> int | None:
         finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
         others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
         click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
+        if taken is not None:
+            every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in (taken.interval, taken.jitter, taken.longest))
+            counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
+            click.echo(
+                f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}"
+            )
         for t in data.trials:
             reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
             click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
