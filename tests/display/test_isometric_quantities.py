@@ -7,6 +7,7 @@ import pytest
 
 from pmabench.display.expected import Expected
 from pmabench.display.quantities import Quick, measure
+from pmabench.display.wording import point_text
 from pmabench.store.records import Command, RunData, TrialData
 
 EXPECTED = Expected(
@@ -52,3 +53,8 @@ def test_a_slack_muscle_and_a_trial_cut_short_are_said():
     numbers, doubts = told(replace(trial(), status="failed"))
     assert doubts == ["the trial is failed"]
     assert numbers["m"].value is None
+
+
+def test_contractions_and_speeds_are_told_in_their_units():
+    assert point_text({"contraction": -0.002, "side": 1.0}) == "contraction -2 mm, side 1"
+    assert point_text({"speed": 0.01, "upper": 0.02}) == "speed 10 mm/s, upper 20 mm"
