@@ -99,7 +99,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
         click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
         if taken is not None:
-            every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in (taken.interval, taken.jitter, taken.longest))
+            times = (taken.interval, taken.jitter, taken.longest)
+            every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in times)
             counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
             click.echo(
                 f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}"
