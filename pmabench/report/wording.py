@@ -133,8 +133,8 @@ METHODS: dict[str, str] = {
     "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
     "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
-    "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the rest "
-    "after it: K = −ΔF/Δx; above 0 the step contracts.",
+    "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the "
+    "rest after it: K = −ΔF/Δx; above 0 the step contracts.",
     "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
     "that the step makes, are in it.",
     "step, recovery": "One exponential through force and pressure from the end of the motion on.",
