@@ -23,6 +23,7 @@ REDUCTIONS = {
     "step-displacement": "step_displacement",
     "positioning": "positioning",
     "validation": "validation",
+    "closed-volume": "closed_volume",
     "isometric-pressurisation": "isometric_pressurisation",
     "isometric": "isometric",
     "recorded-step": "recorded_steps",

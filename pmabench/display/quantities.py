@@ -60,6 +60,7 @@ _NEEDS = {
     "isobaric-ramp": ("ramp_loop",),
     "step-displacement": ("step_relaxation",),
     "isometric-pressurisation": ("isometric_pressurisation",),
+    "closed-volume": ("closed_volume",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
 
@@ -345,6 +346,26 @@ def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None
     ], doubts
 
 
+def _closed(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
+    from pmabench.analysis.closed_stroke import Gas
+    from pmabench.analysis.closed_stroke import measure as stroke_of
+    from pmabench.analysis.closed_volume import LEAKS
+    from pmabench.analysis.sine_loop import NotUsable
+
+    settings = run.plan.get("settings") or {}
+    try:
+        stroke = stroke_of(run, trial, settings)
+    except NotUsable as reason:
+        return [Measured("V", "volume", None)], [str(reason)]
+    gas = Gas(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
+    V = stroke.volumes(gas, leak=True)[:, -1]
+    share = stroke.lost / (stroke.before + gas.atmosphere)
+    return [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)], (
+        [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []
+    )
+
+
 _RULES: dict[str, Callable[..., Found]] = {
     "contraction-relaxation": _contraction,
     "static-load": _static,
@@ -355,4 +376,5 @@ _RULES: dict[str, Callable[..., Found]] = {
     "isobaric-ramp": _isobaric,
     "step-displacement": _displacement_step,
     "isometric-pressurisation": _isometric,
+    "closed-volume": _closed,
 }

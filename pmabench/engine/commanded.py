@@ -33,6 +33,10 @@ class Commands(Protocol):
         """A sine."""
         ...
 
+    def valves(self, *, closed: bool, only: str = "") -> None:
+        """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state."""
+        ...
+
     def value_sent(self, name: str, value: float) -> float:
         """What the device would get [SI]."""
         ...
@@ -150,6 +154,11 @@ class Commander:
         self.wait()
         self._guard.sine(output, mean, amplitude, frequency, cycles)
         self._commanded.sine(output, self._clock.now(), mean, amplitude, frequency, cycles)
+
+    def valve(self, name: str, *, safe: bool) -> None:
+        """One valve into its safe state, or as it stands in a run."""
+        self.wait()
+        self._guard.valves(closed=not safe, only=name)
 
     def value_sent(self, output: str, value: float) -> float:
         """The value [SI] that the device would get."""

@@ -18,8 +18,11 @@ SAMPLED = {
 }
 """Laws that compute a command from every sample: module in `engine.laws` and class."""
 
-SCRIPTED = {"ramp-until": ("ramp_until", "ramp_until")}
-"""Laws that ramp and watch for a crossing: module in `engine.laws` and function."""
+SCRIPTED = {
+    "ramp-until": ("ramp_until", "ramp_until"),
+    "closed-strokes": ("closed_strokes", "closed_strokes"),
+}
+"""Laws that ramp, and wait or watch for a crossing: module in `engine.laws` and function."""
 
 
 class SampledLaw(Protocol):
@@ -69,6 +72,11 @@ class Moves:
         self._guard.ramp(self.step.output, origin, target, rate)
         self.commanded = target
         return self.clock.now() + abs(target - origin) / rate
+
+    def valve(self, name: str, *, safe: bool) -> float:
+        """One valve into its safe state, or as it stands in a run; returns the bench time [s]."""
+        self._guard.valve(name, safe=safe)
+        return self.clock.now()
 
     def wait(self, until: float) -> None:
         """Let time pass until `until` [s], but not beyond the step's limit."""

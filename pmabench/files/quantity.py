@@ -210,6 +210,7 @@ if TYPE_CHECKING:
     Stiffness: TypeAlias = float
     Damping: TypeAlias = float
     ForcePerPressure: TypeAlias = float
+    Volume: TypeAlias = float
     Load: TypeAlias = tuple[str, float]
     Plates: TypeAlias = tuple[int, float]
 else:
@@ -231,6 +232,7 @@ else:
     Stiffness = _type("stiffness")
     Damping = _type("damping")
     ForcePerPressure = _type("force per pressure")
+    Volume = _type("volume")
     Load = Annotated[
         tuple[str, float],
         BeforeValidator(parse_mass_or_force),

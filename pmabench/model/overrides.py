@@ -33,6 +33,8 @@ class Overrides:
     """Air that the regulator lets in by the pressure that is missing [kg/(s Pa)]; plant `daerden`."""
     conductance_vent: float | None = None
     """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
+    polytropic: float | None = None
+    """Exponent of the air: 1 where it keeps the room's temperature, 1.4 where no heat comes in; plant `daerden`."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     fce_eval: str | None = None

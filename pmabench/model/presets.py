@@ -198,10 +198,15 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
             fill=chosen("conductance_fill", air.fill),
             vent=chosen("conductance_vent", air.vent),
             leak=chosen("leak", air.leak),
+            polytropic=chosen("polytropic", air.polytropic, air.polytropic),
         )
+        if not 1.0 <= air.polytropic <= 1.4:
+            raise ValueError(f"polytropic {air.polytropic:g} is no exponent of air: 1 to 1.4 are expected")
         air = air if air.fill or air.vent else None
     elif change.conductance_fill is not None or change.conductance_vent is not None:
         raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
+    elif change.polytropic is not None:
+        raise ValueError(f"polytropic is not for the muscle {muscle.name}: its volume is not known")
     regulator = regulator if air is None else replace(regulator, leak=0.0)
     noise = setup.noise.scaled(chosen("noise", 1.0))
     return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis, air)

@@ -25,6 +25,7 @@ KINDS = {
     "step-displacement": ("step_displacement", "StepDisplacement"),
     "positioning": ("positioning", "Positioning"),
     "validation": ("validation", "Validation"),
+    "closed-volume": ("closed_volume", "ClosedVolume"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),
 }
 """Kind of protocol -> its module in this package and its class."""

@@ -30,6 +30,7 @@ from pmabench.report.pictures import (
 from pmabench.report.plots import Array, Panel
 from pmabench.report.position_figures import positions, validations
 from pmabench.report.section_figures import sections
+from pmabench.report.volume_figures import volumes
 from pmabench.report.wording import clean, shown
 
 OVERLAYS, SCATTERS, GENERIC = 6, 9, 6
@@ -251,5 +252,6 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("displacement-step",), ramp_figures.steps),
     (("isometric",), _isometric),
     (("section",), sections),
+    (("volume",), volumes),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""

@@ -23,6 +23,7 @@ SYMBOLS: dict[str, str] = {
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
     "W_c": "work given while contracting",
+    "V": "volume inside the muscle",
     "tau_F": "time constant of the force after a step",
     "tau_p": "time constant of the pressure after a step",
     "P_err": "largest error of the pressure along the sine",
@@ -138,6 +139,11 @@ METHODS: dict[str, str] = {
     "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
     "that the step makes, are in it.",
     "step, recovery": "One exponential through force and pressure from the end of the motion on.",
+    "closed, leak taken out": "P V^k of the air shut in is constant, P absolute, from the volume at the start of the "
+    "stroke; what leaks into the room is told from the pressure back at the start. Mean of both directions.",
+    "closed, as printed": "As closed, leak taken out, with no leak: V = V0 P0/P of paper 3.",
+    "closed, V(eps)": "V = (π/4) D0² l0 [1/sin² θ0 − (1 − ε)^α/tan² θ0] (1 − ε) of paper 3, least squares through the "
+    "volumes of all start pressures, what leaked taken out.",
     "pressure error": "Largest difference of measured and set pressure while moving in a direction, the mean over "
     "cycles.",
     "modelled with set pressure": "The force that a static model gives, F = f(x) + s(x) P through the branches of the "
@@ -206,6 +212,7 @@ KINDS: dict[str, str] = {
     "step-displacement": "Steps of displacement",
     "positioning": "Positioning in closed loop",
     "validation": "Validation of a model",
+    "closed-volume": "Closed volume",
     "isometric-pressurisation": "Isometric pressurisation",
     "isometric": "Isometric force over pressure",
     "recorded-pull": "Recorded pulls at set pressure",

@@ -29,6 +29,7 @@ BENCH_OF = {
     "sinusoidal-displacement-paper3": "mock-daerden",
     "isobaric-ramp": "mock-actuator",
     "step-displacement": "mock-daerden",
+    "closed-volume": "mock-daerden-closed",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
 }
 

@@ -171,7 +171,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     return options
 
 
-FLOWS = ("hysteresis", "conductance_fill", "conductance_vent")
+FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
 NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS} | dict.fromkeys(
     CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval")
 )

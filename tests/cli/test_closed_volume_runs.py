@@ -1,0 +1,37 @@
+"""A closed volume end to end on the simulated muscle in virtual time: run, process, report (docs/papers.md, rows 38-40)."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def test_a_closed_muscle_tells_its_volume(tmp_path):
+    """Papers digest 5.5: V from 62.8 cm3 at no contraction, 147.0 cm3 at 18 %."""
+    sets = ("--set", "sweep.repeat.count=1", "--set", "trial.speed=6 mm/s", "--set", "prepare.precondition.cycles=0")
+    bench = ("--bench", "mock-daerden-closed", "--specimen", "daerden-20-200")
+    call("run", "closed-volume", *bench, "--yes", "--out", tmp_path / "runs", *sets)
+    (run,) = (tmp_path / "runs").glob("2*")
+    call("process", run)
+    (found,) = (tmp_path / "analyses").rglob("analysis.json")
+    told = [e for e in json.loads(found.read_text())["estimates"] if e["symbol"] == "V"]
+    ends = [e["value"] for e in told if e["at"]["contraction"] == pytest.approx(0.036)]
+    assert len(ends) == 4, "two pressures, two methods"
+    assert ends == pytest.approx([147.03e-6] * 4, rel=2e-3)
+    page = tmp_path / "report.html"
+    call("report", run, "-o", page)
+    assert "Volume over contraction" in page.read_text()
+
+
+def test_check_refuses_a_room_without_pressure():
+    result = call("check", "closed-volume", "--bench", "mock-daerden-closed", "--specimen", "daerden-20-200",
+                  "--set", "trial.room={pressure: 0 kPa, uncertainty: 1 kPa}", code=3)  # fmt: skip
+    assert "never with gauge pressure" in result.output
