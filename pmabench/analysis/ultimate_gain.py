@@ -1,5 +1,7 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
+Trials with a relay are reduced in `relay_gain`; here are those with a rising gain, and what both say together.
+
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
 Knows the samples and what the search wrote down; not how the bench is built.
 """
@@ -15,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from pmabench.analysis import skew, tuning
+from pmabench.analysis import relay_gain, skew, tuning
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
+from pmabench.analysis.relay_levels import search_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop
@@ -80,12 +83,27 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     T_u are held against.
     """
     options = options or {}
-    cells, dropped = _cells(runs)
+    cells, relays, dropped = _cells(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
     loops: list[dict[str, Any]] = []
     settings: list[dict[str, Any]] = []
+
+    def settle(K_u: Estimate, T_u: Estimate, loop: Loop | None, apart: float) -> None:
+        """Settings and the loop of one operating point; the first way there counts."""
+        if K_u.value is None or T_u.value is None or any(entry["at"] == dict(K_u.at) for entry in settings):
+            return
+        if loop is not None:
+            lags = [complex(lag).real for lag in loop.lags]
+            told = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": apart}
+            loops.append({"at": dict(K_u.at), **told})
+        settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
+        if "loop" in options:
+            given = options["loop"]
+            model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
+            findings.append(tuning.plausibility(T_u.value, model, K_u.value))
+
     for cell in cells:
         K_u, T_u = _estimates(cell)
         estimates += [K_u, T_u]
@@ -96,19 +114,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             if found.refused
         ]
         traces += _traces(cell, K_u)
-        if K_u.value is None or T_u.value is None:
-            continue
-        loop = cell.loop
-        if loop is not None:
-            lags = [complex(lag).real for lag in loop.lags]
-            told = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": cell.skew}
-            loops.append({"at": dict(cell.at), **told})
-        settings += tuning.facts(tuning.tune(K_u, T_u, loop=loop), cell.at)
-        if "loop" in options:
-            given = options["loop"]
-            model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
-            findings.append(tuning.plausibility(T_u.value, model, K_u.value))
-    findings += _schedule(estimates)
+        settle(K_u, T_u, cell.loop, cell.skew)
+    for relay in relays:
+        ways = relay.estimates
+        estimates += ways
+        findings += relay_gain.findings(relay)
+        dropped += relay.dropped
+        traces += relay_gain.traces(relay)
+        settle(ways[0], ways[1], relay.loop, skew.apart(relay.runs, CHANNELS))
+    findings += [*_spread(estimates), *_schedule(estimates)]
     return Analysis.of(
         KIND,
         runs,
@@ -118,8 +132,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={
             "options": dict(options),
-            "trials": sum(len(cell.good) for cell in cells),
-            "cells": len(cells),
+            "trials": sum(len(cell.good) for cell in cells) + sum(len(relay.good) for relay in relays),
+            "cells": len(cells) + len(relays),
             "loops": loops,
             "tuning": settings,
             "levels": [
@@ -128,21 +142,25 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
                 for trial, found in zip(cell.trials, cell.found, strict=True)
                 for level in found.levels
             ],
+            "relay": [level for relay in relays for level in relay_gain.facts(relay)],
         },
     )
 
 
-def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[Dropped]]:
+def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[Dropped]]:
     dropped: list[Dropped] = []
+    relays: list[tuple[RunData, TrialData]] = []
     groups: dict[tuple[tuple[str, float], ...], list[tuple[RunData, TrialData]]] = {}
     for run in runs:
         for trial in run.trials:
             if trial.status not in USED:
                 dropped.append(Dropped(name_of(trial), trial.point, f"the trial is {trial.status}"))
-            elif _search(trial) is None:
+            elif _search(trial) is None and search_of(trial) is None:
                 dropped.append(Dropped(name_of(trial), trial.point, "no levels of gain are recorded"))
             elif "displacement" not in trial.channels:
                 dropped.append(Dropped(name_of(trial), trial.point, "the displacement is not recorded"))
+            elif search_of(trial) is not None:
+                relays.append((run, trial))
             else:
                 key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
                 groups.setdefault(key, []).append((run, trial))
@@ -150,7 +168,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[Dropped]]:
     for key, members in sorted(groups.items()):
         found = tuple(examine(run, trial, _search(trial) or {}) for run, trial in members)
         cells.append(_Cell(dict(key), tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
-    return cells, dropped
+    return cells, relay_gain.cells(relays), dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
@@ -242,9 +260,30 @@ def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
     return lines
 
 
+def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
+    """How far the ways to K_u and T_u at one operating point are apart."""
+    lines = []
+    for symbol in ("K_u", "T_u"):
+        points: dict[tuple[tuple[str, float], ...], list[Estimate]] = {}
+        for e in estimates:
+            if e.symbol == symbol and e.value:
+                points.setdefault(tuple(sorted(e.at.items())), []).append(e)
+        for found in points.values():
+            values = [e.value for e in found if e.value]
+            if len(values) < 2:
+                continue
+            where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
+            told = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
+            lines.append(
+                Finding("note", f"{symbol} at {where}: {told}; the ways are {max(values) / min(values) - 1:.0%} apart")
+            )
+    return lines
+
+
 def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
     """K_u belongs to its set-point: say so where it changes much."""
     known = [e for e in estimates if e.symbol == "K_u" and e.value and "setpoint" in e.at]
+    known = [e for e in known if e.method == known[0].method]
     if len({e.at["setpoint"] for e in known}) < 2:
         return []
     low, high = min(known, key=lambda e: e.value or 0.0), max(known, key=lambda e: e.value or 0.0)

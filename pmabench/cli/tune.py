@@ -130,12 +130,10 @@ def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
         if all(isinstance(lag, int | float) for lag in fact["lags"])
     }
     known = [e for e in analysis.estimates if e.value is not None]
-    periods = {_point(e.at): e for e in known if e.symbol == "T_u"}
-    found = [
-        (e, periods[_point(e.at)], loops.get(_point(e.at)))
-        for e in known
-        if e.symbol == "K_u" and _point(e.at) in periods
-    ]
+    periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
+    gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]
+    first = {_point(e.at): e for e in reversed(gains)}  # of several ways the first one told
+    found = [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
     if not found:
         raise invalid(folder, "holds no ultimate gain and period")
     return found

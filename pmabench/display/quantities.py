@@ -54,7 +54,7 @@ class Quick:
 _NEEDS = {
     "contraction-relaxation": ("segments", "steps"),
     "sinusoidal-displacement": ("sine_loop",),
-    "ultimate-gain": ("gain_levels",),
+    "ultimate-gain": ("gain_levels", "relay_levels"),
     "positioning": ("positioning",),
     "validation": ("validation",),
     "isobaric-ramp": ("ramp_loop",),
@@ -231,7 +231,19 @@ def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Ultimate gain and period of one search."""
     from pmabench.analysis.gain_levels import examine
+    from pmabench.analysis.relay_levels import examine as examine_relay
+    from pmabench.analysis.relay_levels import search_of
 
+    relay = search_of(trial)
+    if relay is not None and "displacement" in trial.channels:
+        by_relay = examine_relay(run, trial, relay)
+        best = None if by_relay.refused else by_relay.best
+        told = (float("nan"), float("nan")) if best is None else (best.K_u, best.T_u)
+        values = [None if np.isnan(value) else float(value) for value in told]
+        return [Measured("K_u", "gain", values[0]), Measured("T_u", "time", values[1])], [
+            *by_relay.refused,
+            *by_relay.doubts,
+        ]
     search: Any = next((found for found in trial.found.values() if found.get("levels")), None)
     if search is None or "displacement" not in trial.channels:
         return [Measured("K_u", "gain", None), Measured("T_u", "time", None)], ["no levels of gain are recorded"]

@@ -14,6 +14,7 @@ from pmabench.protocol.plan import Seek
 SAMPLED = {
     "p": ("proportional", "Proportional"),
     "gain-steps": ("gain_steps", "GainSteps"),
+    "relay": ("relay", "Relay"),
     "pid": ("position_loop", "PositionLoop"),
 }
 """Laws that compute a command from every sample: module in `engine.laws` and class."""

@@ -1,4 +1,4 @@
-"""Ultimate gain and period of the position loop by raising a proportional gain in steps (paper 0, tuning)."""
+"""Ultimate gain and period of the position loop: a proportional gain raised in steps (paper 0), or a relay."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from pmabench.files.document import Strict
-from pmabench.files.quantity import Gain, Length, Load, Pressure, Ratio, Time
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Force, Gain, Length, Load, Pressure, Ratio, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Seek, Set, TrialRecord
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
@@ -35,14 +35,35 @@ class GainSteps(Strict):
     settle: Time
 
 
+class RelayTest(Strict):
+    """The law: the command switches between two values about the bias, at each amplitude in turn."""
+
+    amplitudes: Annotated[list[Pressure], Field(min_length=2, max_length=4)]
+    """Half of the switching of the command."""
+    hysteresis: Annotated[list[Length], Field(min_length=2, max_length=4)]
+    """Of each amplitude, in one ratio to it: so friction can be told from a linear loop."""
+    asymmetry: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """Above 0 the command goes further up than down; the means then tell the static gain."""
+    periods: Annotated[int, Field(ge=8, le=100)]
+    level_time: Time
+    settle: Time
+    window: Length
+    """Largest distance from the set-point."""
+    measured: tuple[Pressure, Pressure]
+    """Window of the measured pressure."""
+    force: tuple[Force, Force] | None = None
+    """Window of the measured force."""
+
+
 class UltimateTrial(Strict):
-    """One search."""
+    """One search: either by `gain_steps` or by `relay`."""
 
     approach: Time
     """Time of the ramp to the bias pressure."""
     pressure: tuple[Pressure, Pressure]
     """Range that the command cannot leave."""
-    gain_steps: GainSteps
+    gain_steps: GainSteps | None = None
+    relay: RelayTest | None = None
 
 
 class UltimateGain(ProtocolHead):
@@ -56,14 +77,17 @@ class UltimateGain(ProtocolHead):
 
     def compile(self, c: Compilation) -> Plan:
         """The plan: per set-point a ramp to the bias and one search."""
-        trial, law = self.trial, self.trial.gain_steps
+        trial = self.trial
         c.needs_channel("displacement")
-        for name in ("start", "step", "kick", "window", "level_time"):
-            c.positive(getattr(law, name), ("trial", "gain_steps", name))
-        if law.step > 0.08 + 1e-12:
-            c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
-        if law.window <= law.kick:
-            c.fault(("trial", "gain_steps", "window"), "must be larger than the kick")
+        if (trial.gain_steps is None) == (trial.relay is None):
+            c.fault(("trial",), 'needs one of "gain_steps" and "relay", not both')
+            return c.plan("ultimate-gain", {})
+        if trial.gain_steps is not None:
+            _check_steps(c, trial.gain_steps)
+            searching = _steps(trial.gain_steps)
+        if trial.relay is not None:
+            _check_relay(c, trial.relay)
+            searching = _relay(trial.relay)
         c.positive(trial.approach, ("trial", "approach"))
         low, high = trial.pressure
         c.within("pressure", low, ("trial", "pressure", 0))
@@ -79,29 +103,96 @@ class UltimateGain(ProtocolHead):
             if index == 0:
                 c.precondition()
             c.trials.append(TrialRecord(index, values, point.repeat))
-            parameters: dict[str, Any] = {
-                "setpoint": setpoint,
-                "bias": bias,
-                "start": law.start,
-                "low": low,
-                "high": high,
-                "factor": 1.0 + law.step,
-                "half_periods": law.half_periods,
-                "kick": law.kick,
-                "noise": law.noise,
-                "settle": law.settle,
-                "level_time": law.level_time,
-                "levels": law.levels,
-                "window": law.window,
-            }
-            limit = law.settle + law.levels * law.level_time + 5.0
+            if trial.relay is not None:
+                _inside(c, trial.relay, trial.pressure, bias, point.places["bias"])
+            law, parameters, limit = searching
+            parameters = {**parameters, "setpoint": setpoint, "bias": bias, "low": low, "high": high}
             c.steps += [
                 Ramp("approach", "pressure", 0.0, bias, max(bias, 1.0) / max(trial.approach, 1e-3)),
                 Hold("approach", 2.0),
                 Record("ultimate-gain", True, index),
-                Seek("ultimate-gain", "gain-steps", "pressure", low, high, limit, parameters, at_limit="flag"),
+                Seek("ultimate-gain", law, "pressure", low, high, limit, parameters, at_limit="flag"),
                 Record("ultimate-gain", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", 3.0),
             ]
-        return c.plan("ultimate-gain", {"consent": "the loop is taken to the limit of stability"})
+        consent = (
+            "the loop is taken to the limit of stability" if trial.relay is None else "a relay makes the loop swing"
+        )
+        return c.plan("ultimate-gain", {"consent": consent})
+
+
+def _check_steps(c: Compilation, law: GainSteps) -> None:
+    for name in ("start", "step", "kick", "window", "level_time"):
+        c.positive(getattr(law, name), ("trial", "gain_steps", name))
+    if law.step > 0.08 + 1e-12:
+        c.fault(("trial", "gain_steps", "step"), "at most 8 % from level to level")
+    if law.window <= law.kick:
+        c.fault(("trial", "gain_steps", "window"), "must be larger than the kick")
+
+
+def _check_relay(c: Compilation, law: RelayTest) -> None:
+    c.needs_channel("pressure")
+    if law.force is not None:
+        c.needs_channel("force")
+    for name in ("level_time", "settle", "window"):
+        c.positive(getattr(law, name), ("trial", "relay", name))
+    for name, values in (("amplitudes", law.amplitudes), ("hysteresis", law.hysteresis)):
+        for index, value in enumerate(values):
+            c.positive(value, ("trial", "relay", name, index))
+    if len(law.amplitudes) != len(law.hysteresis):
+        c.fault(("trial", "relay", "hysteresis"), 'needs as many values as "amplitudes"')
+        return
+    if min(*law.amplitudes, *law.hysteresis) <= 0:
+        return
+    ratios = [h / d for d, h in zip(law.amplitudes, law.hysteresis, strict=True)]
+    if max(ratios) > 1.01 * min(ratios):
+        c.fault(("trial", "relay", "hysteresis"), "must be in one ratio to the amplitudes, so that friction is seen")
+    if max(law.amplitudes) < 1.5 * min(law.amplitudes):
+        c.fault(("trial", "relay", "amplitudes"), "the largest must be at least 1.5 times the smallest")
+    if law.window <= 2 * max(law.hysteresis):
+        c.fault(("trial", "relay", "window"), "must be larger than twice the largest hysteresis")
+    for name, ends in (("measured", law.measured), ("force", law.force)):
+        if ends is not None and not ends[0] < ends[1]:
+            c.fault(("trial", "relay", name), "the first value must be below the second")
+
+
+def _inside(c: Compilation, relay: RelayTest, span: tuple[float, float], bias: float, place: Location) -> None:
+    """The relay's commands must lie in the range `span`, the bias in the window of the measured pressure."""
+    d, (low, high) = max(relay.amplitudes), span
+    if not (low <= bias - d * (1 - relay.asymmetry) and bias + d * (1 + relay.asymmetry) <= high):
+        c.fault(place, 'with the largest amplitude lies outside the range "pressure" of the trial')
+    if not relay.measured[0] < bias < relay.measured[1]:
+        c.fault(place, 'lies outside the window "measured" of the relay')
+
+
+def _steps(law: GainSteps) -> tuple[str, dict[str, Any], float]:
+    """Law, its parameters, and its longest time [s]."""
+    parameters = {
+        "start": law.start,
+        "factor": 1.0 + law.step,
+        "half_periods": law.half_periods,
+        "kick": law.kick,
+        "noise": law.noise,
+        "settle": law.settle,
+        "level_time": law.level_time,
+        "levels": law.levels,
+        "window": law.window,
+    }
+    return "gain-steps", parameters, law.settle + law.levels * law.level_time + 5.0
+
+
+def _relay(law: RelayTest) -> tuple[str, dict[str, Any], float]:
+    """Law, its parameters, and its longest time [s]."""
+    watched = {"pressure": list(law.measured)} | ({} if law.force is None else {"force": list(law.force)})
+    parameters = {
+        "amplitudes": list(law.amplitudes),
+        "hysteresis": list(law.hysteresis),
+        "asymmetry": law.asymmetry,
+        "periods": law.periods,
+        "level_time": law.level_time,
+        "settle": law.settle,
+        "window": law.window,
+        "watched": watched,
+    }
+    return "relay", parameters, law.settle + len(law.amplitudes) * law.level_time + 5.0

@@ -167,6 +167,12 @@ METHODS: dict[str, str] = {
     "gain-steps": "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings "
     "is fitted by a line over the gain; K_u is its zero (Ziegler and Nichols 1942). Oscillations that are no sine are "
     "refused.",
+    "relay-fit": "A relay makes the loop swing at two sizes. A dead time, two lags and a gain are fitted to the "
+    "harmonics of command, pressure and contraction of the larger one; K_u and T_u solve the phase equation of that "
+    "loop. Where period or gain change with the size, as friction makes them, neither is told.",
+    "relay-describing-function": "K_u = 4 d / (π √(a² − h²)), T_u the period of the relay oscillation: d half the "
+    "switching of the command, a half the swing, h the hysteresis (Åström and Hägglund 1984). It leaves out harmonics "
+    "and the phase of the hysteresis.",
     "closed-loop": "The position held by the controller: e_ss is the mean of set-point minus contraction in the "
     "stated window, over the set-point; rise from 10 to 90 % of it; cycles from one upward crossing of their middle to "
     "the next.",

@@ -22,6 +22,7 @@ BENCH_OF = {
     "contraction-relaxation-paper1": "mock-dmsp",
     "sinusoidal-displacement": "mock-actuator",
     "ultimate-gain": "mock",
+    "ultimate-gain-relay": "mock",
     "positioning-pi": "mock",
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",

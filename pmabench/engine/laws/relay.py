@@ -1,0 +1,184 @@
+"""The law `relay`: switch the command between two values so that the loop oscillates, at several sizes; no device.
+
+It ends by itself where a window is left. Standard library only: it runs once per sample. What the oscillation says
+about the loop is worked out later, from the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf, isfinite
+from typing import Any
+
+MOST_ASYMMETRY = 0.5
+FOUND = "levels"
+REASONS = {
+    "window": "the position left its window",
+    "pressure": "the measured pressure left its window",
+    "force": "the measured force left its window",
+    "slow": "the loop did not switch often enough: the amplitude is too small, or friction holds the muscle",
+    "no signal": "a watched channel gave no number",
+    "limit": "the search was stopped from outside",
+}
+
+
+class Relay:
+    """Relay with hysteresis about the place where the bias holds the muscle (Astrom and Hagglund 1984).
+
+    First the command stays at the bias until the muscle rests; the mean over the second half of that time is the
+    centre. Then, level by level, the command is bias + d (1 + asymmetry) until y is above centre + h, and
+    bias - d (1 - asymmetry) until y is below centre - h. Each level has its own d and h.
+
+    Parameters
+    ----------
+    setpoint : where the channel is expected to rest [m]; `window` counts from here
+    bias : command that is expected to hold it [Pa]
+    amplitudes : d of each level [Pa]
+    hysteresis : h of each level [m]
+    low, high : range of the command [Pa]
+    periods : whole periods of a level
+    level_time : longest time of a level [s]
+    settle : time at the bias before the first level [s]
+    asymmetry : 0 for a symmetric relay, at most 0.5
+    channel : measured channel
+    window : distance from the set-point that ends the search [m]
+    watched : channel -> lowest and highest value [SI]; leaving it ends the search
+    """
+
+    def __init__(
+        self,
+        *,
+        setpoint: float,
+        bias: float,
+        amplitudes: tuple[float, ...] | list[float],
+        hysteresis: tuple[float, ...] | list[float],
+        low: float,
+        high: float,
+        periods: int,
+        level_time: float,
+        settle: float,
+        window: float,
+        asymmetry: float = 0.0,
+        channel: str = "displacement",
+        watched: Mapping[str, tuple[float, float] | list[float]] | None = None,
+    ) -> None:
+        up, down = 1 + asymmetry, 1 - asymmetry
+        wrong = [
+            text
+            for good, text in (
+                (
+                    len(amplitudes) == len(hysteresis) >= 1 and min((*amplitudes, *hysteresis)) > 0,
+                    "amplitudes and hysteresis must be as many, at least one each, and above 0",
+                ),
+                (0 <= asymmetry <= MOST_ASYMMETRY, f"asymmetry must be 0 to {MOST_ASYMMETRY:g}, not {asymmetry:g}"),
+                (
+                    all(low <= bias - d * down and bias + d * up <= high for d in amplitudes),
+                    f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
+                ),
+                (all(window > h for h in hysteresis), "window must be larger than every hysteresis"),
+                (periods >= 2 and level_time > 0 and settle > 0, "periods (2), level_time and settle are too small"),
+            )
+            if not good
+        ]
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        self.setpoint, self.bias, self.low, self.high = setpoint, bias, low, high
+        self.amplitudes, self.hysteresis = tuple(amplitudes), tuple(hysteresis)
+        self.periods, self.level_time, self.settle = periods, level_time, settle
+        self.asymmetry, self.channel, self.window = asymmetry, channel, window
+        self.watched = {name: (float(ends[0]), float(ends[1])) for name, ends in (watched or {}).items()}
+        self.centre = setpoint
+        self.done = False
+        self._ended = "limit"
+        self._command = bias
+        self._first: float | None = None
+        self._last = 0.0
+        self._sum, self._count = 0.0, 0
+        self._levels: list[dict[str, Any]] = []
+        self._up = True
+
+    def update(self, t: float, values: Mapping[str, float]) -> float:
+        """The command [Pa] for the sample `values` taken at `t` [s]."""
+        if self.done:
+            return self._command
+        y = values.get(self.channel, inf)
+        if not isfinite(y) or any(not isfinite(values.get(name, inf)) for name in self.watched):
+            return self._end("no signal")
+        if self._first is None:
+            self._first = t
+        self._last = t
+        if abs(y - self.setpoint) > self.window:
+            return self._end("window")
+        for name, (low, high) in self.watched.items():
+            if not low <= values[name] <= high:
+                return self._end(name)
+        if not self._levels:
+            waited = t - self._first
+            if waited < self.settle:
+                if waited >= self.settle / 2:
+                    self._sum, self._count = self._sum + y, self._count + 1
+                return self._command
+            self.centre = self._sum / self._count if self._count else y
+            self._open(t)
+        self._switch(t, y)
+        return self._command
+
+    def _open(self, t: float) -> None:
+        at = len(self._levels)
+        self._levels.append(
+            {"amplitude": self.amplitudes[at], "hysteresis": self.hysteresis[at], "t0": t, "t1": t, "switches": []}
+        )
+        self._set(t)
+
+    def _set(self, t: float) -> None:
+        """Command what the relay's state says, and write down when."""
+        level = self._levels[-1]
+        share = 1 + self.asymmetry if self._up else self.asymmetry - 1
+        self._command = min(max(self.bias + level["amplitude"] * share, self.low), self.high)
+        level["switches"].append([t, self._command])
+
+    def _switch(self, t: float, y: float) -> None:
+        level = self._levels[-1]
+        off = y - self.centre
+        if off > level["hysteresis"] if self._up else off < -level["hysteresis"]:
+            self._up = not self._up
+            if self._up and len(level["switches"]) > 2 * self.periods:
+                level["t1"] = t
+                if len(self._levels) == len(self.amplitudes):
+                    self._end(FOUND)
+                else:
+                    self._open(t)
+                return
+            self._set(t)
+        elif t - level["t0"] > self.level_time:
+            self._end("slow")
+
+    def _end(self, why: str) -> float:
+        """Stop, and hold the bias from now on."""
+        if self._levels and why != FOUND:
+            self._levels[-1]["t1"] = self._last
+        self.done, self._ended, self._command = True, why, self.bias
+        return self._command
+
+    def result(self) -> dict[str, Any]:
+        """What happened, as plain data: the levels, each with its switches [[s, Pa], ...], and why it ended.
+
+        `ended` is `levels` (all done), `window`, `slow`, `no signal`, `limit` or the name of the channel that left its
+        window; `centre` [m] is what the relay switched about.
+        """
+        found = self._ended == FOUND
+        data: dict[str, Any] = {
+            "relay": [dict(level) for level in self._levels],
+            "ended": self._ended,
+            "found": found,
+            "setpoint": self.setpoint,
+            "centre": self.centre,
+            "bias": self.bias,
+            "low": self.low,
+            "high": self.high,
+            "asymmetry": self.asymmetry,
+            "command": self._command,
+        }
+        if not found:
+            data["reason"] = REASONS.get(self._ended, f"{self._ended} left its window")
+        return data
