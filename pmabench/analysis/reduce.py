@@ -25,6 +25,7 @@ REDUCTIONS = {
     "validation": "validation",
     "closed-volume": "closed_volume",
     "isometric-pressurisation": "isometric_pressurisation",
+    "free-contraction": "free_contraction",
     "isometric": "isometric",
     "recorded-step": "recorded_steps",
     "recorded-sine": "recorded_sines",

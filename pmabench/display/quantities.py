@@ -61,6 +61,7 @@ _NEEDS = {
     "step-displacement": ("step_relaxation",),
     "isometric-pressurisation": ("isometric_pressurisation",),
     "closed-volume": ("closed_volume",),
+    "free-contraction": ("free_contraction",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
 
@@ -338,6 +339,25 @@ def _isometric(run: RunData, trial: TrialData, expected: Expected | None, quick:
     ], doubts
 
 
+def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Contraction at rest, and what was left without pressure before it."""
+    from pmabench.analysis.free_contraction import NotUsable
+    from pmabench.analysis.free_contraction import measure as rest_of
+
+    try:
+        rest = rest_of(run, trial)
+    except NotUsable as reason:
+        return [Measured("x", "length", None), Measured("x_0", "length", None)], [str(reason)]
+    drifts = abs(rest.drift) > max(DRIFT * abs(rest.x - rest.start), 20e-6, 6 * rest.noise)
+    doubts = [f"the length still changes by {show(rest.drift, 'length', 2)}"] if drifts else []
+    noise = max(20e-6, 6 * rest.noise)
+    return [
+        Measured("x", "length", rest.x, noise=noise),
+        Measured("x_0", "length", rest.start, noise=noise),
+        Measured("P", "pressure", rest.pressure, trial.point["pressure"] or None, tolerance=2e3, noise=1e3),
+    ], doubts
+
+
 def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
     from pmabench.analysis.sine_loop import NotUsable
@@ -389,4 +409,5 @@ _RULES: dict[str, Callable[..., Found]] = {
     "step-displacement": _displacement_step,
     "isometric-pressurisation": _isometric,
     "closed-volume": _closed,
+    "free-contraction": _free,
 }

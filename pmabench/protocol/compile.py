@@ -27,6 +27,7 @@ KINDS = {
     "validation": ("validation", "Validation"),
     "closed-volume": ("closed_volume", "ClosedVolume"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),
+    "free-contraction": ("free_contraction", "FreeContraction"),
 }
 """Kind of protocol -> its module in this package and its class."""
 

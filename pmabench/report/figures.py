@@ -11,6 +11,7 @@ import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.report import coefficient_figures, loop_figures, plots, ramp_figures, time_plots
+from pmabench.report.free_figures import lengths
 from pmabench.report.pictures import (
     Picture,
     bound,
@@ -253,5 +254,6 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("isometric",), _isometric),
     (("section",), sections),
     (("volume",), volumes),
+    (("free-contraction",), lengths),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""

@@ -61,6 +61,9 @@ SYMBOLS: dict[str, str] = {
     "e_fs": "steady-state error, of full scale",
     "accuracy": "agreement of model and test at rest",
     "misfit": "residual of the model over time",
+    "L": "length without load",
+    "x_H": "contraction reached from above less from below",
+    "P_half": "pressure of half the largest contraction",
 }
 """Symbol -> its name; the order is that of columns and figures."""
 
@@ -80,6 +83,8 @@ HEADLINES = (
     "T_c",
     "m",
     "p_0",
+    "L",
+    "P_half",
     "D_0",
     "theta_0",
     "alpha",
@@ -200,6 +205,11 @@ METHODS: dict[str, str] = {
     "daerden-section, theta_0 of the specimen": "The same with θ0 given by the specimen's braid_angle.",
     "corrected-force": "F = π r0² (p − p0) [a (1 − q ε)² − b], q = 1 + e^(−p/bar), with p0 by least squares over all "
     "contractions, D0 and θ0 of the specimen (paper 2).",
+    "free-length": "Nominal length less the contraction at rest, the mean over the last fifth of each hold and of both "
+    "sides from which the pressure was reached (from 0, and from the highest pressure). P_half is where half of the "
+    "contraction at the highest pressure is reached, by monotone cubics through the points.",
+    "sigmoid": "L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) by least squares through the lengths at all "
+    "pressures; intervals by the profile of the sum of squares, if L has this form.",
     "static load against isometric": _DIFFERENCE,
     "isometric against steps": _DIFFERENCE,
     "static load against contraction": _DIFFERENCE,
@@ -220,6 +230,7 @@ KINDS: dict[str, str] = {
     "validation": "Validation of a model",
     "closed-volume": "Closed volume",
     "isometric-pressurisation": "Isometric pressurisation",
+    "free-contraction": "Free contraction",
     "isometric": "Isometric force over pressure",
     "recorded-pull": "Recorded pulls at set pressure",
     "recorded-step": "Recorded steps of pressure",
@@ -272,6 +283,9 @@ COLUMNS: dict[str, str] = {
     "low": "lower end of the band",
     "high": "upper end of the band",
     "branch": "0 filling, 1 emptying",
+    "length": "length",
+    "below": "reached from below",
+    "above": "reached from above",
 }
 """Column of a trace -> words for axes and headers."""
 

@@ -29,6 +29,7 @@ BENCH_OF = {
     "isometric-pressurisation-paper3": "mock-daerden-ideal",
     "sinusoidal-displacement-paper3": "mock-daerden",
     "isobaric-ramp": "mock-actuator",
+    "free-contraction": "mock-contractor-free",
     "step-displacement": "mock-daerden",
     "closed-volume": "mock-daerden-closed",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
@@ -36,7 +37,8 @@ BENCH_OF = {
 
 
 def mounted(name="mock"):
-    stem = "daerden-20-200" if "daerden" in name else "dmsp-40-305" if "dmsp" in name else SPECIMEN.stem
+    stems = {"daerden": "daerden-20-200", "dmsp": "dmsp-40-305", "contractor": "contractor-30"}
+    stem = next((stem for part, stem in stems.items() if part in name), SPECIMEN.stem)
     return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN.with_stem(stem))
 
 
