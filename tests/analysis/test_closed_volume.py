@@ -17,6 +17,7 @@ from pmabench.engine.run import run_plan
 from pmabench.model.library import MODELS
 from pmabench.protocol.closed_volume import Diameters
 from pmabench.protocol.compile import make_plan
+from pmabench.protocol.plan import Seek
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, planned, recorded
 
@@ -190,3 +191,15 @@ def test_a_limit_while_the_air_is_shut_in_still_lets_it_out(tmp_path):
     (vent,) = (e for e in found.events if e.kind == "vent")
     assert vent.data["result"] == "confirmed"
     assert "close isolation_valve: sent" in vent.data["actions"]
+
+
+def test_strokes_that_take_too_long_end_the_run_and_let_the_air_out(tmp_path):
+    """Nothing goes on from a place where the plan does not believe the end to be, with air shut in."""
+    mounted = bench_with()
+    plan = make_plan(ROOT / "protocols" / "closed-volume.yaml", mounted, SHORT)[0]
+    steps = tuple(replace(s, limit=12.0) if isinstance(s, Seek) else s for s in plan.steps)
+    outcome = run_plan(replace(plan, steps=steps), mounted, ConfirmedBeforehand(), out=tmp_path)
+    assert outcome.exit_code == 5
+    assert "isolation_valve shut took longer than 12 s" in outcome.why
+    (vent,) = (e for e in open_run(outcome.folder).events if e.kind == "vent")
+    assert vent.data["result"] == "confirmed"

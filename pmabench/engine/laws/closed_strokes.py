@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pmabench.base.errors import LimitTripped
 from pmabench.engine.seek import Moves
 
 
@@ -17,6 +18,11 @@ def closed_strokes(
 
     It rests for `rest` [s] after the valve has shut, at both ends of each stroke, and before it opens again. Result:
     bench times [s] at which it was shut and opened.
+
+    Raises
+    ------
+    LimitTripped
+        Where it takes longer than the step's limit: the end is not where the plan believes, and air is shut in.
     """
     shut = moves.valve(valve, safe=True)
     moves.wait(shut + rest)
@@ -25,6 +31,6 @@ def closed_strokes(
             there = moves.ramp(origin, target, rate)
             moves.wait(there + rest)
             if moves.clock.now() < there + rest - 1e-6:
-                return {"found": False, "reason": "the strokes took longer than their limit", "command": target}
+                raise LimitTripped(f"the strokes with {valve} shut took longer than {moves.step.limit:g} s")
     opened = moves.valve(valve, safe=False)
     return {"found": True, "command": start, "shut": shut, "opened": opened}
