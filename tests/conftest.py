@@ -18,8 +18,9 @@ os.environ["PMABENCH_STATE"] = tempfile.mkdtemp(prefix="pmabench-state-")
 
 @pytest.fixture(autouse=True)
 def _own_state(tmp_path, monkeypatch):
-    """Locks and latches of one test are not those of another."""
+    """Locks and latches of one test are not those of another, nor is its terminal's width that of a person."""
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
+    monkeypatch.delenv("COLUMNS", raising=False)  # of the terminal that the tests were started from
 
 
 DRIVERS = (
