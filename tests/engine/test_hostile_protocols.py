@@ -17,10 +17,8 @@ from pmabench.protocol.compile import compile_protocol, read_protocol
 from tests.engine.benches import ROOT, SPECIMEN
 
 CASES = int(os.environ.get("PMABENCH_CASES", "500"))
-LOW, HIGH = (
-    {"pressure": -1.0, "displacement": -1e-9},
-    {"pressure": 600e3 * (1 + 1e-6), "displacement": 50e-3 * (1 + 1e-6)},
-)
+PRESSURE = (-1.0, 600e3 * (1 + 1e-6))
+"""What may be commanded [Pa]."""
 SI_PER_UNIT = {"pressure": 1000e3 / 65535, "displacement": 1e-3}
 """Written out again here: the judge does not use the scales of the bench files."""
 
@@ -79,6 +77,9 @@ class Judge:
             self.told.append((output, segment.target * unit))
         self.held[output] = segment.target if segment.kind == "ramp" else segment.origin
 
+    def halt(self, output):
+        pass
+
     def place(self, load):
         pass
 
@@ -89,16 +90,25 @@ class Judge:
         return self.held.get(output, False)
 
 
-def judged(name):
-    made = mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
+def judged(name, specimen=SPECIMEN):
+    made = mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", specimen)
     devices = tuple(replace(d, driver=f"{__name__}:Judge") for d in made.bench.devices)
     return replace(made, bench=replace(made.bench, devices=devices))
 
 
-BENCHES = {"weights": judged("mock"), "actuator": judged("mock-actuator")}
-BENCHES_OF = {"static-load": "weights", "contraction-relaxation": "weights", "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator",
-              "step-displacement": "actuator",
-              "ultimate-gain": "weights", "positioning-pi": "weights", "validation": "weights"}  # fmt: skip
+BENCHES = {
+    "weights": judged("mock"),
+    "actuator": judged("mock-actuator"),
+    "closed": judged("mock-daerden-closed", SPECIMEN.with_name("daerden-20-200.yaml")),
+}
+BENCHES_OF = {
+    "static-load": "weights", "contraction-relaxation": "weights", "ultimate-gain": "weights",
+    "ultimate-gain-relay": "weights", "positioning-pi": "weights", "validation": "weights", "free-contraction": "weights",
+    "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator", "step-displacement": "actuator",
+    "isometric-pressurisation": "actuator", "closed-volume": "closed",
+}  # fmt: skip
+REACH = {"actuator": (0.0, 50e-3), "closed": (-6e-3, 40e-3)}
+"""Where the free end may be sent [m]; written out again here, as the pressure."""
 
 number = st.one_of(
     st.floats(0, 700).map(lambda v: f"{v:.6g}"),
@@ -153,6 +163,41 @@ SETTINGS = {
         "trial.gain_steps.start": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/mm"),
         "trial.gain_steps.window": length,
     },
+    "ultimate-gain-relay": {
+        "sweep.zip.bias": pressure.map(lambda v: f"[{v}]"),
+        "trial.pressure": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
+        "trial.relay.amplitudes": st.one_of(
+            st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
+            st.floats(-5, 400).map(lambda v: f"[{v:.4g} kPa, {2 * v:.4g} kPa]"),
+        ),
+        "trial.relay.hysteresis": st.floats(-1, 8).map(lambda v: f"[{v:.3g} mm, {2 * v:.3g} mm]"),
+        "trial.relay.asymmetry": st.floats(-2, 2).map(lambda v: f"{v:.3g}"),
+        "trial.relay.window": length,
+    },
+    "free-contraction": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=3).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.rate": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/s"),
+        "trial.hold": seconds,
+        "trial.approach": st.sampled_from(["from-both-sides", "from-below"]),
+        "prepare.precondition.pressure": pressure,
+    },
+    "isometric-pressurisation": {
+        "sweep.matrix.contraction": st.one_of(length, st.floats(-5, 40).map(lambda v: f"{v:.3g} %")).map(
+            lambda v: f"[{v}]"
+        ),
+        "trial.pressurise.start": pressure,
+        "trial.pressurise.stop": pressure,
+        "trial.pressurise.rate": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/s"),
+        "trial.move.pressure": pressure,
+        "trial.move.speed": st.floats(-1, 700).map(lambda v: f"{v:.3g} mm/s"),
+    },
+    "closed-volume": {
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.start": length,
+        "trial.to": length,
+        "trial.speed": st.floats(-1, 1500).map(lambda v: f"{v:.3g} mm/s"),
+        "trial.settle": seconds,
+    },
     "positioning-pi": {
         "controller.output": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
         "controller.gains": st.builds(lambda K, T: f"{{K_p: {K:.4g} kPa/mm, T_i: {T}}}", st.floats(-1, 1e12), seconds),
@@ -176,6 +221,14 @@ SHORT = {
                       "prepare.precondition.cycles": "0"},
     "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",
                       "trial.gain_steps.level_time": "0.05 s", "trial.gain_steps.settle": "0.05 s"},
+    "ultimate-gain-relay": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.approach": "0.2 s",
+                            "trial.relay.level_time": "0.5 s", "trial.relay.settle": "0.05 s"},
+    "free-contraction": {"sweep.matrix.pressure": "[200 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
+                         "trial.rest": "0.5 s", "trial.hold": "0.5 s"},
+    "isometric-pressurisation": {"sweep.matrix.contraction": "[4 %]", "sweep.repeat.count": "1",
+                                 "prepare.precondition.cycles": "0", "trial.settle": "0.1 s"},
+    "closed-volume": {"sweep.matrix.pressure": "[300 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
+                      "trial.cycles": "1", "trial.rest": "0.1 s", "trial.settle": "0.1 s"},
     "positioning-pi": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]",
                        "sweep.matrix.setpoint": "[30 mm]"},
     "validation": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]"},
@@ -210,15 +263,17 @@ def test_nothing_outside_the_limits_reaches_the_device(protocol):
         assert "--set" in str(error) or ".yaml:" in str(error), "refused without a place"
         assert not Judge.told
         return
+    least, most = (end + slip for end, slip in zip(REACH.get(BENCHES_OF[kind], (0, 0)), (-1e-8, 1e-8), strict=True))
+    allowed = {"pressure": PRESSURE, "displacement": (least, most)}
     for output, (low, high) in plan.commands().items():
-        assert LOW[output] <= low <= high <= HIGH[output]
+        assert allowed[output][0] <= low <= high <= allowed[output][1]
     if plan.duration()[1] > LONGEST:
         return
     TALLY["run"] += 1
     outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
     assert outcome.exit_code in {0, 5, 6}, outcome.why
     for output, value in Judge.told:
-        assert LOW[output] <= value <= HIGH[output], f"{output} was commanded to {value}"
+        assert allowed[output][0] <= value <= allowed[output][1], f"{output} was commanded to {value}"
     assert ("pressure", 0.0) in Judge.told[-3:], "did not vent"
 
 
@@ -235,4 +290,5 @@ def test_the_judge_would_notice():
     judge = Judge(BENCHES["weights"].bench.devices[0], None)
     judge.write("pressure", 65535.0)
     output, value = Judge.told[-1]
-    assert not LOW[output] <= value <= HIGH[output]
+    assert output == "pressure"
+    assert not PRESSURE[0] <= value <= PRESSURE[1]
