@@ -74,17 +74,16 @@ def test_a_closed_loop_has_no_nan_at_ten_grams():
 
 
 def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
-    """The table; what is asserted holds within one run."""
-    if not request.config.getoption("benchmark_enable"):
-        pytest.skip("asked for by make bench")
+    """The table; what is asserted holds within one run, and of time only where benchmarks are asked for."""
+    timed = request.config.getoption("benchmark_enable")
     reference = peer(8.0, "DOP853", 1e-12, 1e-15)
     rows = []
-    for rtol in (1e-5, 1e-6, 1e-7, 1e-9):
+    for rtol in (1e-5, 1e-6, 1e-7, 1e-9) if timed else (1e-7,):
         monkeypatch.setattr(slip, "RELATIVE", rtol)
         monkeypatch.setattr(slip, "ABSOLUTE", rtol * 5e-2)
         rows.append((f"plant{' (as shipped)' if rtol == 1e-7 else ''}", rtol, *worked(lambda: ours(8.0))))
     for method in ("LSODA", "RK45"):
-        for rtol in (1e-4, 1e-6, 1e-8):
+        for rtol in (1e-4, 1e-6, 1e-8) if timed else (1e-6,):
             rows.append((f"solve_ivp {method}", rtol, *worked(lambda m=method, r=rtol: peer(8.0, m, r))))
     print("\n\nmethod                  rtol   ms / 20 s   times real time   error nm")
     table = {}
@@ -96,14 +95,14 @@ def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
     assert error < MICROMETRE
     for method in ("LSODA", "RK45"):
         exact = [t for (name, _), (t, e) in table.items() if name == f"solve_ivp {method}" and e < MICROMETRE]
-        assert not exact or min(exact) > 3 * took, f"{method} is as good"
+        assert exact or timed
+        assert not timed or not exact or min(exact) > 3 * took, f"{method} is as good"
 
 
 @pytest.mark.parametrize(("case", "least"), [("steps, stiction", 2000), ("closed loop at 500 Hz", 100)])
 def test_times_real_time(request, case, least):
-    if not request.config.getoption("benchmark_enable"):
-        pytest.skip("asked for by make bench")
+    timed = request.config.getoption("benchmark_enable")
     seconds, run = CASES[case]
-    took, _ = worked(run, 5)
+    took, _ = worked(run, 5 if timed else 1)
     print(f"\n{case}: {seconds / took:.0f} times real time in processor time")
-    assert seconds / took > least
+    assert not timed or seconds / took > least
