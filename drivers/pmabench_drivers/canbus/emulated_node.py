@@ -57,6 +57,8 @@ class _Consumer:
     time: float = 0.0
     heard: float = 0.0
     """Last heartbeat [s, monotonic]; 0: none yet, and so none is missed."""
+    expired: bool = False
+    """The wait is to be over at the next turn, whatever comes before it."""
 
 
 class EmulatedNode:
@@ -108,8 +110,8 @@ class EmulatedNode:
     def expire_heartbeat(self) -> bool:
         """Let the wait for a heartbeat be over; whether there was one."""
         consumer = self._consumer
-        waited, consumer.heard = bool(consumer.time and consumer.heard), consumer.heard and 1e-9
-        return waited
+        consumer.expired = bool(consumer.time and consumer.heard)
+        return consumer.expired
 
     # -- what a kind of node does -------------------------------------------------------------------------------------
 
@@ -178,8 +180,8 @@ class EmulatedNode:
             self._beat_due = now + period
             self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state])))
         consumer = self._consumer
-        if consumer.time and consumer.heard and now - consumer.heard > consumer.time:
-            consumer.heard = 0.0
+        if consumer.time and consumer.heard and (consumer.expired or now - consumer.heard > consumer.time):
+            consumer.heard, consumer.expired = 0.0, False
             self.emergency(LOST_HEARTBEAT, 0x11)
             self.lost_heartbeat()
         for index in range(PDOS):
