@@ -58,3 +58,12 @@ WRONG = {
 )
 def test_what_an_event_says(kind, data, told, level):
     assert event_text(Event(1, 2.0, kind, data)) == (told, level)
+
+
+def test_every_coordinate_with_a_unit_is_shown_with_it():
+    from pmabench.analysis.results import POINT_QUANTITIES
+    from pmabench.display.wording import POINT, point_text
+
+    counts = {"cycles", "side"}
+    assert {*POINT_QUANTITIES} - {*POINT} - counts == {"displacement"}  # a place in a trial, of no trial
+    assert point_text({"step": 0.005, "start": 0.01, "from": 1e5}) == "step 5 mm, start 10 mm, from 100 kPa"
