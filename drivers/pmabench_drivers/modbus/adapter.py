@@ -153,6 +153,7 @@ class Line:
         self._device, self._address = device, address
         self._unit_id, self._timeout, self._slowest = unit_id, timeout, slowest
         self._lock = threading.Lock()
+        self._closed = False
         self._owed: list[tuple[Signature, float]] = []
         host, _, port = address.rpartition(":")
         self.is_serial = not port.isdecimal()
@@ -170,7 +171,8 @@ class Line:
             self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
 
     def close(self) -> None:
-        """Let go of the connection; harmless when repeated."""
+        """Let go of the connection for good; harmless when repeated. A call that still waits for its turn fails."""
+        self._closed = True
         self._client.cut()
         with self._lock:
             self._client.close()  # type: ignore[no-untyped-call]
@@ -241,6 +243,8 @@ class Line:
         if not self._lock.acquire(blocking=False) and not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
             raise DeviceError(self._device, "the line was busy with another call until the deadline", what)
         try:
+            if self._closed:
+                raise DeviceError(self._device, "was closed", what)
             if not self._client.connected:
                 self._connect(deadline, what)
             if self._owed and wanted[0] <= LAST_READ:

@@ -2,6 +2,7 @@
 
 import math
 import struct
+import threading
 from dataclasses import replace
 from time import monotonic
 
@@ -72,6 +73,33 @@ def test_writes_are_the_bytes_of_the_specification(function, address, words, ask
         line.write(function, address, words, soon())
         line.close()
     assert [request[7:] for request in peer.requests] == [bytes.fromhex(asked)]
+
+
+def test_a_poll_that_waits_for_its_turn_does_not_open_what_is_closed_meanwhile():
+    """A thread that polls is not waited for; the connection it would open then would be nobody's."""
+    asked, told = threading.Event(), []
+
+    def silent(_request):
+        asked.set()
+        return b""
+
+    def poll():
+        try:
+            line.read("holding", 0, 1, monotonic() + 20.0)
+        except DeviceError as error:
+            told.append(error.message)
+
+    with Peer(silent) as peer:
+        line = line_to(peer, timeout=20.0)
+        threads = [threading.Thread(target=poll) for _ in range(2)]
+        threads[0].start()
+        asked.wait(1.0)
+        threads[1].start()
+        line.close()
+        for thread in threads:
+            thread.join()
+        assert len(peer.requests) == 1
+    assert any("was closed" in message for message in told)
 
 
 CODES = {
