@@ -16,12 +16,16 @@ TRUTH = {
 }
 """Reference plant 5.1 in SI over kPa; written out here, not imported."""
 
+SURE = 1.7
+"""Half widths of a 95 % interval that hold 99.9 %: of three right intervals one of 95 % is missed in every seventh run.
+How often intervals hold is tested where runs are cheap (tests/analysis/test_coverage.py)."""
+
 
 def assert_coefficients(found, relative, widest=None):
     """F_ce, K, B_c and B_r at 300 and 400 kPa within `relative` of the truth, by symbol.
 
-    A symbol in `widest` must have the truth in its interval instead, of at most that half width over its value. B_r at
-    the highest pressure cannot be known: nothing relaxes there.
+    A symbol in `widest` must have the truth within `SURE` of its half widths instead, of at most that half width over
+    its value. B_r at the highest pressure cannot be known: nothing relaxes there.
     """
     problems = []
     for symbol, true_at in TRUTH.items():
@@ -37,7 +41,7 @@ def assert_coefficients(found, relative, widest=None):
             line = f"{symbol} at {P} kPa: {value:.5g} for {true:.5g}, {value / true - 1:+.2%}, interval +-{half:.2%}"
             print(line, {name: f"{100 * part / abs(value):.2g} %" for name, part in estimate["parts"].items() if part})
             if widest and symbol in widest:
-                good = interval[0] <= true <= interval[1] and half <= widest[symbol]
+                good = abs(value - true) <= SURE * half * abs(value) and half <= widest[symbol]
             else:
                 good = abs(value - true) <= relative[symbol] * true
             if not good:
