@@ -55,13 +55,34 @@ class Parts:
     """From the calibration files of the channels."""
     skew: float = 0.0
     """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
+    drift: float = 0.0
+    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing tells of a drift."""
 
     @property
     def combined(self) -> float | None:
         """Root of the sum of squares of the assessed parts; None without `repeats`, for the others are no interval."""
         if self.repeats is None:
             return None
-        return sqrt(sum(p * p for p in (self.repeats, self.method, self.calibration, self.skew) if p is not None))
+        return sqrt(sum(p * p for p in vars(self).values() if p is not None))
+
+
+@dataclass(frozen=True)
+class Source:
+    """One line of the uncertainty budget of an estimate, in the sense of the GUM (JCGM 100, 5.1).
+
+    The halves of all lines of a part add as squares to that part of `Parts`, and those of the whole budget to
+    `Parts.combined`. A share is half^2 / combined^2.
+    """
+
+    name: str
+    """What it is, in words: `calibration of pressure, offset`."""
+    part: str
+    """The field of `Parts` that it belongs to."""
+    kind: str
+    """`A`, from the scatter of what was measured, or `B`, from other knowledge."""
+    half: float | None
+    """Half width of the 95 % interval, in the unit of the estimate; None: not assessed, `note` says why."""
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,6 +110,14 @@ class Estimate:
     """Parents, as `run/index`."""
     coordinate: str = ""
     """Where the same symbol appears once per coefficient of a curve: its name, for instance `slope`."""
+    budget: tuple[Source, ...] = ()
+    """Its uncertainty by source, largest first; empty where only the parts are known."""
+
+    @property
+    def shares(self) -> tuple[float | None, ...]:
+        """Share of the combined variance of each line of the budget [1]; None for a line that was not assessed."""
+        total = (self.parts.combined or 0.0) ** 2
+        return tuple(None if s.half is None else s.half**2 / total if total else 0.0 for s in self.budget)
 
     @property
     def ci95(self) -> tuple[float, float] | None:
@@ -125,6 +154,7 @@ class Estimate:
             "method": self.method,
             "note": self.note,
             "trials": list(self.trials),
+            "budget": [{**asdict(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
         }
 
 

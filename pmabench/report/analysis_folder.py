@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
 from pmabench.report.csv_files import write_tables
 from pmabench.store.folder import plain
@@ -199,6 +199,7 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
             method=_maybe(parts["method"]),
             calibration=_maybe(parts["calibration"]),
             skew=_number(parts.get("skew", 0.0)),
+            drift=_number(parts.get("drift", 0.0)),
         ),
         n=int(_number(e["n"])),
         bias=_maybe(e["bias"]),
@@ -206,7 +207,12 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
         note=_text(e["note"]),
         trials=tuple(_text(trial) for trial in e["trials"]),
         coordinate=_text(e["coordinate"]),
+        budget=tuple(_source(s) for s in e.get("budget", ())),
     )
+
+
+def _source(s: Mapping[str, Any]) -> Source:
+    return Source(_text(s["name"]), _text(s["part"]), _text(s["kind"]), _maybe(s["half"]), _text(s["note"]))
 
 
 def _curve(c: Mapping[str, Any]) -> Curve:
