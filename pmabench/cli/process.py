@@ -129,7 +129,7 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
-    from pmabench.report.tables import print_coefficients
+    from pmabench.report.terminal_coefficients import print_coefficients
 
     console = ui.console()
     print_coefficients(analyses, console)

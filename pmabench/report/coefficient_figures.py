@@ -35,7 +35,7 @@ CURVE_POINTS = 60
 
 
 def over_pressure(analyses: Sequence[Analysis]) -> list[Picture]:
-    """F_ce, K and damping over pressure, of all tests and methods together."""
+    """K, damping and F_ce over pressure, of all tests and methods together."""
     found = []
     for symbols in list(GROUPS)[:3]:
         members = [

@@ -44,12 +44,15 @@ def front_pictures(analyses: Sequence[Analysis]) -> tuple[list[Picture], list[st
     analyses = [drawable(analysis) for analysis in analyses]
     found = coefficient_figures.over_pressure(analyses)[: FRONT - 1]
     used: list[str] = []
+    for analysis in analyses:
+        if len(found) < FRONT and any(t.figure in loop_figures.TOGETHER for t in analysis.traces):
+            found += loop_figures.together(analysis.traces, analysis.simulated)
+            break
     for wanted, draw in (
         ("overlay", _overlays),
         ("growth", loop_figures.growth_alone),
         ("position", positions),
         ("validation", validations),
-        ("loop", loop_figures.loops),
         ("isometric", _isometric),
     ):
         for analysis in analyses:

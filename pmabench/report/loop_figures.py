@@ -20,6 +20,49 @@ if TYPE_CHECKING:
 
 LOOPS, ROWS, MOST = 8, 4, 6
 """Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
+TOGETHER: dict[str, tuple[str, str, str]] = {
+    "loop": ("displacement", "force", "frequency"),
+    "isobaric": ("displacement", "force", "pressure"),
+    "pressure-loop": ("pressure", "displacement", "frequency"),
+}
+"""Kinds of traces that are loops: what is across, what is up, and which mark tells them apart."""
+MOST_TOGETHER = 5
+
+
+def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+    """One small figure with measured loops on common axes, for the first page.
+
+    Of several operating points the last is shown, of several speeds the slowest.
+    """
+    for kind, (first, second, mark) in TOGETHER.items():
+        groups: dict[str, list[Trace]] = {}
+        for trace in (t for t in traces if t.figure == kind and has(t, first, second)):
+            groups.setdefault(re.sub(r"-[^-]*$", "", trace.name) if kind == "loop" else kind, []).append(trace)
+        if not groups:
+            continue
+        slow_last = sorted(list(groups.values())[-1], key=lambda t: -t.marks.get("speed", 0.0))
+        members = {t.marks.get(mark, float(i)): t for i, t in enumerate(slow_last)}
+        chosen = spread([members[at] for at in sorted(members)], MOST_TOGETHER)
+        names = [_told(t, mark) for t in chosen]
+        panels = [panel(t, {"x": first, "y": second}, name) for t, name in zip(chosen, names, strict=True)]
+        labels = (label(chosen[0], first), label(chosen[0], second))
+        where = clean(chosen[0].title.partition(", ")[2], 60) if kind == "loop" else ""
+        title = f"Loops of {second} over {first}".replace("displacement", "contraction")
+        title += f", {where}" if where else ""
+        caption = "Measured; the area of a loop is the energy lost in a cycle."
+        alt = f"{labels[1]} over {labels[0]} as measured loops on common axes: {', '.join(names)}."
+        table = numbers(list(zip(names, chosen, strict=True)), (first, second))
+        draw = bound(plots.loops_together, panels, *labels)
+        return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+    return []
+
+
+def _told(trace: Trace, mark: str) -> str:
+    """What sets a loop apart, with its unit."""
+    if mark not in trace.marks:
+        return head(trace)
+    unit = shown(mark)
+    return f"{trace.marks[mark] / unit.scale:.4g} {unit.unit}"
 
 
 def loops(traces: Sequence[Trace], simulated: bool) -> list[Picture]:

@@ -244,6 +244,23 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     return figure
 
 
+def loops_together(panels: Sequence[Panel], x_label: str, y_label: str, height: float = 2.55) -> Figure:
+    """Measured loops on common axes, columns x, y."""
+    figure = blank(HALF, height)
+    rows = ceil(len(panels) / 3)
+    axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
+    for i, panel in enumerate(panels):
+        color = PALETTE[i % len(PALETTE)]
+        axes.plot(
+            _closed(panel.columns["x"]), _closed(panel.columns["y"]), color=color, linewidth=1.1, label=panel.title
+        )
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    few_ticks(axes)
+    figure.legend(loc="upper left", bbox_to_anchor=(0.03, 1 - 0.13 / height), ncols=3, handletextpad=0.4)
+    return figure
+
+
 def _closed(values: Array) -> Array:
     return np.append(values, values[0]) if len(values) else values
 

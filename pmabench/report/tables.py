@@ -1,4 +1,4 @@
-"""Tables of what analyses found, as pandas frames and for the terminal; computes no estimate, draws nothing.
+"""Tables of what analyses found, as pandas frames of text; computes no estimate, draws nothing.
 
 Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
 """
@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.rounding import RAISED, cut, half_width, rounded
-from pmabench.report.terminal import print_grid
 from pmabench.report.wording import (
     AGREEMENT,
-    HEADLINES,
     POINTS,
     SYMBOLS,
     clean,
@@ -29,9 +27,6 @@ from pmabench.report.wording import (
     spoken,
     symbol_text,
 )
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
@@ -63,7 +58,7 @@ def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
     chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
     methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
-    return _pivot([e for e in chosen if e.method in methods])
+    return pivot_table([e for e in chosen if e.method in methods])
 
 
 def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
@@ -129,7 +124,7 @@ def other_tables(analysis: Analysis) -> list[Table]:
     tables = []
     for names, members in groups.items():
         if not names:
-            tables.append(Table("Values for the whole campaign", _whole(members)))
+            tables.append(Table("Values for the whole campaign", whole_table(members)))
             continue
         constant = {name: members[0].at[name] for name in names if len({e.at[name] for e in members}) == 1}
         if len(constant) == len(names):
@@ -138,7 +133,7 @@ def other_tables(analysis: Analysis) -> list[Table]:
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
         caption = f"Values by {' and '.join(moving) or 'operating point'}" + (f", at {told}" if told else "")
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
-        tables.append(Table(caption, _pivot(_merged(slim))))
+        tables.append(Table(caption, pivot_table(_merged(slim))))
     return tables
 
 
@@ -158,7 +153,7 @@ def _column(e: Estimate) -> str:
     return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
 
 
-def _pivot(estimates: Sequence[Estimate]) -> pd.DataFrame:
+def pivot_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
     """One row per method and operating point, one column per symbol; text cells."""
     names = in_order((name for e in estimates for name in e.at), POINTS)
     symbols = in_order((e.symbol for e in estimates), SYMBOLS)
@@ -177,7 +172,7 @@ def _pivot(estimates: Sequence[Estimate]) -> pd.DataFrame:
     return frame.fillna("")
 
 
-def _whole(estimates: Sequence[Estimate]) -> pd.DataFrame:
+def whole_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
     """Estimates without an operating point, a row each."""
     rows = [
         {
@@ -344,65 +339,3 @@ def _numbers(value: Any) -> dict[str, float]:
     if not isinstance(value, Mapping):
         return {}
     return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-
-
-def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
-    """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
-    from rich.text import Text
-
-    for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
-        mark = "SIMULATED  " if analysis.simulated else ""
-        console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
-        shown_estimates, beside = _without_comparison(analysis)
-        for names, (members, constant) in _for_terminal(shown_estimates).items():
-            frame = _pivot(members) if names else _whole(members).drop(columns="quantity")
-            over = in_order(members[0].at, POINTS)
-            by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
-            at = f", at {point_text(constant)}" if constant else ""
-            for method, rows in frame.groupby("method", sort=False):
-                console.print(Text(f"  {method}, {by}{at}", style="italic"))
-                body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
-                cells = [[str(value) for value in row] for row in body.itertuples(index=False)]
-                print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
-                for reason in _reasons([e for e in members if clean(e.method) == method]):
-                    console.print(Text(f"  {reason}"))
-        if beside:
-            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
-        console.print()
-
-
-def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
-    """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
-    first: dict[tuple[str, str, tuple[str, ...]], str] = {}
-    kept, beside = [], []
-    for e in analysis.estimates:
-        if first.setdefault((e.symbol, e.coordinate, tuple(sorted(e.at))), e.method) == e.method:
-            kept.append(e)
-        else:
-            beside.append(clean(e.method))
-    return kept, list(dict.fromkeys(beside))
-
-
-def _reasons(estimates: Sequence[Estimate]) -> list[str]:
-    """Why values or intervals are missing, the symbols with one reason together."""
-    found: dict[str, list[str]] = {}
-    for e in estimates:
-        if e.note and (e.value is None or e.parts.combined is None):
-            lack = "" if e.value is None else "no interval: "
-            found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
-    return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
-
-
-def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
-    """The estimates that fit the terminal: headline symbols by kind of operating point, and what is constant in it."""
-    groups: dict[tuple[str, ...], list[Estimate]] = {}
-    for e in estimates:
-        if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
-            groups.setdefault(tuple(sorted(e.at)), []).append(e)
-    told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
-    for names, members in groups.items():
-        moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
-        kept = moving or in_order(names, POINTS)[:1]
-        constant = {name: members[0].at[name] for name in names if name not in kept and name != "mass"}
-        told[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
-    return told

@@ -92,9 +92,9 @@ HEADLINES = (
 """Symbols of the key numbers on the first page, in this order."""
 
 GROUPS: dict[tuple[str, ...], str] = {
-    ("F_ce",): "Contractile force F_ce",
     ("K",): "Stiffness K",
     ("B_c", "B_r", "B"): "Damping",
+    ("F_ce",): "Contractile force F_ce",
     ("F_c",): "Coulomb friction F_c",
     ("tau_c", "tau_r"): "Time constants",
     ("t_d",): "Dead times t_d",

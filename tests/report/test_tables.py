@@ -12,6 +12,7 @@ from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Part
 from pmabench.report import tables
 from pmabench.report.csv_files import write_tables
 from pmabench.report.rounding import half_width, rounded
+from pmabench.report.terminal_coefficients import print_coefficients
 from pmabench.report.wording import shown
 
 from . import samples
@@ -121,7 +122,7 @@ def test_facts_of_any_shape_make_no_table_and_no_error():
 
 def terminal(analyses, width=80) -> str:
     console = Console(file=io.StringIO(), width=width, color_system=None)
-    tables.print_coefficients(analyses, console)
+    print_coefficients(analyses, console)
     return console.file.getvalue()
 
 

@@ -1,0 +1,88 @@
+"""The coefficients of each test on a terminal: primary methods in full, others by name; computes no estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.report.tables import pivot_table, whole_table
+from pmabench.report.terminal import print_grid
+from pmabench.report.wording import (
+    AGREEMENT,
+    HEADLINES,
+    POINTS,
+    SYMBOLS,
+    clean,
+    in_order,
+    kind_title,
+    point_text,
+    spoken,
+    symbol_text,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
+    """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
+    from rich.text import Text
+
+    for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
+        mark = "SIMULATED  " if analysis.simulated else ""
+        console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
+        shown_estimates, beside = _without_comparison(analysis)
+        for names, (members, constant) in _for_terminal(shown_estimates).items():
+            frame = pivot_table(members) if names else whole_table(members).drop(columns="quantity")
+            over = in_order(members[0].at, POINTS)
+            by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
+            at = f", at {point_text(constant)}" if constant else ""
+            for method, rows in frame.groupby("method", sort=False):
+                console.print(Text(f"  {method}, {by}{at}", style="italic"))
+                body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
+                cells = [[str(value) for value in row] for row in body.itertuples(index=False)]
+                print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
+                for reason in _reasons([e for e in members if clean(e.method) == method]):
+                    console.print(Text(f"  {reason}"))
+        if beside:
+            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
+        console.print()
+
+
+def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
+    """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
+    first: dict[tuple[str, str, tuple[str, ...]], str] = {}
+    kept, beside = [], []
+    for e in analysis.estimates:
+        if first.setdefault((e.symbol, e.coordinate, tuple(sorted(e.at))), e.method) == e.method:
+            kept.append(e)
+        else:
+            beside.append(clean(e.method))
+    return kept, list(dict.fromkeys(beside))
+
+
+def _reasons(estimates: Sequence[Estimate]) -> list[str]:
+    """Why values or intervals are missing, the symbols with one reason together."""
+    found: dict[str, list[str]] = {}
+    for e in estimates:
+        if e.note and (e.value is None or e.parts.combined is None):
+            lack = "" if e.value is None else "no interval: "
+            found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
+    return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
+
+
+def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
+    """The estimates that fit the terminal: headline symbols by kind of operating point, and what is constant in it."""
+    groups: dict[tuple[str, ...], list[Estimate]] = {}
+    for e in estimates:
+        if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
+            groups.setdefault(tuple(sorted(e.at)), []).append(e)
+    told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
+    for names, members in groups.items():
+        moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
+        kept = moving or in_order(names, POINTS)[:1]
+        constant = {name: members[0].at[name] for name in names if name not in kept and name != "mass"}
+        told[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
+    return told
