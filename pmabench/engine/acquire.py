@@ -346,7 +346,7 @@ class Acquisition:
         values: Mapping[str, Array],
         host: int,
     ) -> None:
-        before, apart = source.spacing.look(time_ns.tolist())
+        before, apart = source.spacing.look(time_ns)
         source.last = int(time_ns[-1])
         source.tell(before)
         for name, value in values.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import floor
 
 import numpy as np
@@ -46,13 +46,15 @@ class Spacing:
         """Of how many of the newest samples the next one tells the flag."""
         return len(self._open)
 
-    def look(self, time_ns: Iterable[int]) -> tuple[list[int], list[int]]:
+    def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
         """The flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
 
         0 where a sample is open now.
         """
         were = self.open
         flags = [0] * were
+        if isinstance(time_ns, np.ndarray) and self._even(time_ns):
+            return flags, [0] * len(time_ns)
         for time in time_ns:
             step = 1.0 if self._last is None else (time - self._last) / self._period
             self._last = time
@@ -69,6 +71,16 @@ class Spacing:
             else:
                 self._late = step - 1.0 if step - 1.0 > CARRIED else 0.0
         return flags[:were], flags[were:]
+
+    def _even(self, time_ns: NDArray[np.int64]) -> bool:
+        """Whether no sample is late or missing, nor waits, so that nothing is carried over; they then count as seen."""
+        if self._open or self._late or not len(time_ns):
+            return False
+        first = time_ns[:1] if self._last is None else (self._last,)
+        if (np.diff(time_ns, prepend=first) / self._period).max() - 1.0 > CARRIED:
+            return False
+        self._last = int(time_ns[-1])
+        return True
 
     def settle(self) -> list[int]:
         """The flags of the samples that are open, where no other one will tell."""

@@ -107,3 +107,17 @@ def test_as_many_samples_are_missing_as_between_the_gaps():
     found = flags(periods)
     assert reduce(int.__or__, found) == G
     assert [bool(flag) for flag in found[1:]] == (np.diff(periods) > 1).tolist()
+
+
+@given(data=st.data())
+def test_blocks_that_come_as_arrays_are_flagged_as_sample_by_sample(data):
+    """Where all came in time a block is looked at at once; what it carries on to the next one must be the same."""
+    steps = data.draw(st.lists(st.sampled_from([0.1, 0.8, 1.0, 1.0, 1.0, 1.2, 1.3, 1.6, 2.0, 2.7]), max_size=30))
+    times = np.cumsum(np.rint(1e9 / RATE * np.array([0.0, *steps])), dtype=np.int64)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(times)), max_size=6)))
+    whole, single = Spacing(RATE), Spacing(RATE)
+    for first, last in pairwise([0, *cuts, len(times)]):
+        block = times[first:last]
+        assert whole.look(block) == single.look(block.tolist())
+        assert whole.open == single.open
+    assert whole.settle() == single.settle()
