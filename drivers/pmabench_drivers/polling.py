@@ -1,6 +1,6 @@
 """What drivers that poll have in common: samples waiting to be collected, and a thread at absolute deadlines.
 
-Knows no wire. Standard library only.
+Knows no wire.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from math import floor
 
 from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
 
 JOIN = 0.15
@@ -47,6 +48,8 @@ class Samples:
         return block
 
 
+PATIENCE = 0.25
+"""So long [s] ticks may fail before `collect` says so; what is lost till then is a gap in the samples."""
 BEHIND = 0.02
 """Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
 
@@ -67,6 +70,26 @@ class Cycle:
         """Deadlines at which nothing was done, because what was before took too long."""
         self.broken: Exception | None = None
         """What ended the thread against its will."""
+        self._failing: tuple[float, DeviceError] | None = None
+        """Since when ticks fail [s, bench time], and the last reason."""
+
+    def note(self, failure: DeviceError | None) -> None:
+        """What went wrong in this tick; None where it went well."""
+        failing = self._failing
+        self._failing = None if failure is None else (failing[0] if failing else self._clock.now(), failure)
+
+    def refuse(self, device: str, doing: str = "polling", *, once: bool = False) -> None:
+        """Raise DeviceError where the thread has ended, or its ticks have failed for longer than `PATIENCE`.
+
+        `once`: what was said counts as over, until it has lasted as long again.
+        """
+        if self.broken is not None:
+            raise DeviceError(device, f"{doing} broke off: {self.broken}")
+        failing = self._failing
+        if failing is not None and self._clock.now() - failing[0] > PATIENCE:
+            if once:
+                self._failing = None
+            raise failing[1]
 
     def start(self, rate: float) -> None:
         """Begin at `rate` [Hz], in place of one that runs, which may still be in its last `tick`."""

@@ -6,6 +6,8 @@ from math import floor
 import pytest
 from pmabench_drivers import polling
 
+from pmabench.base.errors import DeviceError
+
 RATE = 256.0
 """A power of two, so that periods and seconds are exact: five deadlines are made up [Hz]."""
 
@@ -56,3 +58,39 @@ def test_a_device_slower_than_its_rate_rests_until_the_next_deadline(long):
     begun = [time - long for time in taken]
     assert begun == [floor(time) for time in begun]
     assert missed == begun[-1] + floor(long) - 39
+
+
+class Still:
+    """A clock that stands where it is put."""
+
+    time = 0.0
+
+    def now(self):
+        return self.time
+
+
+@pytest.mark.parametrize("once", [False, True])
+def test_ticks_that_fail_are_told_once_they_have_failed_for_a_quarter_of_a_second_without_a_good_one(once):
+    clock, wrong = Still(), DeviceError("gauge", "no answer")
+    cycle = polling.Cycle("test", lambda: None, clock)
+    for clock.time, failure in ((0.0, wrong), (0.2, None), (0.24, wrong), (0.49, wrong)):
+        cycle.note(failure)
+        cycle.refuse("gauge", once=once)
+    clock.time = 0.5
+    with pytest.raises(DeviceError, match="no answer"):
+        cycle.refuse("gauge", once=once)
+    cycle.note(wrong)
+    if once:
+        cycle.refuse("gauge", once=True)
+    else:
+        with pytest.raises(DeviceError, match="no answer"):
+            cycle.refuse("gauge")
+    cycle.note(None)
+    cycle.refuse("gauge", once=once)
+
+
+def test_a_thread_that_has_ended_against_its_will_is_told():
+    cycle = polling.Cycle("test", lambda: None, Still())
+    cycle.broken = ZeroDivisionError("division by zero")
+    with pytest.raises(DeviceError, match="stepping broke off: division by zero"):
+        cycle.refuse("gauge", "stepping")

@@ -23,8 +23,6 @@ from pmabench_drivers.polling import JOIN, Cycle, Samples
 CALL = 0.18
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
-PATIENCE = 0.25
-"""So long [s] polls may fail, or a status may be wrong, before `collect` says so."""
 
 
 class Link(Protocol):
@@ -78,8 +76,6 @@ class AlicatController:
         self._following: Segment | None = None
         self._link: Link | None = None
         self._streaming = False
-        self._failing_since: float | None = None
-        self._failure: DeviceError | None = None
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -132,7 +128,7 @@ class AlicatController:
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         used = min(rate, self._options.rate, self._opened().fastest)
-        self._failing_since = self._failure = None
+        self._cycle.note(None)
         self._samples.take()
         self._streaming = True
         self._cycle.start(used)
@@ -140,11 +136,7 @@ class AlicatController:
 
     def collect(self) -> Block:
         """What was polled since the last call; an error once polls fail, or a status is wrong, for 0.25 s."""
-        if self._cycle.broken is not None:
-            raise DeviceError(self._device.name, f"polling broke off: {self._cycle.broken}")
-        failing = self._failing_since
-        if failing is not None and self._failure is not None and self._clock.now() - failing > PATIENCE:
-            raise self._failure
+        self._cycle.refuse(self._device.name)
         return self._samples.take()
 
     def stop(self) -> None:
@@ -182,12 +174,7 @@ class AlicatController:
                 self._take(reading)
         elif failure is None:
             return  # nothing was learned
-        if failure is None:
-            self._failing_since = None
-        else:
-            self._failure = failure
-            if self._failing_since is None:
-                self._failing_since = self._clock.now()
+        self._cycle.note(failure)
 
     def _take(self, reading: Reading) -> None:
         values = {

@@ -60,7 +60,6 @@ class CanBus:
         self._rows = Rows((), self._row, 0)
         self._every, self._count = 0, 0
         self._armed = False
-        self._tick_failing: tuple[float, DeviceError] | None = None
         self._link: Link | None = None
         for name, node in self._options.nodes.items():
             made = (Drive if node.profile == 402 else Transducer)(device.name, name, node.number, self._send)
@@ -194,7 +193,8 @@ class CanBus:
         self._opened()
         syncs = 1 / self._options.sync
         self._samples.take()
-        self._count, self._tick_failing = 0, None
+        self._count = 0
+        self._cycle.note(None)
         self._every = max(1, math.floor(syncs / rate + 1e-6))
         self._signals.begin()
         if not self._cycle.running:
@@ -220,16 +220,12 @@ class CanBus:
     def _refuse_trouble(self) -> None:
         """Raise what is wrong, once something is."""
         name = self._device.name
-        if self._cycle.broken is not None:
-            raise DeviceError(name, f"sending broke off: {self._cycle.broken}")
         if (link := self._link) is None or link.gone:
             raise DeviceError(name, link.gone if link else "is not open")
         for node in self._nodes.values():
             if trouble := node.trouble():
                 raise DeviceError(name, trouble, node.name)
-        failing = self._tick_failing
-        if failing is not None and monotonic() - failing[0] > PATIENCE:
-            raise failing[1]
+        self._cycle.refuse(name, "sending")
         if self._rows.in_a_row * self._options.sync * 3 > PATIENCE:
             silent = [node.name for node in self._nodes.values() if self._rows.missing() & set(node.mapped)]
             raise DeviceError(name, f"no answer to SYNC from {', '.join(silent) or 'a node'} for {PATIENCE:g} s")
@@ -246,10 +242,9 @@ class CanBus:
                 before = self._clock.now()
                 self._rows.begin(round(before * 1e9))
                 self._send(f.SYNC)
-            self._tick_failing = None
+            self._cycle.note(None)
         except DeviceError as error:
-            since = self._tick_failing[0] if self._tick_failing else monotonic()
-            self._tick_failing = since, error
+            self._cycle.note(error)
 
     def _lead(self) -> None:
         """Send every drive under way where it should be at the SYNC after this one; until then it interpolates."""

@@ -37,8 +37,6 @@ ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
 """Pause between two looks whether the drive has done what it was told [s]."""
-PATIENCE = 0.25
-"""So long [s] cycles may fail before `collect` says so; what is lost till then is a gap in the samples."""
 
 
 class FestoCmmt:
@@ -87,8 +85,6 @@ class FestoCmmt:
         self._release = False
         self._per_second = 1.0
         """Velocity units of the drive for one position unit a second."""
-        self._failing_since: float | None = None
-        self._failure: DeviceError | None = None
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -151,7 +147,7 @@ class FestoCmmt:
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         self._opened()
-        self._failing_since = self._failure = None
+        self._cycle.note(None)
         self._samples.take()
         every = max(1, round(self._options.rate / rate))
         self._begun, self._slot, self._every = self._clock.now(), -1, every
@@ -159,11 +155,7 @@ class FestoCmmt:
 
     def collect(self) -> Block:
         """The samples since the last call; an error once cycles fail, or the drive has a fault, for 0.25 s."""
-        if self._cycle.broken is not None:
-            raise DeviceError(self._device.name, f"its cycle broke off: {self._cycle.broken}")
-        failing = self._failing_since
-        if failing is not None and self._failure is not None and self._clock.now() - failing > PATIENCE:
-            raise self._failure
+        self._cycle.refuse(self._device.name, "its cycle")
         return self._samples.take()
 
     def stop(self) -> None:
@@ -183,11 +175,9 @@ class FestoCmmt:
             self._send_due()
             self._sample()
         except DeviceError as error:
-            self._failure = error
-            if self._failing_since is None:
-                self._failing_since = self._clock.now()
+            self._cycle.note(error)
         else:
-            self._failing_since = None
+            self._cycle.note(None)
 
     def _send_due(self) -> None:
         """The command of this moment: the next piece of a sine, or the same as before."""

@@ -10,10 +10,14 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench.model.overrides import Overrides
 
-SENSORS = ("pressure", "displacement", "force")
+ANGLE = "angle"
+"""The channel input of an arm: the angle of its end."""
+SENSORS = ("pressure", "displacement", "force", ANGLE)
 """Channel inputs that are measured."""
-INPUTS = (*SENSORS, "supply", "pressure_set", "displacement_set")
-"""All channel inputs; the last one where the free end is driven."""
+INPUTS = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
+"""All channel inputs; each has a noise of its own by its place here."""
+ARM = "arm-30"
+"""The plant that is an arm."""
 DUMP_VALVE = "dump_valve"
 """The output that switches the valve."""
 ISOLATION_VALVE = "isolation_valve"
@@ -79,7 +83,8 @@ class Options:
     """All options; numbers in SI."""
 
     plant: str = "paper0"
-    """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), or for a driven free end `daerden`."""
+    """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), the arm
+    `arm-30`, or for a driven free end `daerden`."""
     numbers: Mapping[str, Any] | None = None
     """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
@@ -132,7 +137,7 @@ CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS),
+    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
@@ -174,7 +179,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
 FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
 NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS} | dict.fromkeys(
     CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval")
-)
+) | {ARM: (*FLOWS, "b_relax", "fce_eval")}
 """Options that a plant has no use for; of all others what is for one plant only."""
 
 
@@ -183,9 +188,17 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
     if law == "daerden" and options.free_end != "actuator":
         way = "is for a driven free end; write free_end: actuator beside it"
         raise DeviceError(device, f"option plant: {options.plant} {way}")
+    if law == ARM and options.free_end != "weights":
+        raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
     for name in NOT_FOR.get(law, (*FLOWS, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
+
+
+def inputs_of(free_end: str, plant: str) -> list[str]:
+    """The channel inputs that there are with this free end and this plant."""
+    without = ([] if free_end == "actuator" else ["displacement_set"]) + ([] if plant == ARM else [ANGLE])
+    return [name for name in INPUTS if name not in without]
 
 
 def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -195,7 +208,7 @@ def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tup
         read_options(device.name, own)
     except DeviceError as error:
         yield ("options",), error.message
-    known = INPUTS if driven else INPUTS[:-1]
+    known = inputs_of(str(own.get("free_end", "weights")), str(own.get("plant", "")))
     for channel in device.channels:
         if channel.input not in known:
             yield ("channels", channel.name, "input"), f'no input "{channel.input}"{did_you_mean(channel.input, known)}'

@@ -12,13 +12,23 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
+from pmabench.model.arm import Arm
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.plant_file import setup_of
 from pmabench.model.presets import changed, preset
 from pmabench.model.signal import Wave, constant, ramp, sine
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
-from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP, INPUTS, ISOLATION_VALVE, VALVES, Options, SensorError
+from pmabench_drivers.mock.options import (
+    ANGLE,
+    DUMP_VALVE,
+    E_STOP,
+    ISOLATION_VALVE,
+    VALVES,
+    Options,
+    SensorError,
+    inputs_of,
+)
 
 MEMORY = 2.5
 """How far the plant can be taken back [s]; a block of virtual time is at most 1 s."""
@@ -90,7 +100,10 @@ class Simulation:
             self._plant = setup.driven(actuator, start=start)
         else:
             self._plant = setup.free(mass=options.carriage, start=start)
-        sigma = {"pressure": setup.noise.pressure, "displacement": setup.noise.displacement, "force": setup.noise.force}
+        noise = setup.noise
+        sigma = {"pressure": noise.pressure, "displacement": noise.displacement, "force": noise.force}
+        self._radius = setup.muscle.radius if isinstance(setup.muscle, Arm) else math.inf
+        sigma[ANGLE] = noise.displacement / self._radius
         self._channels = [
             Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
         ]
@@ -109,8 +122,7 @@ class Simulation:
         self._settle()
 
     def _input(self, record: ChannelRecord) -> str:
-        driven = self._options.free_end == "actuator"
-        known = INPUTS if driven else INPUTS[:-1]
+        known = inputs_of(self._options.free_end, self._options.plant)
         if record.input not in known:
             raise DeviceError(self._name, f'no input "{record.input}"{did_you_mean(record.input, known)}', record.name)
         return record.input
@@ -224,7 +236,10 @@ class Simulation:
     def place(self, load: Load) -> None:
         """Change the load on the free end, unless an actuator holds it."""
         if isinstance(self._plant, Plant):
-            self._plant.load(load.force, max(load.mass, LEAST_MASS))
+            try:
+                self._plant.load(load.force, max(load.mass, LEAST_MASS))
+            except ValueError as error:
+                raise DeviceError(self._name, str(error)) from error
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -322,6 +337,7 @@ class Simulation:
             "supply": np.full(len(time_ns), supply),
             "pressure_set": motion.P_set,
             "displacement_set": motion.x_set,
+            ANGLE: motion.x / self._radius,
         }
         number = self._number(int(time_ns[0]))
         columns = {c.record.name: c.raw(values[c.record.input], number) for c in self._channels}
@@ -343,6 +359,7 @@ class Simulation:
             "supply": self._supply(),
             "pressure_set": plant.supply.setpoint(plant.time),
             "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
+            ANGLE: x / self._radius,
         }
         noise = self._number(time_ns)
         columns: dict[str, Column] = {c.record.name: [c.raw_one(values[c.record.input], noise)] for c in self._channels}

@@ -18,7 +18,7 @@ from pmabench_drivers.modbus.registers import Register, decode, decode_text, enc
 from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
 from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.polling import JOIN, PATIENCE, Cycle, Samples
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 CALL = 0.19
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
-PATIENCE = 0.25
-"""So long [s] polls may fail before `collect` says so; what is lost till then is a gap in the samples."""
 
 
 class ModbusDevice:
@@ -54,8 +52,6 @@ class ModbusDevice:
         self._line: Line | None = None
         self._watchdog = DeviceWatchdog(device.name, self._map, self._get, self._put)
         self._streaming = False
-        self._failing_since: float | None = None
-        self._failure: DeviceError | None = None
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -156,7 +152,7 @@ class ModbusDevice:
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         self._opened()
-        self._failing_since = self._failure = None
+        self._cycle.note(None)
         self._samples.take()
         self._streaming = True
         used = min(rate, self._map.rate)
@@ -165,11 +161,7 @@ class ModbusDevice:
 
     def collect(self) -> Block:
         """What was polled since the last call; an error once polling or stepping has failed for 0.25 s."""
-        if self._cycle.broken is not None:
-            raise DeviceError(self._device.name, f"polling broke off: {self._cycle.broken}")
-        failing = self._failing_since
-        if failing is not None and self._failure is not None and self._clock.now() - failing > PATIENCE:
-            raise self._failure
+        self._cycle.refuse(self._device.name)
         return self._samples.take()
 
     def stop(self) -> None:
@@ -193,12 +185,7 @@ class ModbusDevice:
                 work()
             except DeviceError as error:
                 failure = failure or error
-        if failure is None:
-            self._failing_since = None
-        else:
-            self._failure = failure
-            if self._failing_since is None:
-                self._failing_since = self._clock.now()
+        self._cycle.note(failure)
 
     def _poll(self) -> None:
         if not self._streaming or not self._spans:

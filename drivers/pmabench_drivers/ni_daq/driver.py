@@ -31,8 +31,6 @@ STEP = 0.06
 OPEN = 1.8
 STEPS = 100.0
 """Ramps and sines are stepped so often [Hz]."""
-PATIENCE = 0.25
-"""So long steps may fail before `collect` says so [s]."""
 
 
 class NiDaq:
@@ -53,7 +51,6 @@ class NiDaq:
         self._link: Connection | None = None
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
-        self._step_failing: tuple[float, DeviceError] | None = None
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -120,12 +117,7 @@ class NiDaq:
 
     def collect(self) -> Block:
         """What came since the last call; once all of it is handed out, an error where nothing more comes."""
-        failing = self._step_failing
-        if failing is not None and monotonic() - failing[0] > PATIENCE:
-            self._step_failing = None
-            raise failing[1]
-        if self._steps.broken is not None:
-            raise DeviceError(self._device.name, f"stepping broke off: {self._steps.broken}")
+        self._steps.refuse(self._device.name, "stepping", once=True)
         if self._sampling is not None:
             return self._sampling.collect()
         return Samples([channel.name for channel in self._device.channels]).take()
@@ -152,7 +144,7 @@ class NiDaq:
     def write(self, output: str, value: float) -> None:
         """Set an output [V] once."""
         self._following.pop(output, None)
-        self._step_failing = None
+        self._steps.note(None)
         self._put(self._opened(), output, value)
 
     def read_back(self, output: str) -> float:
@@ -208,7 +200,7 @@ class NiDaq:
         if not max(reach, abs(segment.origin)) <= 10.0 + 1e-9:
             raise DeviceError(self._device.name, f"cannot follow to {reach:g} V", output)
         self._opened()
-        self._step_failing = None
+        self._steps.note(None)
         self._following[output] = segment
         if not self._steps.running:
             self._steps.start(STEPS)
@@ -225,12 +217,11 @@ class NiDaq:
                     continue  # a command has ended it meanwhile
                 self._send(link, output, value, STEP)
             except DeviceError as error:
-                since = self._step_failing[0] if self._step_failing else monotonic()
-                self._step_failing = (since, error)
+                self._steps.note(error)
                 continue
             finally:
                 self._turn.release()
-            self._step_failing = None
+            self._steps.note(None)
             if over and self._following.get(output) is segment:
                 self._following.pop(output, None)
 

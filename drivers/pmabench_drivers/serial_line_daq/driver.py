@@ -70,7 +70,6 @@ class SerialLineDaq:
         self._heard = 0.0
         self._told_vented = False
         self._failure: DeviceError | None = None
-        self._step_failing: tuple[float, DeviceError] | None = None
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -97,7 +96,8 @@ class SerialLineDaq:
         """End stepping and let go of the port; the board goes on sampling, and its watchdog stays as it is."""
         self._following.clear()
         self._cycle.stop(JOIN)
-        self._timeline, self._armed, self._failure, self._step_failing = None, 0.0, None, None
+        self._timeline, self._armed, self._failure = None, 0.0, None
+        self._cycle.note(None)
         self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
         link, self._link = self._link, None
         if link is not None:
@@ -150,12 +150,7 @@ class SerialLineDaq:
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
-        if self._cycle.broken is not None:
-            raise DeviceError(self._device.name, f"stepping broke off: {self._cycle.broken}")
-        failing = self._step_failing
-        if failing is not None and monotonic() - failing[0] > PATIENCE:
-            self._step_failing = None
-            raise failing[1]
+        self._cycle.refuse(self._device.name, "stepping", once=True)
         block = self._samples.take()
         if len(block.time):
             return block
@@ -250,7 +245,7 @@ class SerialLineDaq:
         for value in reach:
             self._whole(output, value)
         self._opened()
-        self._step_failing = None
+        self._cycle.note(None)
         self._following[output] = segment
         if not self._cycle.running:
             self._cycle.start(STEPS)
@@ -268,10 +263,9 @@ class SerialLineDaq:
             try:
                 self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
             except DeviceError as error:
-                since = self._step_failing[0] if self._step_failing else monotonic()
-                self._step_failing = (since, error) if still() else None
+                self._cycle.note(error if still() else None)
                 continue
-            self._step_failing = None
+            self._cycle.note(None)
             if over and still():
                 self._following.pop(output, None)
 
