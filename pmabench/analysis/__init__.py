@@ -17,6 +17,7 @@
 - isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine:
   `recorded_sines`; what imports say beside their samples: `imported`
 - a library model fitted to a table (`model fit`): `model_fit`, made of `model_problem`, `identifiability`
+- two analyses coefficient by coefficient (`compare`): `comparison`
 - shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
   `calibration` (what the channels' uncertainties do to a result)
 """

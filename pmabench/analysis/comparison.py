@@ -1,0 +1,371 @@
+"""Two analyses coefficient by coefficient: difference, its 95 % interval, E_n number; fits nothing, knows no files.
+
+E_n = (a - b) / sqrt(U_a^2 + U_b^2) with the 95 % half widths U (ISO/IEC 17043): values agree where |E_n| <= 1, which
+two right ones miss about once in twenty. b is the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot
+
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import QUANTITIES, show
+
+MOST_TOLD = 4
+"""Points that are named in a sentence about what could not be compared."""
+TERM = "as "
+"""What the coordinates of a curve's terms begin with."""
+CHANCE = 0.05
+"""Share of right values that lie outside their intervals."""
+
+Point = tuple[tuple[str, float], ...]
+Series = tuple[str, str, str, tuple[str, ...]]
+"""Kind of test, symbol, coordinate, and over what it is told."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two that are compared."""
+
+    name: str
+    """As sentences call it: A, B, a method, a label."""
+    analyses: tuple[Analysis, ...]
+    about: str = ""
+    """Where it comes from, for people: folder, bench, days."""
+    calibrations: frozenset[tuple[str, str]] | None = None
+    """What the runs' calibrations are, by name and hash; None where the runs are not at hand."""
+    published: bool = False
+    """Another's values, of which no interval is told."""
+
+    @property
+    def runs(self) -> set[str]:
+        """Ids of all runs."""
+        return {run for analysis in self.analyses for run in analysis.runs}
+
+    @property
+    def simulated(self) -> bool:
+        """Whether anything in it is."""
+        return any(analysis.simulated for analysis in self.analyses)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One coefficient at one operating point on both sides, a - b [SI]."""
+
+    kind: str
+    a: Estimate
+    b: Estimate
+    half: float | None
+    """95 % half width of the difference; None where neither side has an interval."""
+    between: str = ""
+    """Which sides were read between two of their points: `a`, `b`, `ab` or none."""
+    term: bool = False
+    """A term of a curve: told beside, and not counted, for the values that it goes through are."""
+
+    @property
+    def value(self) -> float:
+        """The difference a - b [SI]."""
+        return (self.a.value or 0.0) - (self.b.value or 0.0)
+
+    @property
+    def relative(self) -> float | None:
+        """(a - b) / |b|; None where b is 0."""
+        return self.value / abs(self.b.value) if self.b.value else None
+
+    @property
+    def score(self) -> float | None:
+        """E_n; None without an interval, and where both intervals are nothing."""
+        return self.value / self.half if self.half else None
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether |E_n| <= 1; None where that cannot be told."""
+        return None if self.score is None else abs(self.score) <= 1.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare` found."""
+
+    differences: tuple[Difference, ...]
+    findings: tuple[Finding, ...]
+
+
+def compare(
+    a: Side, b: Side, methods: tuple[str, str | None] | None = None, pressures: Sequence[float] | None = None
+) -> Comparison:
+    """The differences of all coefficients that both sides have.
+
+    Of each symbol the first method of each side, or `methods` of a and b. Tests of the same kind are compared; where no
+    kind is on both sides, tests of one kind each. Values over pressure are compared at the pressures [Pa] that both
+    have, those of b where it is published; where they have none in common, or at `pressures`, the side without a value
+    is read on the straight line between its neighbours. Raises UsageError where nothing can be compared.
+    """
+    left, right = _series(a, methods and methods[0]), _series(b, methods and methods[1])
+    differences: list[Difference] = []
+    missing: list[str] = []
+    for one, other in _pairs(left, right):
+        found, lacks = _compared(one, left[one], right[other], a, b, pressures)
+        differences += found
+        missing += [f"{_name(one[1:3])} {lack}" for lack in lacks]
+    if not differences:
+        told = f"; {'; '.join(missing)}" if missing else ""
+        held = " and ".join(f"{side.name} holds {_held(_series(side, None))}" for side in (a, b))
+        raise UsageError(f"{a.name} and {b.name} have no coefficient in common that could be compared: {held}{told}")
+    return Comparison(tuple(differences), tuple(_findings(a, b, differences, missing)))
+
+
+def not_accepted(differences: Iterable[Difference], measure: str, limit: float) -> list[str]:
+    """One sentence for each difference whose size is above the limit, or cannot be told; `E_n` or `difference` [1]."""
+    failed = []
+    for d in differences:
+        if d.term:
+            continue
+        size = d.score if measure == "E_n" else d.relative
+        asked = f"accepted {limit:g}" if measure == "E_n" else f"accepted {100 * limit:g} %"
+        if size is None:
+            lack = "no E_n: there is no interval" if measure == "E_n" else "no relative difference: the reference is 0"
+            failed.append(f"{named(d)}: {lack}, {asked}")
+        elif abs(size) > limit:
+            told = f"E_n {size:+.2f}" if measure == "E_n" else f"difference {percent(size)} %"
+            failed.append(f"{named(d)}: {told}, {asked}")
+    return failed
+
+
+def named(d: Difference) -> str:
+    """Coefficient and operating point in the units that people read: `K at 300 kPa`."""
+    where = _where(d.a.at)
+    return f"{_name((d.a.symbol, d.a.coordinate))}{f' at {where}' if where else ''}"
+
+
+def percent(share: float) -> str:
+    """A share in %, with its sign and two digits: `+4.2`, `-67`, `+240`."""
+    size = abs(100 * share)
+    return f"{100 * share:+.0f}" if 10 <= size < 1e5 else f"{100 * share:+.2g}"
+
+
+def _name(series: tuple[str, ...]) -> str:
+    return " ".join(part for part in series if part)
+
+
+def _where(at: Mapping[str, float]) -> str:
+    only = set(at) == {"pressure"}
+    return ", ".join(
+        ("" if only else f"{name} ")
+        + (show(value, POINT_QUANTITIES[name]) if name in POINT_QUANTITIES else f"{value:g}")
+        for name, value in at.items()
+        if name != "mass"
+    )
+
+
+def _held(series: Iterable[Series]) -> str:
+    return ", ".join(dict.fromkeys(_name(one[1:3]) for one in series)) or "no value"
+
+
+def _point(at: Mapping[str, float]) -> Point:
+    """The operating point to six digits, for settings that were written twice; the moving mass is none."""
+    return tuple(sorted((name, float(f"{value:.6g}")) for name, value in at.items() if name != "mass"))
+
+
+def _series(side: Side, method: str | None) -> dict[Series, dict[Point, Estimate]]:
+    """Series -> values by operating point, of one method; terms of curves count as coefficients."""
+    found: dict[Series, dict[Point, Estimate]] = {}
+    kinds = [analysis.kind for analysis in side.analyses]
+    twice = next((kind for kind in kinds if kinds.count(kind) > 1), None)
+    if twice is not None:
+        raise UsageError(f"{side.name} holds several analyses of {twice}; give one of their folders")
+    known = list(dict.fromkeys(e.method for analysis in side.analyses for e in analysis.estimates))
+    if method is not None and method not in known:
+        raise UsageError(f'{side.name} has no method "{method}"; it has {", ".join(known) or "none"}')
+    for analysis in side.analyses:
+        chosen: dict[tuple[str, str], str] = {}
+        for e in (*analysis.estimates, *_terms(analysis)):
+            if chosen.setdefault((e.symbol, e.coordinate), method or e.method) == e.method:
+                place = _point(e.at)
+                series = (analysis.kind, e.symbol, e.coordinate, tuple(name for name, _ in place))
+                found.setdefault(series, {}).setdefault(place, e)
+    return found
+
+
+def _terms(analysis: Analysis) -> Iterator[Estimate]:
+    """Terms of curves over the coordinate itself, which mean the same in every analysis of the same form."""
+    for curve in analysis.curves:
+        for term in curve.terms if not curve.normalised else ():
+            yield replace(term, coordinate=f"{TERM}{curve.form}, {term.coordinate}")
+
+
+def _pairs(left: Mapping[Series, object], right: Mapping[Series, object]) -> Iterator[tuple[Series, Series]]:
+    """Which series are held against each other: the same of both sides, else the same symbol of other tests."""
+    common = {series[0] for series in left} & {series[0] for series in right}
+    for series in left:
+        if series in right:
+            yield series, series
+        elif not common:
+            yield from ((series, other) for other in right if other[1:] == series[1:])
+
+
+def _compared(
+    series: Series,
+    ours: Mapping[Point, Estimate],
+    theirs: Mapping[Point, Estimate],
+    a: Side,
+    b: Side,
+    pressures: Sequence[float] | None,
+) -> tuple[list[Difference], list[str]]:
+    """Differences of one series at its operating points, and what could not be compared in words."""
+    places = dict.fromkeys((*ours, *theirs))
+    asked = [(("pressure", float(f"{P:.6g}")),) for P in pressures or ()]
+    over = series[3] == ("pressure",)
+    common = [place for place in places if place in ours and place in theirs]
+    if asked and over:
+        places = dict.fromkeys(asked)
+    elif b.published:
+        places = dict.fromkeys(theirs)
+    elif common:
+        places = dict.fromkeys(common)
+    shared = a.calibrations is not None and bool(a.calibrations) and a.calibrations == b.calibrations
+    found, lacks = [], dict[str, list[str]]()
+    for place in sorted(places):
+        one, other = ours.get(place), theirs.get(place)
+        between = ""
+        if over and one is None:
+            one, between = _on_line(ours, place[0][1]), "a"
+        if over and other is None:
+            other, between = _on_line(theirs, place[0][1]), f"{between}b"
+        lack = _lack(one, a.name) or _lack(other, b.name)
+        if lack or one is None or other is None:
+            lacks.setdefault(lack, []).append(_where(dict(place)))
+        elif one.unit != other.unit:
+            lacks.setdefault(f"is told in {one.unit} and in {other.unit}", []).append("")
+        else:
+            term = series[2].startswith(TERM)
+            found.append(Difference(series[0], one, other, _half(one, other, shared), between, term))
+    return found, [_at_places(lack, where) for lack, where in lacks.items()]
+
+
+def _lack(e: Estimate | None, name: str) -> str:
+    if e is None:
+        return f"has no value in {name}"
+    return f"is not identifiable in {name}" if e.value is None else ""
+
+
+def _at_places(lack: str, places: Sequence[str]) -> str:
+    told = [place for place in places if place]
+    more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
+    return f"{lack} at {', '.join(told[:MOST_TOLD])}{more}" if told else lack
+
+
+def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
+    """The value at pressure P [Pa] on the straight line between the nearest points; None outside or at an open end.
+
+    The parts are shares of those of both ends, which is the most that they can be.
+    """
+    known = sorted(place[0][1] for place in values)
+    low, high = (max((p for p in known if p <= P), default=None), min((p for p in known if p >= P), default=None))
+    if low is None or high is None:
+        return None
+    one, other = values[(("pressure", low),)], values[(("pressure", high),)]
+    if one.value is None or other.value is None:
+        return None
+    share = (P - low) / (high - low) if high > low else 0.0
+
+    def mixed(left: float | None, right: float | None) -> float | None:
+        return None if left is None or right is None else (1 - share) * left + share * right
+
+    parts = Parts(
+        mixed(one.parts.repeats, other.parts.repeats),
+        mixed(one.parts.method, other.parts.method),
+        mixed(one.parts.calibration, other.parts.calibration),
+        mixed(one.parts.skew, other.parts.skew) or 0.0,
+    )
+    value = (1 - share) * one.value + share * other.value
+    trials = tuple(dict.fromkeys((*one.trials, *other.trials)))
+    return replace(one, value=value, parts=parts, at={"pressure": P}, trials=trials, n=max(one.n, other.n))
+
+
+def _half(one: Estimate, other: Estimate, shared: bool) -> float | None:
+    """Half width of the difference: squares added; a calibration that both used is off by the same in both."""
+    widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
+    if not widths:
+        return None
+    same_way = shared and len(widths) == 2 and one.method == other.method
+    if not same_way or one.parts.calibration is None or other.parts.calibration is None:
+        return hypot(*widths)
+    alone = [replace(e.parts, calibration=None).combined or 0.0 for e in (one, other)]
+    return hypot(*alone, one.parts.calibration - other.parts.calibration)
+
+
+def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:
+    groups: dict[Series, list[Difference]] = {}
+    for d in differences:
+        groups.setdefault((d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)), []).append(d)
+    for group in groups.values():
+        if not group[0].term:
+            yield _sentence(group)
+    judged = [d for d in differences if d.agrees is not None and not d.term]
+    if len(judged) > 1:
+        beyond = sum(not d.agrees for d in judged)
+        chance = CHANCE * len(judged)
+        told = f"{beyond} of {len(judged)} differences are larger than their 95 % interval"
+        by_chance = f"about {chance:.0f}" if chance >= 1 else "less than one"
+        yield Finding(
+            "note", f"{told}; of two that are the same {by_chance} would be, where the values are independent"
+        )
+    for text in missing:
+        yield Finding("note", f"not compared: {text}")
+    yield from _cautions(a, b, differences)
+
+
+def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
+    """What the E_n numbers do not know."""
+    bare = [d for d in differences if d.b.parts.combined is None or d.a.parts.combined is None]
+    if bare and b.published:
+        yield Finding("note", f"{b.name} tells no interval: E_n counts that of {a.name} alone")
+    elif bare:
+        yield Finding("doubt", f"{named(bare[0])} has no interval on one side: E_n counts the other alone")
+    if any(d.between for d in differences):
+        yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
+    if a.runs & b.runs:
+        text = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
+        yield Finding("note", text)
+    elif a.calibrations and a.calibrations == b.calibrations:
+        text = "both used the same calibrations: their uncertainty drops out of a difference of one method"
+        yield Finding("note", text)
+    elif not b.published and (a.calibrations is None or b.calibrations is None):
+        text = "the runs are not at hand: calibrations that both may have used count in both, and E_n shows less"
+        yield Finding("note", text)
+    if a.simulated != b.simulated and not b.published:
+        yield Finding("note", f"{(a if a.simulated else b).name} is SIMULATED, the other is not")
+
+
+def _sentence(group: Sequence[Difference]) -> Finding:
+    """One line for all points of one coefficient: how many agree, and where they are furthest apart."""
+    worst = max(group, key=lambda d: abs(d.score) if d.score is not None else abs(d.relative or 0.0))
+    symbol = _name((worst.a.symbol, worst.a.coordinate))
+    judged = [d for d in group if d.agrees is not None]
+    beyond = [d for d in judged if not d.agrees]
+    relative = "" if worst.relative is None else f" ({percent(worst.relative)} %)"
+    at = _where(worst.a.at)
+    sign = "+" if worst.value > 0 else ""
+    size = f"{sign}{_shown(worst.value, worst)}{relative}"
+    score = "" if worst.score is None else f", E_n {worst.score:+.2f}"
+    place = f"at {at}: " if at else ""
+    furthest = f"furthest apart {place}{size}{score}" if len(group) > 1 else f"{place}difference {size}{score}"
+    if not judged:
+        return Finding("note", f"{symbol}: {furthest}; no interval tells whether that is more than chance")
+    if not beyond:
+        points = "both points" if len(judged) == 2 else f"all {len(judged)} points"
+        agree = "agree within their interval" if len(group) == 1 else f"agree at {points}"
+        return Finding("note", f"{symbol}: {agree}; {furthest}")
+    if len(group) == 1:
+        return Finding("doubt", f"{symbol}: differ by more than their interval; {furthest}")
+    return Finding(
+        "doubt", f"{symbol}: differ by more than their interval at {len(beyond)} of {len(judged)} points; {furthest}"
+    )
+
+
+def _shown(value: float, d: Difference) -> str:
+    return show(value, d.a.quantity, 3) if d.a.quantity in QUANTITIES else f"{value:.3g} {d.a.unit}"

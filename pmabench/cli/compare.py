@@ -1,0 +1,247 @@
+"""`pmabench compare`: two analyses, two methods, or an analysis and a published table, coefficient by coefficient."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import InvalidFile, UsageError, invalid
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.comparison import Comparison, Difference, Side
+    from pmabench.analysis.results import Analysis, Estimate
+    from pmabench.report.overlays import Comparison as Published
+
+AGREEMENT = "agreement"
+"""Kind of the analysis that compares tests of one side already."""
+_LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=|≤|=)\s*(.+?)\s*")
+
+
+@click.command(name="compare")
+@click.argument("a")
+@click.argument("b", required=False)
+@click.option("--method", "methods", multiple=True, help="Of both; given twice: that of A, then that of B.")
+@click.option("--at", "places", multiple=True, metavar="PRESSURE", help="At this pressure; between points by a line.")
+@click.option("--accept", "accepted", multiple=True, metavar='"E_n<=1"', help='Exit 6 beyond; also "difference<=2 %".')
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write figures and tables (HTML)."
+)
+@common
+def command(
+    ui: Ui,
+    a: str,
+    b: str | None,
+    methods: tuple[str, ...],
+    places: tuple[str, ...],
+    accepted: tuple[str, ...],
+    output: Path | None,
+) -> int | None:
+    """Hold A against B, the reference: differences with their 95 % interval and E_n number.
+
+    A and B are analysis folders, folders of them, or runs (processed now); B may be a CSV of published values, with
+    FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
+    """
+    from pmabench.analysis.comparison import Comparison, compare, not_accepted
+
+    limits = [_limit(text) for text in accepted]
+    pressures = [_quantity("--at", text, "pressure") for text in places]
+    if output is not None and output.is_fifo():
+        raise UsageError(f"{output} is a pipe; give the name of a file")
+    if len(methods) > 2 or (b is None and len(methods) != 2):
+        raise UsageError("give B, or --method twice to compare two methods of A")
+    left, runs = _side("A", a)
+    curves: list[Published] = []
+    if b is None:
+        right, left = replace(left, name=methods[1]), replace(left, name=methods[0])
+    elif _is_table(b):
+        right, curves = _published(b, left.analyses, runs)
+    else:
+        right = _side("B", b)[0]
+    chosen = None if not methods else (methods[0], None if right.published else methods[-1])
+    found = compare(left, right, chosen, pressures) if right.analyses else Comparison((), ())
+    failed = [text for measure, limit in limits for text in not_accepted(found.differences, measure, limit)]
+    data = _json(left, right, found, curves, failed)
+    if output is not None:
+        from pmabench.report.comparison_page import write_comparison
+
+        data["path"] = str(write_comparison(left, right, found, curves, failed, output))
+    told = [f"NOT ACCEPTED: {text}" for text in failed]
+    ui.result(data, lambda: _print(ui, left, right, found, curves, [*told, *([data["path"]] if output else [])]), told)
+    return 6 if failed else None
+
+
+def _limit(text: str) -> tuple[str, float]:
+    """`E_n<=1` or `difference<=2 %`."""
+    found = _LIMIT.fullmatch(text)
+    if found is None:
+        raise UsageError(f'--accept "{text}": expected "E_n<=1" or "difference<=2 %"')
+    measure, told = found.groups()
+    if measure == "difference":
+        value = _quantity("--accept", told, "ratio")
+    else:
+        try:
+            value = float(told)
+        except ValueError as error:
+            raise UsageError(f'--accept "{text}": "{told}" is no number; E_n has no unit') from error
+    if not 0 < value < float("inf"):
+        raise UsageError(f'--accept "{text}": a limit is above 0')
+    return measure, value
+
+
+def _quantity(option: str, text: str, quantity: str) -> float:
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        return parse_quantity(text, quantity)
+    except ValueError as error:
+        raise UsageError(f'{option} "{text}": {error}') from error
+
+
+def _is_table(text: str) -> bool:
+    return not Path(text).is_dir() and re.search(r"\.csv(:|$)", text, re.IGNORECASE) is not None
+
+
+def _side(name: str, text: str) -> tuple[Side, list[Path]]:
+    """The analyses that a path stands for, and the folders of their runs as far as they are at hand."""
+    from pmabench.analysis.comparison import Side
+    from pmabench.cli.process import analyse, load_runs
+    from pmabench.report.analysis_folder import read_analysis, runs_of
+
+    path = Path(text)
+    if _is_table(text):
+        raise UsageError(f"{text} is a table; it can only be B, the reference")
+    if not path.is_dir():
+        raise invalid(path, "there is no such folder; give an analysis folder, a folder of them or a run")
+    if (path / "manifest.json").exists():
+        analyses, runs = analyse(load_runs([path])), [path]
+    else:
+        folders = _analysis_folders(path)
+        if not folders:
+            raise invalid(path, "holds no analysis; give an analysis folder, a folder of them or a run")
+        analyses = [read_analysis(folder) for folder in folders]
+        runs = list(dict.fromkeys(run for folder in folders for run in runs_of(folder)))
+    analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]
+    known = len({run for analysis in analyses for run in analysis.runs}) == len(runs)
+    manifests = [_manifest(run) for run in runs]
+    about = [str(path), *dict.fromkeys(filter(None, map(_bench_and_day, manifests)))]
+    calibrations = frozenset(item for manifest in manifests for item in _calibrations(manifest)) if known else None
+    return Side(name, tuple(analyses), "; ".join(about), calibrations), runs
+
+
+def _analysis_folders(path: Path) -> list[Path]:
+    """The folder itself, or the analyses that lie up to two levels below it."""
+    for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json"):
+        if found := sorted(path.glob(pattern)):
+            return [file.parent for file in found]
+    return []
+
+
+def _manifest(run: Path) -> Mapping[str, Any]:
+    from pmabench.store.folder import read_manifest
+
+    try:
+        return read_manifest(run)
+    except InvalidFile:
+        return {}
+
+
+def _bench_and_day(manifest: Mapping[str, Any]) -> str:
+    bench = manifest.get("bench")
+    name = bench.get("name") if isinstance(bench, dict) else bench
+    return ", ".join(part for part in (str(name or ""), str(manifest.get("started_utc", ""))[:10]) if part)
+
+
+def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Calibration files by name and hash, and the session, in which zeros were taken."""
+    snapshots = manifest.get("snapshots")
+    for name, digest in snapshots.items() if isinstance(snapshots, dict) else ():
+        if str(name).startswith("calibrations/"):
+            yield str(name), str(digest)
+    if manifest.get("session") is not None:
+        yield "session", json.dumps(manifest["session"], sort_keys=True, default=str)
+
+
+def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
+    """A table as the reference, and how its points lie beside the curves of figures."""
+    from pmabench.analysis.comparison import Side
+    from pmabench.cli.process import load_runs
+    from pmabench.cli.report_overlays import read_overlays
+    from pmabench.report.overlays import beside, length_of
+
+    tables = read_overlays([text])
+    (table,) = tables
+    length = length_of(load_runs(runs)) if "contraction" in table.columns and runs else None
+    _, others, compared = beside(analyses, tables, length)
+    coefficients = {e.symbol for other in others for e in other.estimates}
+    about = f"{table.path}; {table.source}" if table.source else str(table.path)
+    side = Side(table.label, tuple(others), about, published=True)
+    return side, [one for one in compared if one.name not in coefficients]
+
+
+def _json(
+    left: Side, right: Side, found: Comparison, curves: Sequence[Published], failed: Sequence[str]
+) -> dict[str, Any]:
+    def side(one: Side) -> dict[str, Any]:
+        runs = sorted(one.runs)
+        return {"name": one.name, "about": one.about, "runs": runs, "simulated": one.simulated}
+
+    def value(e: Estimate) -> dict[str, Any]:
+        return {"value": e.value, "half_width": e.parts.combined, "n": e.n, "method": e.method}
+
+    def difference(d: Difference) -> dict[str, Any]:
+        return {
+            "kind": d.kind,
+            "symbol": d.a.symbol,
+            "coordinate": d.a.coordinate,
+            "at": dict(d.a.at),
+            "unit": d.a.unit,
+            "quantity": d.a.quantity,
+            "a": value(d.a),
+            "b": value(d.b),
+            "difference": d.value,
+            "half_width": d.half,
+            "relative": d.relative,
+            "E_n": d.score,
+            "agrees": d.agrees,
+            "between_points": d.between,
+            "term": d.term,
+        }
+
+    return {
+        "schema": "pmabench.comparison/1",
+        "a": side(left),
+        "b": side(right),
+        "differences": [difference(d) for d in found.differences],
+        "curves": [vars(one) for one in curves],
+        "findings": [{"level": f.level, "text": f.text} for f in found.findings],
+        "verdicts": list(failed),
+    }
+
+
+def _print(
+    ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
+) -> None:
+    from pmabench.report.comparison_tables import curve_rows, rows_of
+    from pmabench.report.terminal import print_grid
+    from pmabench.report.wording import clean
+
+    console = ui.console(columns=140)
+    for side in (left, right):
+        mark = "SIMULATED  " if side.simulated else ""
+        console.print(f"{mark}{clean(side.name, 60)}: {clean(side.about, 300)}", soft_wrap=True)
+    for heads, rows in (rows_of(left, right, found.differences), curve_rows(curves)):
+        if rows:
+            console.print()
+            print_grid(console, heads, rows, ("symbol", "quantity", "over"), 2)
+    console.print()
+    for finding in found.findings:
+        console.print(f"{finding.level}: {finding.text}")
+    for line in last:
+        click.echo(line)

@@ -1,0 +1,169 @@
+"""Two analyses against each other: E_n by hand, on the simulated bench, and what cannot be compared in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.analysis import contraction
+from pmabench.analysis.comparison import Side, compare, named, not_accepted
+from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts
+from pmabench.base.errors import UsageError
+from tests.analysis.simulate import contraction_run, rig
+
+SAME = frozenset({("calibrations/F.yaml", "00")})
+
+
+def K(value, half, P=3e5, method="m", **parts):
+    at = {} if P is None else {"pressure": P}
+    return Estimate("K", value, "N/m", "stiffness", method, at, Parts(half, **parts), n=3)
+
+
+def side(*estimates, name="A", run="r1", kind="contraction-relaxation", **more):
+    return Side(name, (Analysis(kind, (run,), False, estimates),), **more)
+
+
+def one(a, b, **options):
+    (difference,) = compare(a, b, **options).differences
+    return difference
+
+
+def test_e_n_is_the_difference_over_the_root_of_the_squares():
+    d = one(side(K(10.0, 3.0)), side(K(6.0, 4.0), name="B", run="r2"))
+    assert (d.value, d.half, d.score, d.agrees) == (4.0, 5.0, pytest.approx(0.8), True)
+    assert d.relative == pytest.approx(4 / 6)
+    assert one(side(K(12.0, 3.0)), side(K(6.0, 4.0), name="B", run="r2")).agrees is False
+
+
+def test_the_same_calibration_drops_out_and_another_does_not():
+    a, b = K(10.0, 3.0, calibration=12.0), K(6.0, 4.0, calibration=12.0)
+    same = side(a, calibrations=SAME), side(b, name="B", run="r2", calibrations=SAME)
+    assert one(*same).half == pytest.approx(5.0)
+    other = replace(same[1], calibrations=frozenset({("calibrations/F.yaml", "11")}))
+    assert one(same[0], other).half == pytest.approx((25.0 + 288.0) ** 0.5)
+    unknown = replace(same[0], calibrations=frozenset()), replace(same[1], calibrations=frozenset())
+    assert one(*unknown).half == pytest.approx((25.0 + 288.0) ** 0.5)
+    by_another_way = side(replace(b, method="n"), name="B", run="r2", calibrations=SAME)
+    assert one(same[0], by_another_way).half == pytest.approx((25.0 + 288.0) ** 0.5)
+
+
+def test_values_are_read_on_straight_lines_only_where_nothing_is_in_common():
+    a = side(K(6.0, 1.0, 2e5), K(8.0, 3.0, 4e5))
+    b = side(K(7.5, 2.0, 3e5), name="B", run="r2")
+    d = one(a, b)
+    assert (d.a.value, d.a.parts.combined, d.between) == (pytest.approx(7.0), pytest.approx(2.0), "a")
+    assert d.half == pytest.approx(8**0.5)
+    both = side(K(7.5, 2.0, 3e5), K(6.0, 1.0, 2e5), name="B", run="r2")
+    assert [d.a.at["pressure"] for d in compare(a, both).differences] == [2e5]
+    asked = compare(a, both, pressures=[2.5e5]).differences
+    assert [(d.a.value, d.b.value) for d in asked] == [(pytest.approx(6.5), pytest.approx(6.75))]
+    outside = compare(a, both, pressures=[2e5, 5e5])
+    assert "not compared: K has no value in A at 500 kPa" in [f.text for f in outside.findings]
+
+
+def test_published_values_are_compared_where_they_stand_and_count_as_exact():
+    a = side(K(6.0, 1.0, 2e5), K(8.0, 1.0, 4e5))
+    table = side(K(6.5, None, 2e5), K(7.0, None, 3e5), name="Serres", run="", kind=PUBLISHED, published=True)
+    found = compare(a, table)
+    assert [(d.value, d.half) for d in found.differences] == [(-0.5, 1.0), (pytest.approx(0.0), pytest.approx(1.0))]
+    assert any("Serres tells no interval" in f.text for f in found.findings)
+
+
+def test_two_right_values_are_missed_once_in_twenty():
+    draw = np.random.default_rng(7)
+    many = 1500
+    ours, theirs = (draw.normal(100.0, half / 1.959964, many) for half in (3.0, 4.0))
+    a = side(*(K(v, 3.0, 1e5 + P) for P, v in enumerate(ours)))
+    b = side(*(K(v, 4.0, 1e5 + P) for P, v in enumerate(theirs)), name="B", run="r2")
+    beyond = sum(not d.agrees for d in compare(a, b).differences)
+    assert 0.033 * many < beyond < 0.067 * many  # three standard deviations are 0.017
+
+
+def test_what_is_missing_is_told_and_not_compared():
+    a = side(K(6.0, 1.0, 2e5), K(None, None, 3e5))
+    b = side(K(6.0, 1.0, 2e5), K(7.0, 1.0, 3e5), name="B", run="r2")
+    texts = [f.text for f in compare(a, b).findings]
+    assert "not compared: K is not identifiable in A at 300 kPa" in texts
+    F = replace(K(1.0, 1.0), symbol="F_ce", unit="N", quantity="force")
+    with pytest.raises(UsageError, match=r"A holds K and B holds F_ce"):
+        compare(a, side(F, name="B", run="r2"))
+    twice = replace(a, analyses=a.analyses * 2)
+    with pytest.raises(UsageError, match="several analyses of contraction-relaxation"):
+        compare(twice, b)
+    with pytest.raises(UsageError, match=r'B has no method "x"; it has m'):
+        compare(a, b, ("m", "x"))
+
+
+def test_methods_of_one_analysis_share_their_runs_and_that_is_told():
+    a = side(K(6.0, 1.0), K(9.0, 1.0, method="other"))
+    found = compare(replace(a, name="m"), replace(a, name="other"), ("m", "other"))
+    assert found.differences[0].value == -3.0
+    assert any("same runs" in f.text for f in found.findings)
+
+
+def test_tests_of_another_kind_are_compared_only_where_none_is_the_same():
+    a = side(K(6.0, 1.0))
+    other = side(K(7.0, 1.0), name="B", run="r2", kind="sinusoidal-displacement")
+    assert one(a, other).value == -1.0
+    both = Side("B", (*side(K(6.5, 1.0), run="r2").analyses, *other.analyses))
+    assert [d.value for d in compare(a, both).differences] == [-0.5]
+
+
+def test_terms_of_a_curve_stand_beside_and_are_not_counted():
+    slope = Estimate("K", 5.0, "N/m/Pa", "stiffness per pressure", "m", {}, Parts(0.1), coordinate="slope")
+    curve = Curve("K", "line", (replace(slope, coordinate="intercept"), slope), "pressure", (1e5, 5e5), 1.0, 0.0, "m")
+    a = side(K(6.0, 1.0))
+    a = replace(a, analyses=(replace(a.analyses[0], curves=(curve,)),))
+    steeper = replace(curve, terms=(curve.terms[0], replace(slope, value=9.0)))
+    b = replace(a, name="B", analyses=(replace(a.analyses[0], runs=("r2",), curves=(steeper,)),))
+    found = compare(a, b)
+    assert [(d.a.coordinate, d.term, d.agrees) for d in found.differences] == [
+        ("", False, True), ("as line, intercept", True, True), ("as line, slope", True, False),
+    ]  # fmt: skip
+    assert not_accepted(found.differences, "E_n", 1.0) == []
+    assert not any("slope" in f.text for f in found.findings)
+
+
+def test_what_is_beyond_the_limit_is_not_accepted():
+    far = one(side(K(12.0, 3.0)), side(K(6.0, 4.0), name="B", run="r2"))
+    assert not_accepted([far], "E_n", 1.0) == ["K at 300 kPa: E_n +1.20, accepted 1"]
+    assert not_accepted([far], "E_n", 1.3) == []
+    assert not_accepted([far], "difference", 0.02) == ["K at 300 kPa: difference +100 %, accepted 2 %"]
+    bare = one(side(K(12.0, None)), side(K(6.0, None), name="B", run="r2"))
+    assert not_accepted([bare], "E_n", 1.0) == ["K at 300 kPa: no E_n: there is no interval, accepted 1"]
+
+
+@pytest.fixture(scope="module")
+def benches():
+    """One bench twice, and one whose force cell reads 3 % more: F_ce, K, B and F_c come out 3 % larger."""
+    cells = [(load, P) for load in (58.86, 156.96, 255.06) for P in (3e5, 4e5, 5e5)]
+    first, again = (contraction_run(rig(), cells, 1, seed, name) for seed, name in ((1, "r1"), (2, "r2")))
+    gained = [
+        replace(t, channels={**t.channels, "force": 1.03 * t.channels["force"]})
+        for t in contraction_run(rig(), cells, 1, 3, "r3").trials
+    ]
+    runs = {"first": first, "again": again, "gained": replace(again, id="r3", trials=tuple(gained))}
+    return {
+        name: Side(name, (contraction.reduce([run], {"replays": 4}),), calibrations=SAME) for name, run in runs.items()
+    }
+
+
+def test_the_same_bench_agrees_with_itself(benches):
+    found = [
+        d for d in compare(benches["again"], benches["first"], ("measured-pressure",) * 2).differences if not d.term
+    ]
+    assert len(found) >= 12
+    assert sum(d.agrees is False for d in found) <= 2  # 5 % of 13; more than 2 in one of thirty
+    assert max(abs(d.score) for d in found) < 2.5
+
+
+def test_a_bench_that_truly_differs_is_found_with_the_true_size(benches):
+    found = compare(benches["gained"], benches["first"], ("measured-pressure",) * 2).differences
+    forces = [d for d in found if d.a.symbol in ("F_ce", "K", "B_c") and not d.term]
+    assert len(forces) == 9
+    missed = [named(d) for d in forces if abs(d.value - 0.03 * d.b.value) > 1.5 * d.half]
+    assert missed == []
+    assert all(d.relative == pytest.approx(0.03, abs=0.006) for d in forces)
+    assert [d.agrees for d in forces if d.a.symbol == "K"] == [False] * 3

@@ -1,0 +1,109 @@
+"""`compare` from folders and tables to sentences, JSON and a page; exit 6 beyond a limit; bad input in a sentence."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.cli.main import main
+from pmabench.report.analysis_folder import write_analysis
+
+EVIL = '<script>alert(1)</script>"\x1b[31m=1+1'
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def estimates(K, F_ce, half=20.0):
+    for P, k, f in zip((2e5, 3e5, 4e5), K, F_ce, strict=True):
+        yield Estimate("K", k, "N/m", "stiffness", "measured-pressure", {"pressure": P}, Parts(half), 4)
+        yield Estimate("F_ce", f, "N", "force", "measured-pressure", {"pressure": P}, Parts(2.0), 4)
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Two analyses: K 1 %, 0 and 0.1 % apart, F_ce the same."""
+    kind = "contraction-relaxation"
+    one = Analysis(kind, ("r1",), False, tuple(estimates((6060.0, 7000.0, 8008.0), (160.0, 270.0, 380.0))))
+    two = Analysis(kind, ("r2",), True, tuple(estimates((6000.0, 7000.0, 8000.0), (160.0, 270.0, 380.0))))
+    return [write_analysis(a, tmp_path / name / kind) for name, a in (("one", one), ("two", two))]
+
+
+def test_differences_are_told_with_their_e_n(folders):
+    one, two = folders
+    text = call("compare", one.parent, two).output
+    assert "K: differ by more than their interval at 1 of 3 points; furthest apart at 200 kPa: +0.06 N/mm" in text
+    assert "F_ce: agree at all 3 points" in text
+    assert "B is SIMULATED, the other is not" in text
+    data = json.loads(call("compare", one, two, "--json").output)
+    assert data["schema"] == "pmabench.comparison/1"
+    first = next(d for d in data["differences"] if d["symbol"] == "K")
+    assert (first["difference"], first["half_width"]) == (pytest.approx(60.0), pytest.approx(800**0.5))
+    assert first["E_n"] == pytest.approx(60 / 800**0.5)
+    assert (data["a"]["runs"], data["b"]["simulated"]) == (["r1"], True)
+
+
+def test_beyond_the_limit_is_exit_6(folders):
+    told = call("compare", *folders, "--accept", "E_n<=1", "-q", code=6).output
+    assert told == "NOT ACCEPTED: K at 200 kPa: E_n +2.12, accepted 1\n"
+    call("compare", *folders, "--accept", "E_n <= 3", "--accept", "difference<=1.5 %")
+    call("compare", *folders, "--accept", "difference <= 0.5 %", code=6)
+
+
+def test_a_published_table_is_the_reference(folders, tmp_path):
+    table = tmp_path / "lines.csv"
+    table.write_text("# somebody 2009\npressure [bar],K [N/mm]\n2,6.06\n3.5,7.4\n9,9\n")
+    data = json.loads(call("compare", folders[0], f"{table}:Somebody 2009", "--json").output)
+    told = {d["at"]["pressure"]: d for d in data["differences"]}
+    assert told[2e5]["difference"] == pytest.approx(0.0)
+    assert told[3.5e5]["difference"] == pytest.approx((7000 + 8008) / 2 - 7400)
+    assert told[3.5e5]["between_points"] == "a"
+    assert data["b"]["name"] == "Somebody 2009"
+    assert any("K has no value in A at 900 kPa" in f["text"] for f in data["findings"])
+
+
+def test_the_page_shows_both_and_nothing_on_it_is_active(folders, tmp_path):
+    table = tmp_path / "lines.csv"
+    table.write_text(f"# {EVIL}\npressure [bar],K [N/mm]\n2,6.06\n3.5,7.4\n")
+    page = tmp_path / "c.html"
+    assert call("compare", folders[0], f"{table}:{EVIL}", "-o", page).output.rstrip().endswith(str(page))
+    text = page.read_text()
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "\x1b" not in text
+    assert text.count("<svg") == 2
+    again = tmp_path / "d.html"
+    call("compare", folders[0], f"{table}:{EVIL}", "-o", again)
+    assert again.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "told"),
+    [
+        ([], 2, "give B, or --method twice"),
+        (["nowhere"], 3, "there is no such folder"),
+        (["--method", "measured-pressure", "--method", "guess"], 2, 'has no method "guess"; it has measured-pressure'),
+        (["BOTH", "--accept", "E_n>=1"], 2, 'expected "E_n<=1"'),
+        (["BOTH", "--accept", "E_n<=1 %"], 2, "E_n has no unit"),
+        (["BOTH", "--accept", "difference<=2"], 2, "no ratio with a unit"),
+        (["BOTH", "--accept", "E_n<=nan"], 2, "above 0"),
+        (["BOTH", "--at", "3 mm"], 2, "no unit of pressure"),
+    ],
+)
+def test_what_cannot_be_compared_is_a_sentence(folders, more, code, told):
+    words = [str(folders[1]) if word == "BOTH" else word for word in more]
+    assert told in call("compare", folders[0], *words, code=code).output
+
+
+def test_a_table_is_no_first_side_and_a_folder_without_analyses_none(folders, tmp_path):
+    table = tmp_path / "lines.csv"
+    table.write_text("pressure [bar],K [N/mm]\n2,6.06\n")
+    assert "it can only be B" in call("compare", table, folders[0], code=2).output
+    (tmp_path / "empty").mkdir()
+    assert "holds no analysis" in call("compare", folders[0], tmp_path / "empty", code=3).output
+    table.write_text("pressure [bar],B_c [N.s/mm]\n2,6.06\n")
+    assert "matches no figure" in call("compare", folders[0], table, code=3).output
