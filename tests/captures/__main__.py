@@ -12,7 +12,14 @@ from pmabench_drivers.emulator import Emulator
 from tests.captures.capture import FOLDER, Capture
 from tests.captures.scripts import SCRIPTS, device_of, use
 
-SHOWN = {"pressure": 123456.0, "displacement": 0.0123, "force": 58.86, "supply": 690e3, "pressure_command": 0.0}
+SHOWN = {
+    "pressure": 123456.0,
+    "displacement": 0.0123,
+    "force": 58.86,
+    "supply": 690e3,
+    "pressure_command": 0.0,
+    "displacement_command": 0.0,
+}
 """What the plant shows [SI]."""
 
 
@@ -30,7 +37,7 @@ def record(name, folder):
         emulator.close()
     capture, begin = Capture(), 0.0
     for entry in map(json.loads, log.read_text().splitlines()):
-        if entry["kind"] in {"received", "sent"}:
+        if entry["kind"] == "received" or (begin and entry["kind"] == "sent"):
             begin = begin or entry["t"]
             capture.add(entry["t"] - begin, entry["kind"] == "received", bytes.fromhex(entry["data"]))
     return capture, said

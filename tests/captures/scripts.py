@@ -5,7 +5,9 @@ import time
 from dataclasses import replace
 
 from pmabench_drivers.alicat import AlicatController
+from pmabench_drivers.canbus import CanBus
 from pmabench_drivers.dataq import Dataq
+from pmabench_drivers.festo_cmmt import FestoCmmt
 from pmabench_drivers.festo_cpx_e import FestoCpxE
 from pmabench_drivers.ild1420 import Ild1420
 from pmabench_drivers.labjack import LabJack
@@ -15,8 +17,10 @@ from pmabench_drivers.serial_line_daq import SerialLineDaq
 
 from pmabench.base.clock import RealClock
 from tests.drivers.alicat.rigs import controller
+from tests.drivers.can.rigs import bus, until
 from tests.drivers.dataq.rigs import daq
 from tests.drivers.festo.rigs import terminal
+from tests.drivers.festo_cmmt.rigs import drive
 from tests.drivers.ild1420.rigs import laser
 from tests.drivers.labjack.rigs import t7
 from tests.drivers.serial_line_daq.rigs import board
@@ -59,6 +63,24 @@ def regulated(device):
     yield device.read_back("pressure")
 
 
+def moved(device, output, value, interlock):
+    """A whole use of a drive: armed, ready, sent to a place, a cycle, stopped, disarmed."""
+    yield device.arm_watchdog(0.5)
+    device.feed_watchdog()
+    if interlock:
+        yield device.level(interlock)
+    device.write(output, value)
+    yield device.read_back(output)
+    device._every = 1  # as while it samples
+    device._tick()
+    row = {}
+    assert until(lambda: row.update(device.collect().columns) or all(len(column) for column in row.values()))
+    yield list(row["displacement"])
+    device._every = 0
+    device.halt(output)
+    device.disarm_watchdog()
+
+
 def streamed(rate):
     """A device that sends by itself, for a moment."""
 
@@ -86,10 +108,19 @@ SCRIPTS = {
     "serial-ascii": (SerialIndicator, cell, True, sampled),
     "alicat-ascii": (AlicatController, controller, True, regulated),
     "alicat-modbus": (AlicatController, lambda path: controller(path, "modbus"), True, regulated),
+    "festo-cmmt": (FestoCmmt, drive, False, lambda d: moved(d, "position", 5000.0, "")),
+    "can": (
+        CanBus,
+        lambda address="127.0.0.1:0": bus(f"slcan:socket://{address}"),
+        False,
+        lambda d: moved(d, "drive.position", 5000.0, "drive.ready"),
+    ),
     "dataq": (Dataq, daq, True, streamed(500.0)),
     "ild1420": (Ild1420, laser, True, streamed(1000.0)),
 }
 """Name -> the driver, its device, whether it has a serial port, and what is done."""
+BY_HAND = ("festo-cmmt", "can")
+"""Their driver has a thread that talks all the time: here its one turn is made by the script."""
 
 
 def device_of(name, path):
@@ -102,6 +133,8 @@ def use(name, record):
     """Open the driver, do what the script says, close it; who answered, and what the script gave."""
     driver, _record, _serial, script = SCRIPTS[name]
     device = driver(record, RealClock())
+    if name in BY_HAND:
+        device._cycle.start = lambda _rate: None
     random.seed(1)
     try:
         identity = device.open()

@@ -18,6 +18,8 @@ EXPECTED = {
         # 12.3 mm in steps of 10 um, 123,456 Pa in steps of 31.25 Pa
         [0.5, True, 8000.0, True, ("displacement", [1230.0]), ("pressure", [3951.0]), False],
     ),
+    "festo-cmmt": ("emulator of pmabench", "emulated CMMT-AS", [0.5, 5000.0, [12300.0]]),
+    "can": ("CAN", "emulated CiA 402 drive, CiA 406 transducer", [0.5, True, 5000.0, [12300.0]]),
     "labjack": ("LabJack", "emulated T7", [1.0, True, 1.5, True, False]),
     "serial-line-daq": ("", "emulated board", [0.5, True, 250.0, True, False]),
     "serial-ascii": ("", "serial ASCII indicator", [("force", [58.86])]),
@@ -66,6 +68,7 @@ DOCUMENTED = {
     "alicat-ascii": (0, "41 3f 3f 4d 2a 0d"),  # "A??M*" (serial primer: manufacturing information)
     "serial-ascii": (0, "50 0d"),
     "ild1420": (0, "4f 55 54 50 55 54 20 4e 4f 4e 45 0a"),  # "OUTPUT NONE" LF (instruction manual, ASCII commands)
+    "can": (94, b"t00020105\r".hex(" ")),  # NMT: start node 5 (CiA 301, 7.2.8.2.1)
     "dataq": (0, "73 74 6f 70 0d"),  # "stop" CR (protocol of the DI-1100 family)
 }
 """Capture -> the run of bytes that its maker's documents give, and its number."""
