@@ -5,11 +5,11 @@ Text cells are made inert: no spreadsheet can take one for a formula.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import pandas as pd
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.report.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
@@ -28,24 +28,41 @@ def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
         | {"reason": d.reason}
         for d in analysis.dropped
     ]
-    frames = {
-        "coefficients": (coefficients_frame(analysis.estimates), ["method"]),
-        "estimates": (estimates_frame([analysis]), ["kind", "symbol", "value", "unit"]),
-        "curves": (curves_frame(analysis.curves), ["symbol", "method", "form", "power", "value", "unit"]),
-        "dropped": (pd.DataFrame(dropped), ["trial", "reason"]),
-        "findings": (pd.DataFrame([{"level": f.level, "text": f.text} for f in analysis.findings]), ["level", "text"]),
+    tables: dict[str, tuple[Sequence[Mapping[str, Any]], list[str]]] = {
+        "coefficients": (coefficient_rows(analysis.estimates), ["method"]),
+        "estimates": (estimate_rows([analysis]), ["kind", "symbol", "value", "unit"]),
+        "curves": (curve_rows(analysis.curves), ["symbol", "method", "form", "power", "value", "unit"]),
+        "dropped": (dropped, ["trial", "reason"]),
+        "findings": ([{"level": f.level, "text": f.text} for f in analysis.findings], ["level", "text"]),
     }
     paths = []
-    for name, (frame, heads) in frames.items():
+    for name, (rows, heads) in tables.items():
         path = folder / f"{name}.csv"
-        told = frame if len(frame.columns) else pd.DataFrame(columns=heads)
-        inert = told.map(_inert).rename(columns=_inert)
-        path.write_text(inert.to_csv(index=False, lineterminator="\n"), encoding="utf-8", newline="")
+        path.write_text(csv_text(rows, heads), encoding="utf-8", newline="")
         paths.append(path)
     return paths
 
 
-def _inert(value: Any) -> Any:
+def csv_text(rows: Sequence[Mapping[str, Any]], heads: Sequence[str]) -> str:
+    """Rows as CSV with all columns that any of them has, in the order in which they come; `heads` where there is none.
+
+    Numbers are written so that they read back as they are; what is not known is an empty cell. Text is inert.
+    """
+    columns = list(dict.fromkeys(name for row in rows for name in row)) or list(heads)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(map(inert, columns))
+    writer.writerows([_cell(row.get(name)) for name in columns] for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if value is None or value != value:
+        return ""
+    return inert(value)
+
+
+def inert(value: Any) -> Any:
     """Text that a spreadsheet cannot take for a formula."""
     if not isinstance(value, str):
         return value
@@ -53,7 +70,7 @@ def _inert(value: Any) -> Any:
     return f"'{told}" if told.lstrip()[:1] in ("=", "+", "-", "@") else told
 
 
-def coefficients_frame(estimates: Sequence[Estimate]) -> pd.DataFrame:
+def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
     """One row per method and operating point; each symbol's value and half width as numbers in display units."""
     names = in_order((name for e in estimates for name in e.at), POINTS)
     rows: dict[tuple[str, tuple[float | None, ...]], dict[str, Any]] = {}
@@ -66,10 +83,10 @@ def coefficients_frame(estimates: Sequence[Estimate]) -> pd.DataFrame:
         ascii_unit = f" [{plain_unit(unit.unit)}]" if unit.unit else ""
         row[f"{symbol}{ascii_unit}"] = None if e.value is None else e.value / unit.scale
         row[f"{symbol} half width 95 %{ascii_unit}"] = None if half is None else half / unit.scale
-    return pd.DataFrame(list(rows.values()))
+    return list(rows.values())
 
 
-def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
     """Every estimate as numbers: value, ends and parts of the interval in the unit of the row's `unit` column."""
     names = in_order((name for a in analyses for e in a.estimates for name in e.at), POINTS)
     rows = []
@@ -86,7 +103,7 @@ def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
             row |= {key: None if value is None else value / unit.scale for key, value in told.items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
             rows.append(row | {"note": e.note, "trials": " ".join(e.trials)})
-    return pd.DataFrame(rows)
+    return rows
 
 
 def _head(name: str) -> str:
@@ -94,7 +111,7 @@ def _head(name: str) -> str:
     return f"{label} [{plain_unit(unit.unit)}]" if unit.unit else label
 
 
-def curves_frame(curves: Iterable[Curve]) -> pd.DataFrame:
+def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
     """One row per term of each curve, numbers in the unit of the row."""
     rows = []
     for curve in curves:
@@ -118,4 +135,4 @@ def curves_frame(curves: Iterable[Curve]) -> pd.DataFrame:
                 }
                 | {"r2": curve.r2}
             )
-    return pd.DataFrame(rows)
+    return rows
