@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import hypot, log, sqrt
 
 import numpy as np
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.intervals import Trust
 from pmabench.analysis.results import Curve, Estimate, Parts
 from pmabench.store.records import Array

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.pooled import SYMBOLS, Fit, solve
 from pmabench.analysis.results import Parts

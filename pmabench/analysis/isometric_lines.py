@@ -11,8 +11,8 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Dropped, Estimate, Parts
 from pmabench.store.records import Array, Command, RunData, TrialData

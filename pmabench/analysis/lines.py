@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import nan, sqrt
 
 import numpy as np
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.store.records import Array
 
 PROPORTIONAL = 2e-3

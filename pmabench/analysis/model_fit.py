@@ -12,8 +12,8 @@ from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.identifiability import Spread, spread_of, told_apart
 from pmabench.analysis.model_problem import FEW, End, Problem, acting, solve, starts_of
 from pmabench.analysis.results import Finding

@@ -11,8 +11,8 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.position_response import Response, respond
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace

@@ -11,9 +11,8 @@ from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
-from pmabench.analysis import skew
+from pmabench.analysis import skew, student
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.relay_levels import RelayFound, RelayLevel, examine, search_of
 from pmabench.analysis.results import Dropped, Estimate, Finding, Parts, Trace

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.oscillation import SEEN, extremes, noise_of
 from pmabench.base.quantities import show
 from pmabench.model.loop import ComplexArray, Loop, ultimate

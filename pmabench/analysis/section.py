@@ -13,8 +13,8 @@ from math import asin, atan, inf, pi, sqrt
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array
 

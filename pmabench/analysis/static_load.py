@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.segments import Samples
 from pmabench.store.records import Array, TrialData
 

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
-from pmabench.analysis import relay_gain, skew, tuning
+from pmabench.analysis import relay_gain, skew, student, tuning
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
 from pmabench.analysis.relay_levels import search_of
@@ -199,7 +198,7 @@ def _estimates(cell: _Cell) -> tuple[Estimate, Estimate]:
         value = float(values.mean())
         repeats = sqrt(float(np.mean(within**2)) / len(good))
         if len(good) > 1:
-            between = student.ppf(0.975, len(good) - 1) * float(values.std(ddof=1)) / sqrt(len(good))
+            between = float(student.ppf(0.975, len(good) - 1)) * float(values.std(ddof=1)) / sqrt(len(good))
             repeats = max(repeats, between)
         friction = max(found.friction for found in good) * value if symbol == "K_u" else 0.0
         bias = float(np.mean(known)) if known else None

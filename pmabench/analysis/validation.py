@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.simulated import from_commanded_pressure, from_measured_pressure, model_of
