@@ -1,4 +1,4 @@
-"""What only one kind of operating system has: file locks that the kernel frees; the one file that names fcntl."""
+"""What only one kind of operating system has: file locks that the kernel frees, limits of a process."""
 
 from __future__ import annotations
 
@@ -34,3 +34,21 @@ else:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process have no more than `size` bytes of addresses; nothing where the system has no such limit."""
+    if sys.platform != "win32":
+        import resource
+
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (size if hard < 0 else min(size, hard), hard))
+
+
+def end_after_cpu(seconds: float) -> None:
+    """End this process once it has used so many more seconds of CPU, whatever it is doing then; 0: no longer."""
+    if sys.platform != "win32":
+        import signal
+
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_PROF, seconds)

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.importers import quality
+from pmabench.store.importers import quality, units
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.quality import Checked, Found, Summary
 from pmabench.store.importers.segments import Segment, segments
-from pmabench.store.importers.text import TextTable, read_table
+from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
 from pmabench.store.records import Array, Flag, Flags
 from pmabench.store.writer import RunWriter
@@ -68,7 +68,7 @@ class _Named:
 class _Prepared:
     """One file, read and checked."""
 
-    table: TextTable
+    table: Table
     named: _Named
     t: Array
     checked: tuple[Checked, ...]
@@ -130,7 +130,8 @@ def _prepare(path: Path, rules: ImportMap) -> _Prepared:
     wanted = [column.column for column in rules.columns if not column.optional]
     optional = [column.column for column in rules.columns if column.optional]
     table = read_table(path, rules.layout, wanted, optional, rules.ignored)
-    named = _named(path, rules)
+    units.agree(path, rules.columns, table.units)
+    named = _named(path, rules, table.started)
     time = next(column for column in rules.columns if column.role == "time")
     t = table.columns[time.column] * time.slope
     if np.isnan(t).any() or np.abs(t).max() > 9e9:
@@ -140,8 +141,12 @@ def _prepare(path: Path, rules: ImportMap) -> _Prepared:
     flags, found = quality.inspect(t, checked, rules.rate, rules.gap, rules.leap)
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
-        text = "the last row has no line end: its last number may be cut"
+        text = "the file ends within its last row or part: the last number may be cut"
         found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
+    found += [Found("doubt", "contradiction", text) for text in table.doubts]
+    if table.left_out:
+        text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
+        found.append(Found("note", "left-out", text))
     values = {channel.rule.role: channel.si for channel in checked}
     follower = FOLLOWS[rules.kind]
     if follower in values and rules.trials.by != "gap":
@@ -156,11 +161,11 @@ def _prepare(path: Path, rules: ImportMap) -> _Prepared:
     return _Prepared(table, named, t, checked, flags, tuple(found), tuple(parts), _notes(path, rules.notes))
 
 
-def _is_channel(column: ColumnRule, table: TextTable) -> bool:
+def _is_channel(column: ColumnRule, table: Table) -> bool:
     return column.role not in {"time", "phase"} and column.column in table.columns
 
 
-def _checked(table: TextTable, rule: ColumnRule) -> Checked:
+def _checked(table: Table, rule: ColumnRule) -> Checked:
     raw = (
         (table.columns[rule.column] - rule.back[1]) / rule.back[0]
         if rule.back != (1.0, 0.0)
@@ -171,8 +176,10 @@ def _checked(table: TextTable, rule: ColumnRule) -> Checked:
     return Checked(rule, raw, raw * rule.slope + rule.offset)
 
 
-def _named(path: Path, rules: ImportMap) -> _Named:
-    point, test, started = dict(rules.point), 0, None
+def _named(path: Path, rules: ImportMap, started: datetime | None) -> _Named:
+    """`started`: what the file says itself; the map and names come before it."""
+    point, test = dict(rules.point), 0
+    started = started.replace(tzinfo=UTC) if started is not None else None
     if rules.recorded:
         started = datetime.fromisoformat(rules.recorded).replace(tzinfo=UTC)
     rule = rules.name_rule

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
@@ -16,6 +16,8 @@ Reading = Annotated[
     WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["4 mA", "0.683 N/count"]}),
 ]
 """A number with its unit, kept apart."""
+TIME = "@time"
+"""The column that `period` makes."""
 Text = Annotated[str, Field(max_length=600)]
 Short = Annotated[str, Field(min_length=1, max_length=120)]
 
@@ -33,9 +35,10 @@ Role = Literal[
 PointName = Literal["contraction", "load", "mass", "pressure", "frequency"]
 
 
-class Layout(Strict):
+class TextLayout(Strict):
     """How the text is laid out; pandas guesses none of it."""
 
+    format: Literal["text"] = "text"
     delimiter: Literal["comma", "semicolon", "tab", "blank", "bar"]
     """`blank`: any run of blanks and tabs."""
     header: Literal["first line", "none"]
@@ -50,9 +53,11 @@ class Layout(Strict):
     """Lines before the header, or before the data."""
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
     """Texts that stand for "no value"; nothing else may."""
+    period: Annotated[Time, Field(gt=0.0)] | None = None
+    """Distance of the samples where no column tells the time; it makes a column `@time`."""
 
     @model_validator(mode="after")
-    def _names(self) -> Layout:
+    def _names(self) -> TextLayout:
         if (self.header == "none") != bool(self.names):
             raise ValueError('"header: none" needs "names", and "header: first line" has them already')
         if len(set(self.names)) != len(self.names):
@@ -60,6 +65,23 @@ class Layout(Strict):
         if self.delimiter == "comma" and self.decimal == "comma":
             raise ValueError("comma cannot be delimiter and decimal sign at once")
         return self
+
+
+class BinaryLayout(Strict):
+    """A file that says itself how it is laid out: LabVIEW measurement (.lvm), TDMS, MATLAB (.mat 5 and 7.3)."""
+
+    format: Literal["lvm", "tdms", "mat"]
+    period: Annotated[Time, Field(gt=0.0)] | None = None
+    """Distance of the samples where nothing in the file tells the time; it makes a column `@time`."""
+
+
+def _format(value: Any) -> str:
+    told = value.get("format", "text") if isinstance(value, dict) else getattr(value, "format", "text")
+    return "text" if told == "text" else "binary"
+
+
+Layout = Annotated[Annotated[TextLayout, Tag("text")] | Annotated[BinaryLayout, Tag("binary")], Discriminator(_format)]
+"""How a file is laid out: text says more."""
 
 
 class Line(Strict):

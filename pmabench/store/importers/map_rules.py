@@ -18,7 +18,7 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.map_file import AnalysisRule, ColumnFile, Layout, Line, MapFile, Trials
+from pmabench.store.importers.map_file import TIME, AnalysisRule, ColumnFile, Layout, Line, MapFile, TextLayout, Trials
 
 POINT_QUANTITY = {
     "contraction": "length",
@@ -142,9 +142,9 @@ class _Rules:
 
     def build(self) -> ImportMap:
         file = self.file
-        if file.file.names:
+        if isinstance(file.file, TextLayout) and file.file.names:
             for name in file.columns:
-                if name not in file.file.names:
+                if not (file.file.period and name == TIME) and name not in file.file.names:
                     self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, file.file.names)}')
             for index, name in enumerate(file.file.names):
                 if name not in file.columns:

@@ -6,22 +6,19 @@ short rows and takes words for numbers without a word.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
-from pmabench.store.importers.map_file import Layout
+from pmabench.store.importers.map_file import TextLayout
 from pmabench.store.records import Array
 
-MAX_BYTES = 200_000_000
 CHUNK = 100_000
 """Rows that pandas turns into numbers at a time."""
 SHOWN = 10
@@ -35,9 +32,6 @@ _PLAIN = frozenset("0123456789+-.eE \t")
 class TextTable:
     """Columns of one file."""
 
-    path: Path
-    sha256: str
-    content: bytes
     columns: dict[str, Array]
     """Name -> numbers, shape (n,); NaN where the file says that there is none."""
     lines: NDArray[np.int64]
@@ -46,15 +40,21 @@ class TextTable:
     """The last row has no line end: its last number may be cut."""
 
 
-def read_table(
-    path: Path, layout: Layout, wanted: Sequence[str], optional: Sequence[str] = (), ignored: Sequence[str] = ()
+def parse(
+    path: str,
+    content: bytes,
+    layout: TextLayout,
+    wanted: Sequence[str],
+    optional: Sequence[str] = (),
+    ignored: Sequence[str] = (),
 ) -> TextTable:
-    """The `wanted` columns of a text file as numbers, and those of `optional` that it has.
+    """The `wanted` columns of a text file as numbers, and those of `optional` that it has; `path` is only told.
 
     It may hold those of `ignored` too, and no others. Raises InvalidFile, at file:line where there is one, for what is
     empty, binary, cut off, of another layout, lacks a column or holds no number where one should stand.
     """
-    content = _content(path)
+    if not content.strip():
+        raise invalid(path, "is empty")
     text = _decoded(path, content, layout.encoding)
     kept, lines = _kept(path, text, layout)
     names, first = _names(path, kept, lines, layout, optional)
@@ -65,11 +65,8 @@ def read_table(
     if missing or strange:
         raise InvalidFile(
             [
-                *(Problem(str(path), lines[0], 1, f'has no column "{n}"{did_you_mean(n, names)}') for n in missing),
-                *(
-                    Problem(str(path), lines[0], 1, f'the map does not say what column "{n}" is')
-                    for n in strange[:SHOWN]
-                ),
+                *(Problem(path, lines[0], 1, f'has no column "{n}"{did_you_mean(n, names)}') for n in missing),
+                *(Problem(path, lines[0], 1, f'the map does not say what column "{n}" is') for n in strange[:SHOWN]),
             ]
         )
     body, numbers = kept[first:], lines[first:]
@@ -85,32 +82,13 @@ def read_table(
         _only_numbers(path, body, numbers, layout, used)
         raise
     return TextTable(
-        path=path,
-        sha256=hashlib.sha256(content).hexdigest(),
-        content=content,
         columns=columns,
         lines=np.array(numbers, dtype=np.int64),
         cut_end=not text.endswith("\n"),
     )
 
 
-def _content(path: Path) -> bytes:
-    try:
-        if path.is_dir():
-            raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
-        if not path.is_file():
-            raise invalid(path, "is not a file" if path.exists() else "there is no such file")
-        if path.stat().st_size > MAX_BYTES:
-            raise invalid(path, f"is larger than {MAX_BYTES // 1_000_000} MB; import it in parts")
-        content = path.read_bytes()
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
-    if not content.strip():
-        raise invalid(path, "is empty")
-    return content
-
-
-def _decoded(path: Path, content: bytes, encoding: str) -> str:
+def _decoded(path: str, content: bytes, encoding: str) -> str:
     if encoding != "utf-16" and b"\0" in content:
         raise invalid(path, f"is binary, not text (a zero at byte {content.index(0)})")
     try:
@@ -121,7 +99,7 @@ def _decoded(path: Path, content: bytes, encoding: str) -> str:
     return text.replace("\r\n", "\n")
 
 
-def _kept(path: Path, text: str, layout: Layout) -> tuple[list[str], list[int]]:
+def _kept(path: str, text: str, layout: TextLayout) -> tuple[list[str], list[int]]:
     """Lines that count and their numbers, without comments, skipped and blank lines."""
     kept: list[str] = []
     lines: list[int] = []
@@ -140,12 +118,12 @@ def _kept(path: Path, text: str, layout: Layout) -> tuple[list[str], list[int]]:
     return kept, lines
 
 
-def _split(line: str, layout: Layout) -> list[str]:
+def _split(line: str, layout: TextLayout) -> list[str]:
     return line.split() if layout.delimiter == "blank" else line.split(_DELIMITER[layout.delimiter])
 
 
 def _names(
-    path: Path, kept: list[str], lines: list[int], layout: Layout, optional: Sequence[str]
+    path: str, kept: list[str], lines: list[int], layout: TextLayout, optional: Sequence[str]
 ) -> tuple[list[str], int]:
     """Names of the columns of this file in order, and the index of the first row."""
     if layout.header == "first line":
@@ -159,7 +137,7 @@ def _names(
     return names, 0
 
 
-def _rectangular(path: Path, body: list[str], numbers: list[int], layout: Layout, names: list[str]) -> None:
+def _rectangular(path: str, body: list[str], numbers: list[int], layout: TextLayout, names: list[str]) -> None:
     """Every row has as many fields as there are names."""
     expected = len(names)
     if layout.delimiter == "blank":
@@ -177,12 +155,12 @@ def _rectangular(path: Path, body: list[str], numbers: list[int], layout: Layout
         message = f"is not delimited by {layout.delimiter}: the whole line is one column, {expected} are expected"
         raise invalid(path, message, numbers[0], 1)
     raise InvalidFile(
-        Problem(str(path), numbers[index], 1, f"has {counts[index]} columns, {expected} are expected")
+        Problem(path, numbers[index], 1, f"has {counts[index]} columns, {expected} are expected")
         for index in wrong[:SHOWN]
     )
 
 
-def _looks_plain(body: list[str], layout: Layout) -> bool:
+def _looks_plain(body: list[str], layout: TextLayout) -> bool:
     """Nothing but characters of numbers stands anywhere; words that pandas takes for numbers cannot hide then."""
     allowed = _PLAIN | {_DELIMITER.get(layout.delimiter, " ")}
     if layout.decimal == "comma":
@@ -190,7 +168,7 @@ def _looks_plain(body: list[str], layout: Layout) -> bool:
     return not layout.missing and all(allowed.issuperset(line) for line in body)
 
 
-def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layout, used: dict[str, int]) -> None:
+def _only_numbers(path: str, body: list[str], numbers: list[int], layout: TextLayout, used: dict[str, int]) -> None:
     """Raises where a used field is neither a number nor one of the texts for "no value"."""
     problems: list[Problem] = []
     for line, number in zip(body, numbers, strict=True):
@@ -205,14 +183,16 @@ def _only_numbers(path: Path, body: list[str], numbers: list[int], layout: Layou
             if _NUMBER.fullmatch(text) is None:
                 column = 1 + sum(len(f) + 1 for f in fields[:index])
                 shown = field.strip()[:40]
-                problems.append(Problem(str(path), number, column, f'"{shown}" is no number, in column "{name}"'))
+                problems.append(Problem(path, number, column, f'"{shown}" is no number, in column "{name}"'))
         if len(problems) >= SHOWN:
             break
     if problems:
         raise InvalidFile(problems)
 
 
-def _numbers(path: Path, body: list[str], layout: Layout, names: list[str], wanted: Sequence[str]) -> dict[str, Array]:
+def _numbers(
+    path: str, body: list[str], layout: TextLayout, names: list[str], wanted: Sequence[str]
+) -> dict[str, Array]:
     """The columns, a chunk of rows at a time."""
     parts: list[pd.DataFrame] = []
     try:

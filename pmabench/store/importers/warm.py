@@ -1,0 +1,228 @@
+"""Keeps one warm child process for each format, asks it, and replaces it when it dies or overruns.
+
+The answer of a child is believed no more than the file is: its sizes are checked before anything is built from it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import IO, Any
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile, PmaError, Problem, invalid
+from pmabench.store.importers.child import CPU, CPU_PER_MB, MEMORY
+from pmabench.store.importers.recorded import NEEDS
+from pmabench.store.records import Array
+
+WALL = 20.0
+"""A child that is silent for so many times its seconds of CPU hangs; the machine may be busy."""
+START = 60.0
+"""Seconds in which a child must be ready and take a question."""
+LONGEST_HEAD = 4_000_000
+MOST_NUMBERS = 250_000_000
+"""As many as fit into the memory of a child."""
+
+
+class ReaderMissing(PmaError):
+    """The package that reads a format is not installed."""
+
+    exit_code = 3
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a child found: arrays by name, and what else it told."""
+
+    columns: dict[str, Array]
+    lines: Array
+    head: Mapping[str, Any]
+
+
+class _Child:
+    """One process for one format."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.owner = os.getpid()
+        self.asked = 0
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "pmabench.store.importers.child", kind],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+
+    def ask(self, path: str, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
+        """Head and numbers of the answer; `EOFError` where the process ended instead."""
+        ask, answer = self.process.stdin, self.process.stdout
+        if ask is None or answer is None:
+            raise EOFError
+        told = json.dumps({**question, "path": path, "bytes": len(content)}).encode() + b"\n"
+        self.asked += 1
+        with self._within(START + WALL * (CPU + CPU_PER_MB * len(content) / 1e6)):
+            try:
+                ask.write(told + content)
+                ask.flush()
+                head = json.loads(_exactly(answer.readline(LONGEST_HEAD)))
+                count = _count(head)
+                return head, _exactly(answer.read(8 * count), 8 * count)
+            except (BrokenPipeError, ValueError, TypeError, KeyError) as error:
+                raise EOFError from error
+
+    @contextmanager
+    def _within(self, seconds: float) -> Iterator[None]:
+        """Kill the process after `seconds` of wall clock."""
+        clock = threading.Timer(seconds, self.process.kill)
+        clock.daemon = True
+        clock.start()
+        try:
+            yield
+        finally:
+            clock.cancel()
+
+    def end(self) -> int:
+        """Stop the process; its exit code."""
+        for stream in (self.process.stdin, self.process.stdout):
+            _close(stream)
+        with suppress(OSError):
+            self.process.kill()
+        return self.process.wait()
+
+    def ended(self) -> int:
+        """The exit code of a process that gave no answer."""
+        try:
+            code = self.process.wait(1.0)
+        except subprocess.TimeoutExpired:
+            code = 0
+        self.end()
+        return code
+
+
+def _close(stream: IO[bytes] | None) -> None:
+    if stream is not None:
+        with suppress(OSError):
+            stream.close()
+
+
+def _exactly(told: bytes, size: int | None = None) -> bytes:
+    if not told or (size is not None and len(told) != size):
+        if size == 0:
+            return b""
+        raise EOFError
+    return told
+
+
+def _count(head: Mapping[str, Any]) -> int:
+    """How many numbers follow a head; raises ValueError where it cannot be."""
+    if "columns" not in head:
+        return 0
+    lengths = head.get("lengths", [head["rows"]] * len(head["columns"]))
+    count = sum(lengths) + head["rows"]
+    if any(not isinstance(n, int) or n < 0 for n in (*lengths, head["rows"])) or count > MOST_NUMBERS:
+        raise ValueError("no such answer")
+    if len(lengths) != len(head["columns"]):
+        raise ValueError("no such answer")
+    return int(count)
+
+
+_children: dict[str, _Child] = {}
+_lock = threading.Lock()
+
+
+def read_apart(
+    kind: str,
+    path: str,
+    content: bytes,
+    wanted: Sequence[str] | None,
+    optional: Sequence[str] = (),
+    ignored: Sequence[str] = (),
+    layout: Mapping[str, Any] | None = None,
+) -> Answer:
+    """The `wanted` columns (None: all) of a file of format `kind` (`text`, `lvm`, `tdms`, `mat`), read in its child.
+
+    Raises InvalidFile with what is wrong with the file, also where reading it ended the child; ReaderMissing where
+    the package that reads the format is not installed.
+    """
+    question = {"wanted": wanted, "optional": list(optional), "ignored": list(ignored), "layout": layout}
+    question["wanted"] = None if wanted is None else list(wanted)
+    with _lock:
+        head, numbers = _asked(kind, path, content, question)
+        if "lack" in head and _children[kind].asked > 1:  # what others left behind may be in the way
+            _children.pop(kind).end()
+            head, numbers = _asked(kind, path, content, question)
+        if "lack" in head:
+            _children.pop(kind).end()
+    if "absent" in head:
+        needs = NEEDS.get(kind, "")
+        raise ReaderMissing(
+            f"{path}: files of this kind are read with {needs}, which is not installed ({str(head['absent'])[:100]}): "
+            'pip install "pmabench[import]"'
+        )
+    if "lack" in head:
+        if head["lack"] == "MemoryError":
+            raise invalid(
+                path, f"needs more than {MEMORY / 1e9:g} GB of memory to be read; is it damaged? If not, part it"
+            )
+        raise invalid(path, "is nested deeper than any file of measurements; it is damaged or hostile")
+    if "problems" in head:
+        raise InvalidFile(Problem(path, int(line), int(column), str(text)) for line, column, text in head["problems"])
+    return _answer(head, numbers)
+
+
+def _asked(kind: str, path: str, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
+    child = _children.get(kind)
+    if child is None or child.owner != os.getpid() or child.process.poll() is not None:
+        if child is not None and child.owner == os.getpid():
+            child.end()
+        child = _children[kind] = _Child(kind)
+    try:
+        return child.ask(path, content, question)
+    except EOFError as error:
+        _children.pop(kind, None)
+        code = child.ended()
+        raise invalid(
+            path, f"{_why(code, len(content))}; it is damaged or hostile, and nothing of it was taken"
+        ) from error
+    except BaseException:
+        _children.pop(kind, None)
+        child.end()
+        raise
+
+
+def _why(code: int, size: int) -> str:
+    """How a child ended, in words."""
+    if code == -getattr(signal, "SIGPROF", 0):
+        return f"takes more than {CPU + CPU_PER_MB * size / 1e6:.1f} s of CPU to read"
+    if code < 0:
+        with suppress(ValueError):
+            return f"made its reader end ({signal.Signals(-code).name})"
+    return f"made its reader end (code {code})"
+
+
+def _answer(head: Mapping[str, Any], numbers: bytes) -> Answer:
+    flat = np.frombuffer(numbers, dtype="<f8").astype(np.float64)
+    lengths = head.get("lengths", [head["rows"]] * len(head["columns"]))
+    ends = np.cumsum([*lengths, head["rows"]])
+    parts = np.split(flat, ends[:-1])
+    columns = {str(name): part for name, part in zip(head["columns"], parts, strict=False)}
+    return Answer(columns, parts[-1], head)
+
+
+@atexit.register
+def close_readers() -> None:
+    """End all children that this process started."""
+    for kind in list(_children):
+        child = _children.pop(kind)
+        if child.owner == os.getpid():
+            child.end()
