@@ -7,7 +7,7 @@
 - the same by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model
   against test in `contraction_paper1_view`
 - static-load: `static_load`
-- sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_traces`
+- sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_mean`, `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
 - positioning: `positioning`, made of `position_response`; validation: `validation`; both beside `simulated`, the model
   that a plan carries

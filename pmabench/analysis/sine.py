@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis import skew
+from pmabench.analysis import sine_mean, skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.sine_fit import HARMONIC, Fitted, Member, Muscle
@@ -32,12 +32,13 @@ UNEVEN = 0.01
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """K [N/m], B [N.s/m], F_c [N], loop widths [N] and areas [J] of sinusoidal displacement at constant pressure.
+    """K [N/m], B [N.s/m], F_c, F_ce [N], loop widths [N] and areas [J] of sinusoidal displacement at constant pressure.
 
     The muscle pulls with F = F_ce - K x - B x' - F_c sign x'. With the complex amplitudes of measured displacement and
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
-    at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag.
+    at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
+    what the mean force tells (`sine_mean`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
     between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
@@ -51,10 +52,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
+    rising = sine_mean.force_slopes(fits)
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         found = fitted.estimates(dict(key), scales, slopes)
-        estimates += found
+        estimates += [*found, sine_mean.estimate(dict(key), fitted, scales, rising.get(key))]
         findings += fitted.findings(dict(key))
         lines.append({"at": dict(key), **fitted.facts()})
         told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}

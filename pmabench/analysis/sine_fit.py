@@ -106,6 +106,16 @@ class Fitted:
         """What the lines say; 0 for what one frequency cannot tell."""
         return Muscle(self.K.start, 0.0, 0.0) if self.alone else self.replayed
 
+    @property
+    def half_stiffness(self) -> float | None:
+        """Half width of K by its scatter [N/m]."""
+        return self._halves()[0]
+
+    @property
+    def skewed_stiffness(self) -> float:
+        """What the time between displacement and force may do to K [N/m]."""
+        return self._skewed()["K"]
+
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
 
@@ -141,10 +151,10 @@ class Fitted:
         apart = {"B": self.loss.slope - w.slope / 2, "F_c": pi / 4 * self.loss.start - w.start / 2}
         dK, dB, dF = (slopes.K, slopes.B, slopes.F_c) if slopes is not None else (None, None, None)
         H = {**at, "frequency": 0.0}
-        half_K, loss_start, loss_slope, width_start, width_slope = self._halves()
+        half_stiffness, loss_start, loss_slope, width_start, width_slope = self._halves()
         return [
             estimate(
-                "K", stiffness, HARMONIC, K, half_K, self.bias["K"], per_length=-1, skew=skewed["K"], slope=dK
+                "K", stiffness, HARMONIC, K, half_stiffness, self.bias["K"], per_length=-1, skew=skewed["K"], slope=dK
             ),
             estimate(
                 "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, skew=skewed["B"], slope=dB,
@@ -221,14 +231,14 @@ class Fitted:
             first, omega = sines[0], 2 * pi * frequency
             A, K = first.amplitude, first.stiffness
             turned = [_turned(first, by) for by in (self.skew, -self.skew)]
-            skewed_K, skewed_loss = (
+            skewed_stiffness, skewed_loss = (
                 max(abs(getattr(one, of) - getattr(first, of)) for one in turned) for of in ("stiffness", "loss")
             )
             truth = _truth(self.replayed, omega, A)
             slope = {} if slopes is None else _slopes(self.replayed, slopes, omega, A)
             rows: tuple[_Row, ...] = (
                 ("K", "N/m", "stiffness", lambda s: s.stiffness, lambda s: -s.cycles.ratio.real,
-                 {"force": K, "displacement": -K}, skewed_K),
+                 {"force": K, "displacement": -K}, skewed_stiffness),
                 ("phi", "rad", "angle", lambda s: s.phase,
                  lambda s: np.arctan2(-s.cycles.ratio.imag, -s.cycles.ratio.real), {}, omega * self.skew),
                 ("H", "N", "force", lambda s: s.width, lambda s: s.cycles.width,

@@ -64,6 +64,11 @@ SYMBOLS: dict[str, str] = {
     "L": "length without load",
     "x_H": "contraction reached from above less from below",
     "P_half": "pressure of half the largest contraction",
+    "alpha_0": "bending angle at the preload",
+    "alpha_max": "largest bending angle",
+    "P_flat": "pressure from which on the angle stays within 1° of its largest",
+    "alpha_H": "angle reached from above less from below",
+    "alpha_b": "bending angle",
 }
 """Symbol -> its name; the order is that of columns and figures."""
 
@@ -85,6 +90,9 @@ HEADLINES = (
     "p_0",
     "L",
     "P_half",
+    "alpha_max",
+    "P_flat",
+    "alpha_H",
     "D_0",
     "theta_0",
     "alpha",
@@ -139,6 +147,8 @@ METHODS: dict[str, str] = {
     "K = −Re(F/x); −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A.",
     "loop-width": "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed "
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
+    "sine-mean": "Mean force over whole cycles plus K times the mean displacement, a straight line over the speed ω A, "
+    "at 0 Hz: friction cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π.",
     "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the "
     "rest after it: K = −ΔF/Δx; above 0 the step contracts.",
     "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
@@ -210,6 +220,14 @@ METHODS: dict[str, str] = {
     "contraction at the highest pressure is reached, by monotone cubics through the points.",
     "sigmoid": "L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) by least squares through the lengths at all "
     "pressures; intervals by the profile of the sum of squares, if L has this form.",
+    "angle-at-rest": "Mean over the last fifth of each hold; α0 and αmax on the way up, as in paper 2. P_flat by "
+    "monotone cubics through the way up; αH where it is widest. The method part of αmax holds half of αH: at the top "
+    "one way only is known.",
+    "logistic-up": "α = a + b / [1 + (p/c)^d] (paper 2, second eqs. 10) by least squares through the way up, as paper "
+    "2 does; intervals by the profile of the sum of squares, if α has this form.",
+    "logistic-mean": "The same through the mean of both ways.",
+    "logistic-loads": "The same with a, b, c, d as powers of the load up to the fourth, through the ways up of all "
+    "loads at once: paper 2's 20 numbers.",
     "static load against isometric": _DIFFERENCE,
     "isometric against steps": _DIFFERENCE,
     "static load against contraction": _DIFFERENCE,
@@ -231,6 +249,7 @@ KINDS: dict[str, str] = {
     "closed-volume": "Closed volume",
     "isometric-pressurisation": "Isometric pressurisation",
     "free-contraction": "Free contraction",
+    "arm-angle": "Bending angle of an arm",
     "isometric": "Isometric force over pressure",
     "recorded-pull": "Recorded pulls at set pressure",
     "recorded-step": "Recorded steps of pressure",
@@ -251,12 +270,18 @@ _LABELS = {
     "load": "F_L",
     "bias": "bias P",
     "mass": "moving mass",
+    "tip_mass": "load",
     "displacement": "x",
 }
 POINTS = {name: (_LABELS.get(name, name), quantity) for name, quantity in POINT_QUANTITIES.items()}
 """Name of a coordinate of an operating point -> label and quantity; the order is that of columns."""
 
-SPOKEN: dict[str, str] = {"setpoint": "set-point", "mean": "mean contraction", "from": "pressure before"}
+SPOKEN: dict[str, str] = {
+    "setpoint": "set-point",
+    "mean": "mean contraction",
+    "from": "pressure before",
+    "tip_mass": "load",
+}
 """Coordinates whose word is not their name."""
 
 COLUMNS: dict[str, str] = {
@@ -284,6 +309,7 @@ COLUMNS: dict[str, str] = {
     "high": "upper end of the band",
     "branch": "0 filling, 1 emptying",
     "length": "length",
+    "angle": "bending angle",
     "below": "reached from below",
     "above": "reached from above",
 }

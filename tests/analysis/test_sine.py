@@ -20,7 +20,7 @@ from pmabench.store.records import ChannelInfo, Flag, TrialData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.sine_rig import Muscle51, value
 
-K, B, F_C = 6773.0, 1900.0, 6.0
+K, B, F_C, F_CE = 6773.0, 1900.0, 6.0, 275.0
 A = 0.005
 FREQUENCIES = (0.1, 0.5, 1.0, 3.0)
 BENCH = Muscle51(F_s=10.0, F_c=6.0, noise=(2e-6, 0.3, 500.0), lag=0.005)
@@ -66,6 +66,32 @@ def test_ideal_loops_enclose_what_damping_loses() -> None:
         assert number(ideal(), "H", "loop-width", frequency=frequency) == pytest.approx(2 * B * omega * A, rel=2e-3)
         phase = np.arctan2(B * omega, K)
         assert number(ideal(), "phi", "sine-harmonic", frequency=frequency) == pytest.approx(phase, rel=1e-3)
+
+
+def test_mean_force_tells_f_ce_though_friction_and_two_dampings_move_it() -> None:
+    """At 3 Hz B_r - B_c of 440 N.s/m shifts the mean force by 440 omega A / pi = 13 N: the line over speed ends that."""
+    assert number(ideal(), "F_ce", "sine-mean") == pytest.approx(F_CE, rel=1e-3)
+    found = value(bench(), "F_ce", "sine-mean")
+    assert found.value == pytest.approx(F_CE, rel=5e-3)
+    assert found.ci95 is not None
+    assert found.ci95[0] < F_CE < found.ci95[1]
+    alone = value(analysis_of([BENCH.trial(i, 3.0, 31) for i in range(3)]), "F_ce", "sine-mean")
+    assert alone.value == pytest.approx(F_CE + 440 * 6 * pi * A / pi, rel=5e-3)
+    assert alone.parts.method == pytest.approx(B * 6 * pi * A / pi, rel=0.1)
+    assert "one frequency only" in alone.note
+
+
+def test_f_ce_is_told_for_the_set_pressure_where_its_slope_is_known() -> None:
+    """The regulator stands 2 kPa low at both pressures, 1.01 N/kPa."""
+    trials = []
+    for P in (3e5, 4e5):
+        low = Muscle51().trials(pressure=P - 2e3)
+        trials += [replace(trial, point={**trial.point, "pressure": P}) for trial in low]
+    for P, truth in ((3e5, F_CE), (4e5, F_CE + 101.0)):
+        assert number(analysis_of(trials), "F_ce", "sine-mean", pressure=P) == pytest.approx(truth, rel=1e-3)
+    single = value(analysis_of(trials[: len(trials) // 2]), "F_ce", "sine-mean")
+    assert single.value == pytest.approx(F_CE - 2.02, rel=1e-3)
+    assert "as at the measured pressure" in single.note
 
 
 def test_bench_damping_and_friction() -> None:

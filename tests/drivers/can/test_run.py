@@ -43,6 +43,7 @@ def test_coefficients_come_back(tmp_path):
         assert low <= true["B"] <= high
         assert high - low <= 0.1 * true["B"]
         assert found["F_c"]["value"] == pytest.approx(6.0, abs=2.0)
+        assert found["F_ce"]["value"] == pytest.approx(275.0, rel=0.02)  # 1.08 P - 49
 
 
 def stopped_after(run, moment, within):

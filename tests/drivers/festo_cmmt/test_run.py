@@ -39,7 +39,7 @@ def pooled(run):
     return {
         e["symbol"]: e
         for e in analysis["estimates"]
-        if e["method"] == "sine-harmonic" and "frequency" not in e["at"] and not e["coordinate"]
+        if e["method"] in {"sine-harmonic", "sine-mean"} and "frequency" not in e["at"] and not e["coordinate"]
     }
 
 
@@ -67,6 +67,7 @@ def test_coefficients_come_back(tmp_path):
         assert high - low <= 0.1 * true["B"]
         assert found["B"]["parts"]["skew"] > 0
         assert found["F_c"]["value"] == pytest.approx(6.0, abs=1.5)
+        assert found["F_ce"]["value"] == pytest.approx(275.0, rel=0.02)  # 1.08 P - 49
 
 
 def dying(run, act):
