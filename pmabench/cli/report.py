@@ -17,14 +17,24 @@ from pmabench.cli.common import Ui, common
     "--overlay", "overlays", multiple=True, metavar="FILE.csv[:LABEL]", help="Published points for the figures."
 )
 @click.option("--title", help="Title of the report.")
+@click.option("--laboratory", default="", metavar="TEXT", help="Name and address of the laboratory.")
+@click.option("--customer", default="", metavar="TEXT", help="For whom it was tested.")
+@click.option("--authorised-by", default="", metavar="TEXT", help="Who authorises the report.")
+@click.option("--issued", default="", metavar="DATE", help="Date of issue; today's is not put in by itself.")
 @common
 def command(
-    ui: Ui, sources: tuple[Path, ...], output: Path, overlays: tuple[str, ...], title: str | None
+    ui: Ui,
+    sources: tuple[Path, ...],
+    output: Path,
+    overlays: tuple[str, ...],
+    title: str | None,
+    **told: str,
 ) -> int | None:
     """Write the characterisation report of runs (processed now) or of analysis folders."""
     from pmabench.cli.process import analyse, load_runs, without_analyses
     from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.analysis_folder import read_analysis, runs_of
+    from pmabench.report.checklist import Issuer
     from pmabench.report.html import write_report
 
     if output.is_fifo():
@@ -37,6 +47,6 @@ def command(
     for folder in folders:
         runs += load_runs(runs_of(folder))
     analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
-    path = write_report(analyses, runs, output, title=title, published=published)
+    path = write_report(analyses, runs, output, title=title, published=published, issuer=Issuer(**told))
     ui.result({"schema": "pmabench.report/1", "path": str(path)}, lambda: click.echo(str(path)))
     return None

@@ -14,10 +14,13 @@ from pmabench import __version__
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis
 from pmabench.report import overlays, provenance, tables, wording
+from pmabench.report.checklist import Issuer, Item, checklist
+from pmabench.report.citation import citation, methods_paragraph
 from pmabench.report.deviations import deviations
 from pmabench.report.figures import front_pictures, kind_pictures
 from pmabench.report.front import Tile, Verdict, first_findings, tiles_of, verdict_of
 from pmabench.report.grids import Grid, grid
+from pmabench.report.parents import Parents
 from pmabench.report.pictures import Picture
 from pmabench.report.run_notes import Said, notes_of
 from pmabench.store.folder import plain
@@ -88,6 +91,14 @@ class Content:
     run_details: list[list[tuple[str, str]]]
     calibrations: Grid
     versions: list[str]
+    parents: list[Grid]
+    """Sets of trials that numbers come from, and notes to them, by code."""
+    issuer: Issuer
+    checklist: list[Item]
+    paragraph: str
+    """Methods, ready to paste."""
+    cite: tuple[str, str]
+    """A line, and a BibTeX entry."""
 
 
 def content_of(
@@ -96,6 +107,7 @@ def content_of(
     *,
     title: str | None = None,
     published: Sequence[overlays.Published] = (),
+    issuer: Issuer | None = None,
 ) -> Content:
     """What there is to say of `analyses` and of the `runs` behind them, with `published` tables beside.
 
@@ -107,12 +119,12 @@ def content_of(
     ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
     names = {run: f"R{n}" for n, run in enumerate(ids, 1)}
     simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
-    figures = _Figures()
+    figures, parents = _Figures(), Parents(names)
     identity = _identity(analyses, runs, published)
     analyses, theirs, compared = overlays.beside(analyses, published, overlays.length_of(runs))
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
-    sections = [_section(a, figures, used) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
+    sections = [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     judged = [run for run in runs if provenance.accepts(run)]
     failed = [wording.clean(text) for text in verdicts(judged, analyses)]
     accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}
@@ -126,6 +138,9 @@ def content_of(
         if title
         else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
     )
+    when = provenance.when(runs)
+    remarks = deviations(runs, names)
+    who = (issuer or Issuer()).cleaned()
     details = provenance.run_table(runs, names).to_dict("records")
     return Content(
         title=name,
@@ -136,7 +151,7 @@ def content_of(
         specimens=specimens,
         benches=provenance.benches(runs),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
-        when=provenance.when(runs),
+        when=when,
         operators=provenance.operators(runs),
         statuses=provenance.statuses(runs),
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
@@ -149,7 +164,7 @@ def content_of(
         tiles=tiles_of(analyses),
         front=first_page,
         protocol=grid(provenance.protocol_table(runs, names)),
-        deviations=deviations(runs, names),
+        deviations=remarks,
         notes=notes_of(runs, names),
         coefficients=grid(*tables.primary_table(analyses)),
         compared=[grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
@@ -164,6 +179,22 @@ def content_of(
         run_details=[[(str(head), str(text)) for head, text in row.items()] for row in details],
         calibrations=grid(provenance.calibration_table(runs, names), group=False),
         versions=provenance.versions(runs),
+        parents=[
+            grid(parents.trials.table(), "Sets of trials that the values come from"),
+            grid(parents.notes.table(), "Notes"),
+        ],
+        issuer=who,
+        checklist=checklist(
+            analyses,
+            runs,
+            who,
+            specimen=specimens[0][0] if specimens else "",
+            when=when,
+            deviations=remarks,
+            accepted=bool(accept),
+        ),
+        paragraph=methods_paragraph(analyses, runs),
+        cite=citation(name, identity, when, any(simulated)),
     )
 
 
@@ -187,7 +218,7 @@ def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: 
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def _section(analysis: Analysis, figures: _Figures, used: Sequence[str]) -> Section:
+def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents: Parents) -> Section:
     trials = analysis.facts.get("trials_used", analysis.facts.get("trials"))
     dropped = len(analysis.dropped)
     counts = f"{len(analysis.runs)} run{'s' if len(analysis.runs) != 1 else ''}"
@@ -197,7 +228,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str]) -> Sect
     section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in tables.other_tables(analysis)]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used)]
-    parts = tables.parts_table(analysis)
+    parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
     return section
 

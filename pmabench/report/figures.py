@@ -11,6 +11,7 @@ import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.report import coefficient_figures, loop_figures, plots, ramp_figures, time_plots
+from pmabench.report.arm_figures import angles
 from pmabench.report.free_figures import lengths
 from pmabench.report.pictures import (
     Picture,
@@ -258,5 +259,6 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("section",), sections),
     (("volume",), volumes),
     (("free-contraction",), lengths),
+    (("arm-angle",), angles),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""

@@ -13,7 +13,7 @@ from pmabench.report.rounding import rounded
 from pmabench.store.records import RunData
 
 TILES = 8
-FRONT_FINDINGS = 5
+FRONT_FINDINGS = 3
 MOST_FRONT_FINDINGS = 9
 """Where so many are faults or doubts."""
 

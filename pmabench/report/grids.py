@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from pmabench.report.rounding import UNRESOLVED
+
 MOST_ROWS = 600
 BRIEF = 32
 """Letters of a text that is kept on one line."""
@@ -14,6 +16,8 @@ SHORT = 16
 """Rows of a table that is not broken across pages."""
 FEWEST_IN_GROUP = 3
 """Rows a method, from which on methods become headings of groups of rows instead of a column."""
+MUTED = ("not identifiable", UNRESOLVED)
+"""Texts that stand in place of a number."""
 _PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
 _NUMBER = re.compile(r"[−-]?[\d.,]+(×10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
 
@@ -71,7 +75,7 @@ def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -
     for name in shown_columns:
         if grouped and name == "method":
             continue
-        values = [str(v) for v in frame[name] if str(v) not in ("", "not identifiable")]
+        values = [str(v) for v in frame[name] if str(v) not in ("", *MUTED)]
         align = "text"
         if values and all(_PAIR.fullmatch(v) for v in values):
             align = "pair"
@@ -93,4 +97,4 @@ def _cell(text: str, align: str) -> Cell:
     pair = _PAIR.fullmatch(text) if align == "pair" else None
     if pair:
         return Cell(pair[1], pair[2])
-    return Cell(text, muted=text == "not identifiable")
+    return Cell(text, muted=text in MUTED)

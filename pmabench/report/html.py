@@ -13,6 +13,7 @@ from typing import Any
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import RecordError
 from pmabench.report import overlays, wording
+from pmabench.report.checklist import Issuer
 from pmabench.report.content import LEVELS, Content, content_of
 from pmabench.report.svg import symbol_parts
 from pmabench.store.records import RunData
@@ -25,13 +26,14 @@ def write_report(
     *,
     title: str | None = None,
     published: Sequence[overlays.Published] = (),
+    issuer: Issuer | None = None,
 ) -> Path:
     """Write the report of `analyses`, with what `runs` tell of bench, specimen and protocol, to `path`.
 
-    `published` tables are drawn beside. Raises RecordError where it cannot be written, InvalidFile for a table that
-    matches no figure.
+    `published` tables are drawn beside; `issuer` is who gives it out. Raises RecordError where it cannot be written,
+    InvalidFile for a table that matches no figure.
     """
-    return write_page(content_of(analyses, runs, title=title, published=published), path)
+    return write_page(content_of(analyses, runs, title=title, published=published, issuer=issuer), path)
 
 
 def write_page(content: Content, path: Path) -> Path:
@@ -51,9 +53,10 @@ def render(
     *,
     title: str | None = None,
     published: Sequence[overlays.Published] = (),
+    issuer: Issuer | None = None,
 ) -> str:
     """The report as text."""
-    return page_of(content_of(analyses, runs, title=title, published=published))
+    return page_of(content_of(analyses, runs, title=title, published=published, issuer=issuer))
 
 
 def page_of(content: Content) -> str:

@@ -9,6 +9,9 @@ MOST_DIGITS = 7
 """Significant digits of a value whose interval would ask for more."""
 PLAIN = (1e-3, 1e6)
 """Sizes outside these are written with a power of ten."""
+RESOLVED = 1e-9
+"""Less than this of the unit that people read is rounding of the computer and no measurement."""
+UNRESOLVED = "below resolution"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -39,12 +42,18 @@ def cut(value: float, half: float) -> str:
     return f"{_fixed(value, decimals)} (0 to {_fixed(value + half, decimals)})"
 
 
-def half_width(half: float | None) -> str:
-    """An interval's half width alone, with two significant digits; empty where it was not assessed."""
+def half_width(half: float | None, least: float = 0.0) -> str:
+    """An interval's half width alone, with two significant digits; empty where it was not assessed.
+
+    Above 0 and below `least` it says so.
+    """
     if half is None or not (isfinite(half) and half >= 0):
         return ""
     if half == 0:
         return "0"
+    if half < least:
+        return f"< 10{str(round(log10(least))).translate(RAISED)}"
+    half = float(f"{half:.1e}")
     if not PLAIN[0] <= half < PLAIN[1]:
         power = floor(log10(half))
         return f"{half / 10.0**power:.1f}×10{str(power).translate(RAISED)}"

@@ -12,7 +12,8 @@ from typing import Any
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.report.rounding import RAISED, cut, half_width, rounded
+from pmabench.base.quantities import QUANTITIES
+from pmabench.report.rounding import RAISED, RESOLVED, UNRESOLVED, cut, half_width, rounded
 from pmabench.report.wording import (
     AGREEMENT,
     POINTS,
@@ -49,9 +50,16 @@ def cell(estimate: Estimate) -> str:
     half = estimate.parts.combined
     if estimate.value is None:
         return "not identifiable"
+    if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):
+        return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
     return rounded(estimate.value / scale, None if half is None else half / scale)
+
+
+def least(estimate: Estimate) -> float:
+    """What can be told at all of an estimate, in its display unit; terms of curves have units of their own: 0."""
+    return RESOLVED if estimate.quantity in QUANTITIES else 0.0
 
 
 def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
@@ -188,20 +196,24 @@ def whole_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
     return pd.DataFrame(rows, dtype=object)
 
 
-def parts_table(analysis: Analysis) -> pd.DataFrame:
+def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> pd.DataFrame:
     """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
 
-    The column `skew` is there where streams have clocks of their own.
+    The column `skew` is there where streams have clocks of their own; `parents` gives the trials
+    and the note of an estimate in short.
     """
     rows = []
     skewed = any(e.parts.skew for e in analysis.estimates)
     for e in analysis.estimates:
         unit = shown(e.quantity, e.unit)
 
-        def half(value: float | None, scale: float = unit.scale) -> str:
-            return "" if value is None else half_width(value / scale)
+        def half(value: float | None, scale: float = unit.scale, floor: float = least(e)) -> str:
+            return "" if value is None else half_width(value / scale, floor)
 
         bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
+        if e.bias and abs(e.bias) / unit.scale < least(e):
+            bias = UNRESOLVED
+        told = parents(e) if parents else ("", clean(e.note if e.note != e.coordinate else ""))
         rows.append(
             {
                 "method": clean(e.method),
@@ -215,7 +227,8 @@ def parts_table(analysis: Analysis) -> pd.DataFrame:
                 **({"skew": half(None if e.value is None else e.parts.skew)} if skewed else {}),
                 "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
-                "note": clean(e.note if e.note != e.coordinate else ""),
+                "from": told[0],
+                "note": told[1],
             }
         )
     return pd.DataFrame(rows, dtype=object)

@@ -217,3 +217,15 @@ def test_the_skew_of_several_clocks_has_a_column_where_there_are_several():
     told = {(row["symbol"], row["value"] != "not identifiable"): row["skew"] for row in frame.to_dict("records")}
     assert told["K", True] == "0.020"
     assert told["B_r", False] == ""
+
+
+def test_what_the_computer_rounds_is_no_number():
+    error = Estimate("P_err", 0.0, "Pa", "pressure", "m", {"frequency": 1.0}, Parts(repeats=8.4e-11))
+    assert tables.cell(error) == "below resolution"
+    assert tables.cell(replace(error, value=8.4e-11, parts=Parts())) == "below resolution"
+    assert tables.cell(replace(error, value=500.0)) == "0.5000000 ± 0.0000001"
+    (row,) = tables.parts_table(Analysis("x", (), False, (error,))).to_dict("records")
+    assert (row["value"], row["repeats"]) == ("below resolution", "< 10⁻⁹")
+    term = replace(error, unit="N/m/Pa2", quantity="stiffness per pressure squared", value=9.7e-12)
+    assert tables.cell(replace(term, parts=Parts(repeats=1e-13))) != "below resolution"
+    assert half_width(9.96e-4) == "0.0010"

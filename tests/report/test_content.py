@@ -1,0 +1,137 @@
+"""What a report says beside its numbers: the verdict, deviations, the checklist, parents, and words to paste."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.results import Analysis, Finding
+from pmabench.report.checklist import Issuer
+from pmabench.report.citation import methods_paragraph
+from pmabench.report.content import content_of
+from pmabench.report.deviations import deviations
+from pmabench.report.front import verdict_of
+from pmabench.report.parents import trials_told
+from pmabench.store.notes import Note
+from pmabench.store.records import TrialData
+
+from . import samples
+
+
+def trial(index, *, P=3e5, off=0.0, rate=100.0, seconds=5.0, begin=None, **more) -> TrialData:
+    begin = 10.0 * index if begin is None else begin
+    t = begin + np.arange(0.0, seconds, 1 / rate)
+    command = np.full(len(t), P)
+    channels = {"pressure": command + off, "pressure_command": command}
+    usual = {"status": "finished", "repeat": 0, "reference": False, "commands": (), "found": {}}
+    flags = np.zeros(len(t), np.uint16)
+    return TrialData("run", index, {"pressure": P}, t=t, channels=channels, flags=flags, **(usual | more))
+
+
+def said(trials, plan=None, notes=(), **manifest) -> list[str]:
+    quiet = {"deviations": [], "hazards": [], "lacks": [], "end": {}} | manifest
+    run = replace(samples.run("static-load", **quiet), trials=tuple(trials), plan=plan or {}, notes=notes, events=())
+    return [text.removeprefix("R1: ") for text in deviations([run], {run.id: "R1"})]
+
+
+def test_a_run_as_planned_has_no_deviation():
+    plan = {"rate": 100.0, "record": ["pressure", "pressure_command"]}
+    assert said([trial(0), trial(1)], plan, trials_planned=2) == []
+
+
+@pytest.mark.parametrize(
+    ("trials", "plan", "words"),
+    [
+        ([trial(0)], {}, "1 of 2 planned trials are not finished"),
+        ([trial(0), trial(1, attempt=2)], {}, "begun again: trial 2"),
+        ([trial(0, begin=50.0), trial(1, begin=0.0)], {}, "trials were not done in the planned order"),
+        ([trial(0, rate=90.0), trial(1, rate=90.0)], {"rate": 100.0}, "sampled at 90 Hz; 100 Hz was planned"),
+        ([trial(0), trial(1)], {"record": ["force"]}, "planned but not recorded: force"),
+        ([trial(0), trial(1, off=-9e3)], {}, "the pressure at rest was up to 9 kPa off its command (trial 2)"),
+    ],
+)
+def test_deviations_are_found_in_the_record(trials, plan, words):
+    assert said(trials, plan, trials_planned=2) == [words]
+
+
+def test_a_pressure_that_is_still_on_its_way_is_no_deviation():
+    short = trial(0, off=-9e3, seconds=1.5)
+    within = trial(1, off=-5e3)
+    assert said([short, within], trials_planned=2) == []
+
+
+def test_exclusions_say_who_and_why():
+    note = Note(1, "2026-11-22T10:00", "B. Ito", "", 0, "the table was hit", ())
+    told = said([trial(0, status="excluded"), trial(1)], notes=(note,), trials_planned=2)
+    assert told == ["trials: 1 excluded", "trial 1 is left out by B. Ito: the table was hit"]
+
+
+def finding(level: str) -> Analysis:
+    return replace(samples.static_load(), findings=(Finding(level, "x"),))
+
+
+@pytest.mark.parametrize(
+    ("analyses", "status", "failed", "accepted", "level", "word"),
+    [
+        ([finding("note")], "finished", [], True, "good", "Accepted"),
+        ([finding("note")], "finished", [], False, "good", "No doubt"),
+        ([finding("doubt")], "finished", [], True, "doubt", "Usable with care"),
+        ([finding("note")], "aborted", [], True, "doubt", "Usable with care"),
+        ([finding("fault")], "finished", [], True, "fault", "Faults were found"),
+        ([finding("note")], "finished", ["K: interval +-9 %"], True, "fault", "Not accepted"),
+        ([Analysis("static-load", (), False)], "finished", [], True, "fault", "No result"),
+    ],
+)
+def test_the_verdict_is_the_worst_that_is_known(analyses, status, failed, accepted, level, word):
+    runs = [replace(samples.run("static-load"), status=status)]
+    verdict = verdict_of(analyses, runs, failed, accepted=accepted)
+    assert (verdict.level, verdict.word) == (level, word)
+
+
+def test_the_checklist_names_what_is_missing_and_takes_what_is_told():
+    bare = content_of(samples.all_analyses(), samples.all_runs())
+    missing = {item.asked for item in bare.checklist if not item.there}
+    assert {"the customer", "date of issue", "who authorises the report"} <= missing
+    told = Issuer("Muscle Lab, 1 Air St", "ACME", "A. Meyer", "2026-11-23")
+    full = content_of(samples.all_analyses(), samples.all_runs(), issuer=told)
+    assert missing - {item.asked for item in full.checklist if not item.there} == {
+        "the laboratory, its address, where it was tested",
+        "the customer",
+        "date of issue",
+        "who authorises the report",
+    }
+    nothing = content_of([], [])
+    assert sum(item.there for item in nothing.checklist) < 5
+
+
+def test_every_value_leads_to_its_trials():
+    assert trials_told(("a/1", "a/2", "a/3", "a/7", "b/2", "odd"), {"a": "R1", "b": "R2"}) == "R1: 1–3, 7; R2: 2; odd"
+    many = tuple(f"a/{n}" for n in range(1, 60, 2))
+    analysis = samples.static_load()
+    estimates = tuple(replace(e, trials=many) for e in analysis.estimates)
+    content = content_of([replace(analysis, runs=("a",), estimates=estimates)], [])
+    sets = content.parents[0]
+    (row,) = [row for _, rows in sets.groups for row in rows]
+    assert [row[0].text, row[1].text[:11]] == ["S1", "R1: 1, 3, 5"]
+    parts = content.sections[0].parts
+    column = [c.head for c in parts.columns].index("from")
+    assert {row[column].text for _, rows in parts.groups for row in rows} == {"S1"}
+
+
+def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
+    told = methods_paragraph(samples.all_analyses(), samples.all_runs())
+    for words in ("Festo MAS-20-250N-AA-MC-K", "measured-pressure", "static-mean", "simulated", "95 % intervals"):
+        assert words in told
+    assert "step-exponential" not in told
+    assert "simulated" not in methods_paragraph(samples.all_analyses(False), samples.all_runs(False)).replace(
+        "SIMULATED", ""
+    )
+
+
+def test_the_citation_is_the_same_for_the_same_report():
+    one = content_of(samples.all_analyses(), samples.all_runs(), title="K & B of 100 % {x}")
+    again = content_of(samples.all_analyses(), samples.all_runs()[::-1], title="K & B of 100 % {x}")
+    assert one.cite == again.cite
+    assert one.report_id in one.cite[0]
+    assert r"title = {K \& B of 100 \% \{x\}}" in one.cite[1]
+    assert "simulated" in one.cite[1]
