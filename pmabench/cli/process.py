@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, invalid
+from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -18,13 +18,40 @@ if TYPE_CHECKING:
 
 
 @click.command(name="process")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...|FOLDER...")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ beside the folder runs/ if not given."
 )
+@click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
+@click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
+@click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")
 @common
-def command(ui: Ui, runs: tuple[Path, ...], out: Path | None) -> int | None:
-    """Fit the coefficients of one or more RUNS, kind by kind, each with its 95 % interval."""
+def command(
+    ui: Ui, runs: tuple[Path, ...], out: Path | None, each: bool, jobs: int | None, cluster: str | None
+) -> int | None:
+    """Fit the coefficients of RUNS, each with its 95 % interval.
+
+    RUNS named one by one are taken together: one analysis for each kind of test of each specimen.
+
+    Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each, and
+    one table over all of them beside the analyses (all-runs.csv, .parquet, .json). Runs that did not change since the
+    last time are not computed again; a run that cannot be used is told at the end and stops no other.
+    """
+    from pmabench.store.below import holds_runs
+
+    below = [path for path in runs if holds_runs(path)]
+    if each or below:
+        if jobs is not None and cluster is not None:
+            raise UsageError("--jobs is for this machine and --cluster for others: give one of the two")
+        from pmabench.cli.process_many import process_folders
+
+        start = runs[0].resolve()
+        place = out or _beside(start if runs[0] in below else start.parent) / "analyses"
+        wanted = [path for path in runs if path in below or not _holds_analyses(path)]
+        return process_folders(ui, wanted, place, jobs or 1, cluster)
+    if jobs is not None or cluster is not None:
+        what = "--jobs and --cluster share out runs that are processed each on its own"
+        raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
     from pmabench.analysis.reduce import verdicts
 
     given = without_analyses(ui, runs)

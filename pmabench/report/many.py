@@ -72,7 +72,10 @@ def process_many(tasks: Sequence[Task], out: Path, pool: Pool | None = None, tol
             codes |= _code(before)
     unchanged = len(found)
     left = [number for number in range(len(tasks)) if number not in found]
-    things = [{"path": str(tasks[number].path), "out": str(out), "folder": tasks[number].place} for number in left]
+    here = str(out.absolute())
+    things = [
+        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place} for number in left
+    ]
     fresh: dict[str, tuple[str, str]] = {}
     try:
         for index, entry in share(things, process_batch, lost, pool):

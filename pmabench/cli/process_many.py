@@ -1,0 +1,141 @@
+"""`pmabench process` of folders of runs: each run on its own, by several processes, with progress and one table."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui
+
+if TYPE_CHECKING:
+    from pmabench.analysis.many import Pool
+    from pmabench.report.many import Many
+
+TOLD_EVERY = 10.0
+"""Seconds between lines of progress where there is no terminal."""
+MOST_LINES = 20
+"""Lines of one kind on the screen; the rest stands in the table."""
+
+
+def process_folders(ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None) -> int | None:
+    """Process each run below `given` on its own; the exit code."""
+    from pmabench.report.many import process_many
+    from pmabench.report.many_table import write_table
+    from pmabench.store.below import tasks_below
+
+    tasks = tasks_below(given)
+    with _pool(ui, jobs, cluster) as pool, _progress(ui) as told:
+        many = process_many(tasks, out, pool, told)
+    paths = write_table(many)
+    ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
+    return many.exit_code or None
+
+
+@contextmanager
+def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
+    """Who does the work; None is this process."""
+    from pmabench.analysis.many import Processes
+
+    pool: Pool | None = None
+    if cluster is not None:
+        from pmabench.analysis.cluster import Cluster
+
+        pool = Cluster(cluster)
+        for doubt in pool.doubts():
+            ui.note(doubt)
+    elif jobs > 1:
+        pool = Processes(jobs)
+    try:
+        yield pool
+    finally:
+        if pool is not None:
+            pool.close()
+
+
+@contextmanager
+def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
+    """A bar with the time left on a terminal, a line now and then elsewhere; both on stderr."""
+    if ui.quiet or ui.json:
+        yield None
+        return
+    began = last = time.monotonic()
+    if not sys.stderr.isatty():
+
+        def line(done: int, total: int, unchanged: int) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if now - last >= TOLD_EVERY:
+                last = now
+                left = (now - began) * (total - done) / max(done - unchanged, 1)
+                ui.note(f"{done:,} of {total:,} runs, {_duration(left)} left")
+
+        yield line
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
+    with Progress(*columns, console=ui.console(err=True), transient=True) as bar:
+        task = bar.add_task("runs", total=None)
+
+        def show(done: int, total: int, unchanged: int) -> None:
+            bar.update(task, total=total - unchanged, completed=done - unchanged)
+
+        yield show
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
+    from pmabench.report.many_table import SCHEMA, plain_entry
+
+    return {
+        "schema": SCHEMA,
+        "out": str(many.out),
+        "table": [str(path) for path in paths],
+        "computed": many.count("computed"),
+        "unchanged": many.count("unchanged"),
+        "runs": [plain_entry(entry) for entry in many.results()],
+        "skipped": [{"run": entry["path"], "because": entry["skipped"]} for entry in many.of("skipped")],
+        "failed": [
+            {"run": entry["path"], "error": entry["error"], "exit_code": entry["exit_code"]}
+            for entry in many.of("failed")
+        ],
+    }
+
+
+def _human(many: Many, paths: Sequence[Path]) -> None:
+    kinds: dict[str, int] = {}
+    for entry in many.results():
+        kinds[entry["kind"]] = kinds.get(entry["kind"], 0) + 1
+    for kind, count in sorted(kinds.items()):
+        click.echo(f"{kind}: {count:,} {'run' if count == 1 else 'runs'}")
+    if many.count("unchanged"):
+        click.echo(f"{many.count('unchanged'):,} had not changed and were not computed again")
+    if many.count("skipped"):
+        click.echo(f"{many.count('skipped'):,} without trials (sessions, calibrations) were left out")
+    click.echo("\n".join(_failures(many)), nl=bool(_failures(many)))
+    click.echo("\n".join(str(path) for path in paths))
+
+
+def _failures(many: Many) -> list[str]:
+    """A line for each run that is not accepted or could not be processed."""
+    refused = [f"NOT ACCEPTED: {entry['run']}: {verdict}" for entry in many.results() for verdict in entry["verdicts"]]
+    failed = [entry["error"] for entry in many.of("failed")]
+    told = _first(refused, "not accepted; the table names them")
+    if failed:
+        what = "1 run could" if len(failed) == 1 else f"{len(failed):,} runs could"
+        told += [f"{what} not be processed:", *failed]
+    return told
+
+
+def _first(lines: list[str], rest: str) -> list[str]:
+    more = len(lines) - MOST_LINES
+    return [*lines[:MOST_LINES], f"and {more:,} more {rest}"] if more > 0 else lines

@@ -1,0 +1,81 @@
+"""What tells whether a run, what was said of it and the program are still the same, without reading any samples.
+
+The bytes of manifest, seal and head of the notes, which carry the hashes of all that was recorded and said; of every
+other file its size and time of change, so that a file changed in place is seen too. Standard library only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+from pmabench.store import folder as files
+
+READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
+PARTS = ("analysis", "base", "model", "report", "store")
+"""Packages that make results of runs."""
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
+
+
+def fingerprint(chain: Iterable[Path], about: str) -> str:
+    """Hash of the runs of a chain and of `about` (options); empty where one of them is not closed or cannot be read."""
+    digest = hashlib.sha256(about.encode())
+    try:
+        for run in chain:
+            names = set()
+            for name, entry in _walk(run):
+                names.add(name)
+                told = entry.stat(follow_symlinks=False)
+                digest.update(f"{name}\0{told.st_size}\0".encode())
+                if name in READ:
+                    digest.update(Path(entry.path).read_bytes())
+                else:
+                    digest.update(f"{told.st_mtime_ns}\0".encode())
+            if files.SEAL not in names:
+                return ""
+    except OSError:
+        return ""
+    return digest.hexdigest()
+
+
+def stamp(folder: Path) -> str:
+    """Hash of the names, sizes and times of all files of a folder; empty where it cannot be read."""
+    digest = hashlib.sha256()
+    try:
+        for name, entry in _walk(folder):
+            told = entry.stat(follow_symlinks=False)
+            digest.update(f"{name}\0{told.st_size}\0{told.st_mtime_ns}\0".encode())
+    except OSError:
+        return ""
+    return digest.hexdigest()
+
+
+def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
+    """Every file below a folder with its name there, in one order everywhere."""
+    with os.scandir(folder) as entries:
+        inside = sorted(entries, key=lambda entry: entry.name)
+    for entry in inside:
+        if entry.is_dir(follow_symlinks=False):
+            yield from _walk(Path(entry.path), f"{prefix}{entry.name}/")
+        else:
+            yield f"{prefix}{entry.name}", entry
+
+
+@cache
+def program() -> str:
+    """Hash of the code that makes results, and of the versions of the libraries that reckon."""
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parents[1]
+    for part in PARTS:
+        for path in sorted((root / part).rglob("*.py")):
+            digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
+            digest.update(path.read_bytes())
+    for library in LIBRARIES:
+        with suppress(metadata.PackageNotFoundError):
+            digest.update(f"{library} {metadata.version(library)}\0".encode())
+    return digest.hexdigest()
