@@ -11,7 +11,8 @@ demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
 
 # Tests that only compute share the cores; those that wait for processes, wires and time run one after the other.
-COMPUTING := tests/analysis tests/bench tests/cli tests/files tests/model tests/protocol tests/report $(wildcard tests/test_*.py)
+COMPUTING := tests/analysis tests/bench tests/cli tests/files tests/model tests/protocol tests/report \
+	$(wildcard tests/test_*.py) $(filter-out tests/store/test_killed.py,$(wildcard tests/store/test_*.py))
 
 test: lint
 	$(BIN)/python -m pytest -q -n auto --dist loadfile --ignore=tests/analysis/test_coverage.py $(COMPUTING) $(PYTEST_ARGS)
