@@ -26,6 +26,7 @@ REDUCTIONS = {
     "closed-volume": "closed_volume",
     "isometric-pressurisation": "isometric_pressurisation",
     "free-contraction": "free_contraction",
+    "arm-angle": "arm_angle",
     "isometric": "isometric",
     "recorded-step": "recorded_steps",
     "recorded-sine": "recorded_sines",

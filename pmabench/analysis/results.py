@@ -36,6 +36,7 @@ POINT_QUANTITIES = {
     "load": "force",
     "bias": "pressure",
     "mass": "mass",
+    "tip_mass": "mass",
     "displacement": "length",
     "cycles": "count",
     "side": "count",

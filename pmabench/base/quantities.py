@@ -41,6 +41,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("voltage", "V", "V", 1.0),
         Quantity("current", "A", "mA", 1e-3),
         Quantity("angle", "rad", "deg", 0.017453292519943295),
+        Quantity("angular speed", "rad/s", "deg/s", 0.017453292519943295),
         Quantity("force per pressure", "N/Pa", "N/kPa", 1e-3),
         Quantity("force per pressure squared", "N/Pa2", "N/kPa2", 1e-6),
         Quantity("stiffness per pressure", "N/m/Pa", "N/mm/kPa", 1.0),
@@ -65,6 +66,7 @@ CHANNEL_QUANTITY = {
     "displacement": "length",
     "displacement_command": "length",
     "force": "force",
+    "angle": "angle",
     "supply": "pressure",
 }
 """What each channel name of a protocol measures; a protocol names channels from this table only."""

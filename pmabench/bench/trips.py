@@ -26,10 +26,11 @@ LIMIT_CHANNEL = {
     "force": "force",
     "contraction": "displacement",
     "displacement": "displacement",
+    "angle": "angle",
     "supply": "supply",
 }
 """Key of `limits` -> the channel that is watched."""
-RATE_OF = {"pressure": "pressure rate", "length": "speed", "force": "force rate"}
+RATE_OF = {"pressure": "pressure rate", "length": "speed", "force": "force rate", "angle": "angular speed"}
 """Quantity -> its rate of change."""
 ENDS = ("stop", "vent")
 """Actions that take the pressure off."""

@@ -62,6 +62,7 @@ _NEEDS = {
     "isometric-pressurisation": ("isometric_pressurisation",),
     "closed-volume": ("closed_volume",),
     "free-contraction": ("free_contraction",),
+    "arm-angle": ("arm_stairs",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
 
@@ -358,6 +359,32 @@ def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
     ], doubts
 
 
+def _arm(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Angle at the preload, the largest one, and by how much both ways are apart at most."""
+    from pmabench.analysis.arm_stairs import NotUsable
+    from pmabench.analysis.arm_stairs import measure as stair_of
+
+    try:
+        stair = stair_of(run, trial, run.plan.get("settings") or {})
+    except NotUsable as reason:
+        return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
+    sets = [rest.set for rest in stair.rests if rest.side < 0]
+    up, down = stair.column(sets, -1), stair.column(sets, 1)
+    noise = 6 * max(rest.noise for rest in stair.rests)
+    worst = max(stair.rests, key=lambda rest: abs(rest.drift))
+    drifts = abs(worst.drift) > max(DRIFT * float(np.ptp(up)) / 4, noise)
+    doubts = [f"the angle still changes by {show(worst.drift, 'angle', 2)}"] if drifts else []
+    if up[-1] < up[0]:
+        doubts.append("the angle falls where the pressure rises")
+    gaps = (down - up)[np.isfinite(down)]
+    apart = [Measured("alpha_H", "angle", float(gaps[np.argmax(np.abs(gaps))]), noise=noise)] if len(gaps) else []
+    return [
+        Measured("alpha_0", "angle", float(up[0]), noise=noise),
+        Measured("alpha_max", "angle", float(up.max()), noise=noise),
+        *apart,
+    ], doubts
+
+
 def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
     from pmabench.analysis.sine_loop import NotUsable
@@ -410,4 +437,5 @@ _RULES: dict[str, Callable[..., Found]] = {
     "isometric-pressurisation": _isometric,
     "closed-volume": _closed,
     "free-contraction": _free,
+    "arm-angle": _arm,
 }

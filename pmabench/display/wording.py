@@ -31,6 +31,7 @@ POINT = {
     "amplitude": ("A", "length"),
     "bias": ("P_0", "pressure"),
     "mass": ("M", "mass"),
+    "tip_mass": ("w", "mass"),
 }
 """Names of an operating point -> symbol and quantity."""
 _HIDDEN = ("mass",)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pmabench.model.air import Air
+from pmabench.model.arm import Arm, ArmPlant
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.hysteresis import Hysteresis
@@ -68,7 +69,9 @@ MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serr
 """Those of the three-element model."""
 CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
 """Those of paper 2 with their lengths [m] (`pmabench.model.contractor_muscle`)."""
-PLANTS = (*MUSCLES, "daerden", *CONTRACTORS)
+ARM = "arm-30"
+"""That of four contractors of paper 2 (`pmabench.model.arm`)."""
+PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM)
 """All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
@@ -77,6 +80,8 @@ BENCH_FRICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
 COULOMB = Friction(F_s=10.0, F_c=10.0)
 """Of a muscle whose damping lets no stick-slip grow."""
 BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
+ARM_FRICTION, ARM_NOISE = Friction(F_s=0.5, F_c=0.5), Noise(pressure=500.0, displacement=30e-6)
+"""Assumed: both sides are 0.38 deg apart, a reading of the angle scatters by 0.06 deg."""
 BENCH_LAG = 0.0955
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
@@ -87,7 +92,7 @@ KINDS = ("ideal", "bench")
 class Setup:
     """All parameters of a simulated bench."""
 
-    muscle: Muscle | DaerdenMuscle | ContractorMuscle
+    muscle: Muscle | DaerdenMuscle | ContractorMuscle | Arm
     regulator: Regulator
     noise: Noise
     follow_lag: float
@@ -103,8 +108,10 @@ class Setup:
         Raises
         ------
         ValueError
-            For a muscle that has only a driven end.
+            For a muscle that has only a driven end, or a load that it is not known for.
         """
+        if isinstance(self.muscle, Arm):
+            return ArmPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
         muscle = self.muscle if isinstance(self.muscle, Muscle) else self.muscle.free()
         return Plant(muscle, self.regulator, force=force, mass=mass, start=start)
 
@@ -112,7 +119,14 @@ class Setup:
         """The plant with its free end at `position` [m], held by `actuator`, from `start` [s] on.
 
         The actuator goes no further than the muscle's formulas hold, and follows with `follow_lag`.
+
+        Raises
+        ------
+        ValueError
+            For an arm, which nothing drives.
         """
+        if isinstance(self.muscle, Arm):
+            raise ValueError("the end of an arm carries loads; nothing drives it")
         actuator = replace(actuator, lag=self.follow_lag)
         if not isinstance(self.muscle, Muscle):
             low, high = (share * self.muscle.length for share in self.muscle.reach)
@@ -141,6 +155,8 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         if overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+    if plant == ARM:
+        return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     # these need the library of models, which needs this module
     if plant in CONTRACTORS:
         from pmabench.model.contractor_muscle import ContractorMuscle
@@ -172,6 +188,10 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
     muscle, hysteresis = setup.muscle, setup.hysteresis
     if isinstance(muscle, Muscle):
         muscle = _rubbed(muscle, change, share, real=real)
+    elif isinstance(muscle, Arm):
+        if change.b_relax:
+            raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
+        muscle = replace(muscle, friction=_friction(muscle.friction, change, share, real=real))
     else:
         for name in ("F_s", "F_c", "b_relax"):
             if getattr(change, name) is not None:
@@ -214,14 +234,19 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
 
 def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:
     """The muscle with the friction and the damping that are asked for."""
-    base = muscle.friction if real else Friction()
-    friction = Friction(
-        F_s=share * (base.F_s if change.F_s is None else change.F_s),
-        F_c=share * (base.F_c if change.F_c is None else change.F_c),
-        speed=muscle.friction.speed,
-    )
+    friction = _friction(muscle.friction, change, share, real=real)
     if change.b_relax not in {None, "b_contract"}:
         raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
     if change.b_relax:
         return replace(muscle, friction=friction, B_r=muscle.B_c, tau_r=None)
     return replace(muscle, friction=friction)
+
+
+def _friction(given: Friction, change: Overrides, share: float, *, real: bool) -> Friction:
+    """The friction that is asked for, where a muscle has the given one."""
+    base = given if real else Friction()
+    return Friction(
+        F_s=share * (base.F_s if change.F_s is None else change.F_s),
+        F_c=share * (base.F_c if change.F_c is None else change.F_c),
+        speed=given.speed,
+    )

@@ -17,7 +17,7 @@ from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
 from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
 
-ChannelName = Literal["pressure", "displacement", "force", "pressure_command", "displacement_command"]
+ChannelName = Literal["pressure", "displacement", "force", "angle", "pressure_command", "displacement_command"]
 
 
 class Needs(Strict):
@@ -147,13 +147,17 @@ class Compilation:
         weights = self.mounted.bench_file.weights
         return None if weights is None else Stack(weights.hanger, weights.plates)
 
-    def put_on(self, point: dict[str, float], demands: str = "vented", own: float = 0.0) -> None:
-        """Ask for the load of a point where it is not on already; `own` [N] of it is the muscle's own weight."""
+    def put_on(self, point: dict[str, float], demands: str = "vented", own: float = 0.0, also: str = "") -> None:
+        """Ask for the load of a point where it is not on already, and for what hands must see to `also`.
+
+        `own` [N] of it is the muscle's own weight.
+        """
         load = (point["load"], point["mass"])
         if self._on == load:
             return
         self._on = load
-        self.steps.append(Ask("load", self.load_text((load[0] - own, load[1])), demands, load))
+        text = self.load_text((load[0] - own, load[1]))
+        self.steps.append(Ask("load", f"{text} {also}".strip(), demands, load))
 
     def load_text(self, load: tuple[float, float]) -> str:
         """What the operator is asked to do for a load."""

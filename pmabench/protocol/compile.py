@@ -28,6 +28,7 @@ KINDS = {
     "closed-volume": ("closed_volume", "ClosedVolume"),
     "isometric-pressurisation": ("isometric_pressurisation", "IsometricPressurisation"),
     "free-contraction": ("free_contraction", "FreeContraction"),
+    "arm-angle": ("arm_angle", "ArmAngle"),
 }
 """Kind of protocol -> its module in this package and its class."""
 

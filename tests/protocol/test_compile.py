@@ -30,6 +30,7 @@ BENCH_OF = {
     "sinusoidal-displacement-paper3": "mock-daerden",
     "isobaric-ramp": "mock-actuator",
     "free-contraction": "mock-contractor-free",
+    "arm-angle": "mock-arm",
     "step-displacement": "mock-daerden",
     "closed-volume": "mock-daerden-closed",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
@@ -37,7 +38,7 @@ BENCH_OF = {
 
 
 def mounted(name="mock"):
-    stems = {"daerden": "daerden-20-200", "dmsp": "dmsp-40-305", "contractor": "contractor-30"}
+    stems = {"daerden": "daerden-20-200", "dmsp": "dmsp-40-305", "contractor": "contractor-30", "arm": "arm-30"}
     stem = next((stem for part, stem in stems.items() if part in name), SPECIMEN.stem)
     return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN.with_stem(stem))
 
@@ -234,7 +235,8 @@ def test_loads_that_the_bench_cannot_make_or_bear(load, says):
 
 @pytest.mark.parametrize("name", sorted(BENCH_OF))
 def test_a_record_without_what_the_fit_needs_is_refused(name):
-    with pytest.raises(InvalidFile, match='record:1:8  lacks "displacement"'):
+    channel = "angle" if name == "arm-angle" else "displacement"
+    with pytest.raises(InvalidFile, match=f'record:1:8  lacks "{channel}"'):
         plan(name, ("record", "[pressure, force]"))
 
 

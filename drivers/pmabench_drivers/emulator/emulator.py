@@ -14,6 +14,7 @@ from pmabench_drivers.emulator.faults import Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
+from pmabench_drivers.mock.options import ARM
 
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """What can go wrong with the plant."""
@@ -66,6 +67,8 @@ class Emulator:
         if not expose:
             for device in served:
                 refuse_others(device.name, device.address)
+        if plant != ARM and any(channel.quantity == "angle" for device in served for channel in device.channels):
+            raise UsageError(f'the bench measures an angle, and only the plant "{ARM}" has one: give --plant {ARM}')
         driven = any(output.quantity == "length" for device in served for output in device.outputs)
         valve = any(device.valves for device in served)
         self.plant_faults = PLANT

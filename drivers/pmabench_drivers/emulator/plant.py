@@ -21,7 +21,7 @@ from pmabench.bench.interface import (
 )
 from pmabench_drivers.emulator.faults import Faults
 from pmabench_drivers.mock.driver import MockBench
-from pmabench_drivers.mock.options import DUMP_VALVE, E_STOP
+from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0
@@ -37,6 +37,8 @@ CHANNELS = {
 }
 DRIVEN = {"displacement_command": ("displacement_set", "length")}
 """What there is besides where an actuator drives the free end."""
+BENT = {"angle": (ANGLE, "angle")}
+"""What there is besides of an arm."""
 """Channel of a bench -> the mock's input and the quantity."""
 
 
@@ -64,7 +66,7 @@ class RealPlant:
         driven: bool = False,
         seed: int = 1,
     ) -> None:
-        inputs = CHANNELS | (DRIVEN if driven else {})
+        inputs = CHANNELS | (DRIVEN if driven else {}) | (BENT if plant == ARM else {})
         drive = OutputRecord("displacement", "length", "plant", "displacement", Scale(), 0.0, 0.0, -0.01, 0.09)
         channels = tuple(
             ChannelRecord(name, quantity, "plant", source, "float64", "SI", Scale(), -1e9, 1e9)

@@ -177,9 +177,11 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
 
 
 FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
-NOT_FOR = {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS} | dict.fromkeys(
-    CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval")
-) | {ARM: (*FLOWS, "b_relax", "fce_eval")}
+NOT_FOR = (
+    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
+    | dict.fromkeys(CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
+    | {ARM: (*FLOWS, "b_relax", "fce_eval")}
+)
 """Options that a plant has no use for; of all others what is for one plant only."""
 
 

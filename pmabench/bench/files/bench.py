@@ -166,7 +166,7 @@ class BenchFile(Strict):
     channels: dict[Name, ChannelFile]
     outputs: dict[Name, AnyOutput]
     interlocks: list[InterlockFile] = []
-    limits: dict[Literal["pressure", "force", "contraction", "displacement", "supply"], LimitFile]
+    limits: dict[Literal["pressure", "force", "contraction", "displacement", "angle", "supply"], LimitFile]
     watch: Annotated[list[WatchFile], Field(max_length=100)] = []
     safe_state: Annotated[list[SafeActionFile], Field(min_length=1, max_length=50)]
     stop: StopFile | None = None

@@ -17,7 +17,7 @@ class CalibrationFile(Strict):
 
     schema_: Annotated[Literal["pmabench.calibration/1"], Field(alias="schema")]
     id: Text
-    quantity: Literal["pressure", "force", "length"]
+    quantity: Literal["pressure", "force", "length", "angle"]
     reference: Text
     date: datetime.date
     valid_until: datetime.date | None = None

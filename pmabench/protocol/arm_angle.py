@@ -1,0 +1,177 @@
+"""Arm angle: where the end of an arm of muscles comes to over the pressure of the one that bends it (paper 2).
+
+All muscles of the arm stand at the preload; one of them is then taken up in steps, and down again, with a load at the
+arm's end. The others have a regulator of their own, set by hand.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import isclose
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from pmabench.base.quantities import show
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
+from pmabench.protocol.sweep import PressureAxis, PressureRange, Sweep, expand
+
+LEAST = 0.5
+"""Shortest hold: less is no rest [s]."""
+NOTHING = 1.0
+"""Pressures nearer to each other than this are one [Pa]."""
+HAZARD = (
+    "the other muscles of the arm hang on a regulator that hands set: the dump valve must empty them together with the "
+    "one that bends"
+)
+
+
+class ArmAxes(Strict):
+    """What is swept: what hangs on the arm's end."""
+
+    load: Annotated[list[Load], Field(min_length=1)]
+
+
+class ArmTrial(Strict):
+    """One trial: with one load from the preload up through the pressures, and down again."""
+
+    preload: Pressure
+    """Of all muscles: where the bending one begins and ends."""
+    pressures: PressureAxis
+    """Of the bending muscle, rising."""
+    rate: PressureRate
+    """Of the ramps from one to the next."""
+    hold: Time
+    """Time at each; the angle is the mean over its last fifth."""
+    branches: Literal["up", "up-and-down"] = "up-and-down"
+    angle: Literal["measured", "from-displacement"] = "measured"
+    """By the channel `angle`; or the displacement along the bending muscle by `radius`, an arc of one curvature."""
+    radius: Length | None = None
+    """From the arm's middle to the bending muscle."""
+
+
+class ArmAngle(ProtocolHead):
+    """Protocol of kind arm-angle."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure",)
+    gives: ClassVar[tuple[str, ...]] = ()
+    kind: Literal["arm-angle"]
+    sweep: Sweep[ArmAxes]
+    trial: ArmTrial
+    compare: Literal["paper-2", "nothing"] = "paper-2"
+    """Paper 2's formula and table; they hold for 0 to 0.5 kg, a preload of 0.45 bar, to 5 bar."""
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per load and repeat one staircase of pressure, all of it recorded."""
+        trial = self.trial
+        c.positive(trial.rate, ("trial", "rate"))
+        if trial.hold < LEAST:
+            c.fault(("trial", "hold"), f"must be at least {show(LEAST, 'time')}: the angle is taken at rest")
+        self._angle(c)
+        pressures = self._pressures(c)
+        g = c.mounted.bench.gravity
+        others = f"The regulator of the other muscles stands at {show(trial.preload, 'pressure')}."
+        for point in expand(self.sweep, c.document):
+            kind, value = point.values["load"]
+            mass = value if kind == "mass" else value / g
+            load = c.load(point.values["load"], point.places["load"])
+            if self.compare == "paper-2":
+                self._foreseen(c, mass, point.places["load"], pressures)
+            if c.problems or c.too_long():
+                continue
+            c.put_on(load, also=others)
+            index = len(c.trials)
+            if index == 0:
+                c.precondition()
+            c.trials.append(TrialRecord(index, {"tip_mass": mass}, point.repeat))
+            c.steps += _steps(trial, pressures, index)
+        c.hazards.append(HAZARD)
+        settings = {"preload": trial.preload, "angle": trial.angle, "radius": trial.radius, "compare": self.compare}
+        return c.plan("arm-angle", settings)
+
+    def _angle(self, c: Compilation) -> None:
+        """Check that the angle can be had."""
+        trial = self.trial
+        if trial.radius is not None:
+            c.positive(trial.radius, ("trial", "radius"))
+        if trial.angle == "measured" and "angle" not in self.record:
+            way = 'add it, or "trial.angle: from-displacement" with a "radius"'
+            c.fault(("record",), f'lacks "angle", without which nothing can be told; {way}')
+        if trial.angle == "from-displacement":
+            if "displacement" not in self.record:
+                c.fault(("record",), 'lacks "displacement", of which the angle is to be made; add it')
+            if trial.radius is None:
+                way = 'add "radius", from the arm\'s middle to where the displacement is measured'
+                c.fault(("trial", "angle"), f"an angle from the displacement needs the arm: {way}")
+
+    def _pressures(self, c: Compilation) -> list[float]:
+        """The pressures [Pa], from the preload up."""
+        axis, at = self.trial.pressures, ("trial", "pressures")
+        try:
+            found = axis.values() if isinstance(axis, PressureRange) else list(axis)
+        except ValueError as error:
+            c.fault(at, str(error))
+            return []
+        c.within("pressure", self.trial.preload, ("trial", "preload"))
+        for pressure in found:
+            c.within("pressure", pressure, at)
+        rising = [self.trial.preload, *(P for P in found if abs(P - self.trial.preload) > NOTHING)]
+        if any(high - low <= NOTHING for low, high in pairwise(rising)):
+            c.fault(at, f"must rise, from above the preload, {show(self.trial.preload, 'pressure')}: it bends up first")
+        elif len(rising) < 2:
+            c.fault(at, "one pressure above the preload at least is needed")
+        return rising
+
+    def _foreseen(self, c: Compilation, mass: float, place: Location, pressures: list[float]) -> None:
+        """Check that paper 2's formula holds for load, preload and pressures, and that nothing would trip."""
+        from pmabench.model.library import MODELS  # slow to import
+
+        model = MODELS["arm-angle"]
+        known = {p.name: p for p in model.parameters}
+        other = 'or "compare: nothing", which measures and fits without it'
+        load, pressure = known["load"], known["pressure"]
+        if not load.low <= mass <= load.high * (1 + 1e-9):
+            told = f"{mass:.4g} kg at the arm's end: paper 2's angle holds from {load.low:g} to {load.high:g} kg"
+            c.fault(place, f"{told} ({load.reason}): take less, {other}")
+            return
+        if not isclose(self.trial.preload, pressure.low, rel_tol=0.01):
+            told = f"paper 2's angle holds for {show(pressure.low, 'pressure')} in the other muscles"
+            c.fault(("trial", "preload"), f"{told}: take that, {other}")
+        if not pressures or pressures[-1] > pressure.high * (1 + 1e-9):
+            told = f"paper 2's angle holds up to {show(pressure.high, 'pressure')}"
+            c.fault(("trial", "pressures"), f"{told}: take less, {other}")
+            return
+        top = min(pressures[-1], pressure.high)
+        angle = float(model.evaluate({"pressure": top, "load": min(mass, load.high)})["angle"])
+        radius = self.trial.radius
+        reached = {"angle": angle} | ({} if radius is None else {"displacement": radius * angle})
+        for trip in c.mounted.bench.trips:
+            value = reached.get(trip.channel)
+            if trip.kind != "range" or trip.action == "warn" or trip.high is None or value is None:
+                continue
+            if value >= trip.high:
+                quantity = "angle" if trip.channel == "angle" else "length"
+                told = f"with {mass:g} kg it is predicted to reach {show(value, quantity, 3)} of {trip.channel}"
+                limit = f"the trip limit is {show(trip.high, quantity, 3)} ({trip.source})"
+                c.fault(("trial", "pressures"), f"{told} at {show(top, 'pressure')}; {limit}")
+
+
+def _steps(of: ArmTrial, pressures: list[float], index: int) -> list[Step]:
+    """One trial, from no pressure through `pressures` [Pa], the first of which is the preload, and back to none.
+
+    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    """
+    steps: list[Step] = [Record("preload", True, index)]
+    before = 0.0
+    stairs = [("preload" if n == 0 else "up", P) for n, P in enumerate(pressures)]
+    if of.branches == "up-and-down":
+        stairs += [("down", P) for P in pressures[-2::-1]]
+    for phase, P in stairs:
+        if abs(P - before) > NOTHING:
+            steps.append(Ramp(phase, "pressure", before, P, of.rate))
+        steps.append(Hold(phase, of.hold))
+        before = P
+    return [*steps, Ramp("vent", "pressure", before, 0.0, of.rate), Hold("vent", LEAST), Record("vent", False, index)]
