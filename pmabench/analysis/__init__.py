@@ -14,10 +14,11 @@
 - isometric-pressurisation: `isometric_pressurisation`, made of `isometric_lines`, `isometric_curve`, `section` (S over
   contraction), `isometric_sections` (all contractions at one pressure); words and figures in `isometric_view`
 - closed-volume: `closed_volume`, made of `closed_stroke`, `volume_fit`
-- isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`; recorded-sine:
-  `recorded_sines`; what imports say beside their samples: `imported`
+- isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`, with `driven_motion`;
+  recorded-sine: `recorded_sines`; what imports say beside their samples: `imported`
 - a library model fitted to a table (`model fit`): `model_fit`, made of `model_problem`, `identifiability`
 - two analyses coefficient by coefficient (`compare`): `comparison`
+- many runs at once: `many`; the same on a Dask cluster: `cluster`
 - shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
   `calibration` (what the channels' uncertainties do to a result)
 """

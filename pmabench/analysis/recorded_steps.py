@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.calibration import Scales, sentences
+from pmabench.analysis.driven_motion import respond
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.steps import mean_over, mean_with_half
@@ -180,39 +181,26 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """
     changes = np.flatnonzero(np.diff(P)) + 1
     jumps = np.diff(P)[changes - 1]
-    since = t[:, None] - (t[changes] - late)[None, :]
+    at = t[changes] - late
 
-    def respond(p: Array) -> tuple[Array, float]:
-        driven = np.asarray(_step_response(since, float(np.exp(p[0])), float(np.exp(p[1]))) @ jumps, dtype=np.float64)
+    def answer(p: Array) -> tuple[Array, float]:
+        driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
         off = driven - driven.mean()
         power = float(np.sum(off * off))
         g = float(np.sum(off * x)) / power if power > 0 else 0.0
         return np.asarray(x.mean() + g * off), g
 
     def misfit(p: Array) -> Array:
-        return np.asarray((respond(p)[0] - x) / scale)
+        return np.asarray((answer(p)[0] - x) / scale)
 
     scale = max(float(np.ptp(x)), 1e-9)
     start = np.log([40.0, 0.3])
     bounds = (np.log([FREQUENCY[0], DAMPING[0]]), np.log([FREQUENCY[1], DAMPING[1]]))
     solved = least_squares(misfit, start, bounds=bounds, max_nfev=60)
-    model, g = respond(solved.x)
+    model, g = answer(solved.x)
     rms = float(np.sqrt(np.mean((model - x) ** 2)))
     w, D = (float(value) for value in np.exp(solved.x))
     return Motion(late, w, D, g, rms, model)
-
-
-def _step_response(t: Array, w: float, D: float) -> Array:
-    """Unit step response of w^2 / (s^2 + 2 D w s + w^2) at `t` [s]; 0 before 0."""
-    t = np.maximum(t, 0.0)
-    if abs(D - 1.0) < 1e-6:
-        D = 1.0 + 1e-6
-    if D < 1:
-        damped = sqrt(1 - D * D)
-        return np.asarray(1 - np.exp(-D * w * t) * (np.cos(w * damped * t) + D / damped * np.sin(w * damped * t)))
-    root = sqrt(D * D - 1)
-    slow, fast = w * (D - root), w * (D + root)
-    return np.asarray(1 - (fast * np.exp(-slow * t) - slow * np.exp(-fast * t)) / (fast - slow))
 
 
 def _dead_time(steps: Sequence[Step]) -> Estimate:
