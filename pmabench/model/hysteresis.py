@@ -13,14 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.regulator import Regulated, Trace
+from pmabench.model.regulator import FADED, Regulated, Trace
 
 PERIODS = 8
 """Turns of a sine are looked for in so many periods at once [1]."""
 PER_PERIOD = 32
 """At how many moments of a period the way is looked at [1]."""
-FADED = 40.0
-"""After so many lags nothing is left of where a piece began [1]."""
 
 
 def branch(

@@ -54,13 +54,18 @@ class Record:
         self.x, self.v, self.P, self.F = (np.empty(t.shape) for _ in range(4))
         self.done = 0
 
+    def count(self, end: float) -> int:
+        """How many samples are due before `end`."""
+        return int(self.t.searchsorted(end)) - self.done
+
     def before(self, end: float) -> list[float]:
         """When samples are due before `end`."""
-        return [float(moment) for moment in self.t[self.done : int(np.searchsorted(self.t, end))]]
+        times: list[float] = self.t[self.done : self.done + self.count(end)].tolist()
+        return times
 
     def grid(self, now: float, end: float) -> Grid:
         """The samples before `end` with `now` first and `end` last, filled up where they are far apart."""
-        samples = self.t[self.done : int(np.searchsorted(self.t, end))]
+        samples = self.t[self.done : self.done + self.count(end)]
         times = np.concatenate(([now], samples[samples > now], [end]))
         if np.diff(times).max() > GAP:
             even = np.linspace(now, end, int((end - now) / GAP) + 2)
@@ -71,7 +76,7 @@ class Record:
         """When the next samples are due."""
         return self.t[self.done : self.done + count]
 
-    def fill(self, x: Array, v: Array | float, P: Array, F: Array) -> None:
+    def fill(self, x: Array, v: Array | float, P: Array, F: Array | float) -> None:
         """The next len(x) samples."""
         rows = slice(self.done, self.done + len(x))
         self.x[rows], self.v[rows], self.P[rows], self.F[rows] = x, v, P, F

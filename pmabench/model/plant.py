@@ -32,7 +32,7 @@ from pmabench.model.motion import NOTHING, Grid, Motion, Record
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulated, Regulator, Trace
 from pmabench.model.signal import Wave, to_nanosecond
-from pmabench.model.slip import glide, slide
+from pmabench.model.slip import SETTLED_PRESSURE, glide, slide
 
 SETTLED_SPEED = 2e-8
 SETTLED_FORCE = 5e-5
@@ -185,16 +185,15 @@ class Plant:
     def _fill(self, record: Record, x: Array, v: Array | float, trace: Trace, way: int) -> None:
         """Record the next len(x) samples: contraction, speed, and the pressure and force that follow from them."""
         P, muscle = trace.values(record.due(len(x))), self.muscle
+        if way == 0 and 0 < self.x < muscle.stop:
+            record.fill(x, v, P, self.force)
+            return
         F = muscle.pull(P, x)
         if way:
             speed = np.abs(v)
             F -= way * (muscle.damping(P, way * speed) * speed + muscle.friction.values(speed))
-        elif self.x <= 0:
-            F = np.minimum(F, self.force)
-        elif self.x >= muscle.stop:
-            F = np.maximum(F, self.force)
         else:
-            F = np.full(P.shape, self.force)
+            F = np.minimum(F, self.force) if self.x <= 0 else np.maximum(F, self.force)
         record.fill(x, v, P, F)
 
     # -- at rest -------------------------------------------------------------------------------------------------
@@ -222,6 +221,10 @@ class Plant:
         self._start(trace)
         if self.way:
             return
+        if trace.settled(self.time, SETTLED_PRESSURE):
+            self._fill(record, np.full(record.count(end), self.x), 0.0, trace, 0)
+            self.time = self._since = end
+            return
         grid = record.grid(self.time, end)
         P = trace.values(grid.t)
         drive = self.muscle.pull(P, np.full(P.shape, self.x)) - self.force
@@ -243,8 +246,7 @@ class Plant:
                     low = middle
             end = min(math.ceil(high * 1e9) / 1e9, end)
         self._fill(record, np.full(grid.count(end), self.x), 0.0, trace, 0)
-        self.time = end
-        self._since = end
+        self.time = self._since = end
         if first:
             self.way = self._breaks_away(self._drive(trace.value(high)))
 

@@ -15,6 +15,9 @@ from scipy.optimize import brentq
 from pmabench.model.curve import Array
 from pmabench.model.signal import Wave, to_nanosecond
 
+FADED = 40.0
+"""After so many lags nothing is left of where a piece began [1]."""
+
 
 @dataclass(frozen=True)
 class Regulator:
@@ -65,20 +68,24 @@ class Trace:
         return value
 
     def values(self, t: Array) -> Array:
-        """Values at times t [s]."""
+        """Values at times t [s], the first of which is the earliest."""
         since = t - self.start
-        value = self.level + self.slope * since
-        if self.decay:
+        value = self.level + self.slope * since if self.slope else np.full(since.shape, self.level)
+        if self.decay and len(since) and since[0] < FADED * self.lag:
             value += self.decay * np.exp(-since / self.lag)
         if self.omega:
             value += self.sin_part * np.sin(self.omega * since) + self.cos_part * np.cos(self.omega * since)
-        return np.asarray(value, dtype=np.float64)
+        return value
+
+    def settled(self, t: float, within: float) -> bool:
+        """Whether from `t` [s] on it stays `within` that of its end."""
+        return self.slope == self.omega == 0 and abs(self.value(t) - self.level) < within
 
     def rates(self, t: Array) -> Array:
-        """Rates of change at times t [s]."""
+        """Rates of change at times t [s], the first of which is the earliest."""
         since = t - self.start
         rate = np.full(since.shape, self.slope)
-        if self.decay:
+        if self.decay and len(since) and since[0] < FADED * self.lag:
             rate -= self.decay / self.lag * np.exp(-since / self.lag)
         if self.omega:
             wave = self.sin_part * np.cos(self.omega * since) - self.cos_part * np.sin(self.omega * since)

@@ -64,7 +64,7 @@ def equation(
         result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
         return result
 
-    if ramp == 0 and omega == 0 and abs(trace.value(t) - level) < SETTLED_PRESSURE:
+    if trace.settled(t, SETTLED_PRESSURE):
         pull, K, B = f_ce(level) - hold, stiffness(level), damping(level)
         return steady
     return moving
