@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pmabench.analysis import replay
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign
+from pmabench.analysis.contraction_checks import checks
 from pmabench.analysis.intervals import NORMAL, Pooled
 from pmabench.analysis.pooled import SYMBOLS, spread
 from pmabench.analysis.results import Estimate, Finding, Trace
@@ -51,6 +52,7 @@ def facts(campaign: Campaign, pooled: Pooled) -> dict[str, Any]:
         },
         "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
         "load_cell": campaign.cell,
+        "checks": checks(campaign, pooled),
     }
 
 

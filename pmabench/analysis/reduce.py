@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 
+from pmabench.analysis.acceptance import not_accepted
 from pmabench.analysis.agreement import KIND as AGREEMENT
 from pmabench.analysis.agreement import agreement
+from pmabench.analysis.checks import with_checks
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
@@ -62,7 +64,8 @@ def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
     found: list[Analysis] = []
     for kinds in specimens.values():
         analyses = [
-            import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group) for kind, group in kinds.items()
+            with_checks(import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group), group)
+            for kind, group in kinds.items()
         ]
         compared = agreement(analyses)
         found += analyses if compared is None else [*analyses, compared]
@@ -70,10 +73,7 @@ def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
-    """One sentence for each analysis that gave nothing, and for each coefficient that the protocol does not accept.
-
-    A coefficient is accepted where its 95 % interval is no wider than the protocol's `accept` says.
-    """
+    """One sentence for each analysis that gave nothing, and for each limit of a protocol that is not kept."""
     failed: list[str] = []
     for analysis in analyses:
         if analysis.kind == AGREEMENT:
@@ -81,29 +81,7 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         if all(e.value is None for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
-        accept: dict[str, float] = {}
-        for run in runs:
-            if run.id in analysis.runs:
-                accept |= dict(run.plan.get("accept") or {})
-        primary: dict[str, str] = {}
-        for estimate in analysis.estimates:
-            primary.setdefault(estimate.symbol, estimate.method)
-        known = {e.symbol for e in analysis.estimates if e.method == primary[e.symbol] and e.value is not None}
-        for estimate in analysis.estimates:
-            widest = accept.get(estimate.symbol)
-            if widest is None or estimate.method != primary[estimate.symbol] or estimate.coordinate:
-                continue
-            asked = f"accepted +-{100 * widest:g} %"
-            half = estimate.parts.combined
-            if estimate.value is None or not estimate.value:
-                if estimate.symbol not in known:
-                    failed.append(f"{_named(estimate)}: not identifiable, {asked}")
-            elif half is None:
-                failed.append(f"{_named(estimate)}: no interval, {asked}; {estimate.note}")
-            elif half > widest * abs(estimate.value):
-                relative = 100 * half / abs(estimate.value)
-                wide = f"{relative:.2g}" if relative < 10 else f"{relative:.0f}"
-                failed.append(f"{_named(estimate)}: interval +-{wide} %, {asked}")
+        failed += not_accepted(runs, analysis, _named)
     return failed
 
 

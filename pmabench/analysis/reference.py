@@ -38,7 +38,7 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
     first: dict[tuple[object, ...], float] = {}
     found = []
     for run, trial in _references(runs):
-        stroke = _stroke(trial)
+        stroke = stroke_of(trial)
         if stroke is None:
             continue
         point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
@@ -79,7 +79,7 @@ def _references(runs: Sequence[RunData]) -> Iterator[tuple[RunData, TrialData]]:
                 yield run, trial
 
 
-def _stroke(trial: TrialData) -> float | None:
+def stroke_of(trial: TrialData) -> float | None:
     """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
     times = sorted(c.t for c in trial.commands if c.output == "pressure" and c.phase != "precondition")
     if len(times) < 2 or not len(trial.t):

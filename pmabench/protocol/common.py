@@ -7,13 +7,15 @@ from functools import cached_property
 from math import inf
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.files.document import Document, Location, Strict
-from pmabench.files.quantity import Frequency, Pressure, Ratio, Time
+from pmabench.files.quantity import Frequency, Pressure, Time
+from pmabench.protocol import accept
+from pmabench.protocol.accept import Acceptance
 from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
 
@@ -40,18 +42,6 @@ class Prepare(Strict):
     precondition: Precondition | None = None
 
 
-def _wider_than_nothing(value: float) -> float:
-    if not value > 0:
-        raise ValueError(f'{show(value, "ratio")}: an interval is wider than nothing, for instance "5 %"')
-    return value
-
-
-class Accept(Strict):
-    """Widest interval, relative to the value, with which a coefficient is accepted."""
-
-    relative_interval: Annotated[Ratio, AfterValidator(_wider_than_nothing)]
-
-
 class ProtocolHead(Strict):
     """The part of a protocol that does not depend on its kind."""
 
@@ -59,6 +49,8 @@ class ProtocolHead(Strict):
     """Channels that the reduction of this kind needs."""
     gives: ClassVar[tuple[str, ...]] = ()
     """Coefficients that the reduction of this kind can give."""
+    checks: ClassVar[tuple[str, ...]] = ()
+    """Checks that the reduction of this kind makes beside them."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
     source: Annotated[str, Field(max_length=400)]
@@ -66,7 +58,7 @@ class ProtocolHead(Strict):
     sample_rate: Annotated[Frequency, Field(ge=10, le=1e6)]
     record: Annotated[list[ChannelName], Field(min_length=1)]
     prepare: Prepare = Prepare()
-    accept: dict[Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"], Accept] = {}
+    accept: Acceptance = {}
 
 
 @dataclass
@@ -216,15 +208,10 @@ class Compilation:
 
     def needs_coefficients(self) -> None:
         """Check that what is to be accepted can come out."""
-        gives = self.head.gives
-        for name in self.head.accept:
-            if name not in gives:
-                kind = self.document.data.get("kind")
-                self.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(gives)}', key=True)
+        accept.find_faults(self, self.head.accept, self.head.gives, self.head.checks)
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""
-        accept = {str(name): accept.relative_interval for name, accept in self.head.accept.items()}
         return Plan(
             kind=kind,
             name=self.head.name,
@@ -235,7 +222,7 @@ class Compilation:
             trials=tuple(self.trials),
             steps=tuple(self.steps),
             settings=settings,
-            accept=accept,
+            accept=accept.for_plan(self, self.head.accept),
             hazards=tuple(self.hazards),
         )
 

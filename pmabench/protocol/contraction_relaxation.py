@@ -13,6 +13,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Pressure, Time
+from pmabench.protocol.accept import OF_FIT, OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
@@ -88,6 +89,7 @@ class ContractionRelaxation(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     gives: ClassVar[tuple[str, ...]] = ("F_ce", "K", "B_c", "B_r", "F_c")
+    checks: ClassVar[tuple[str, ...]] = (*OF_TRIALS, *OF_FIT)
     kind: Literal["contraction-relaxation"]
     sweep: Sweep[ContractionAxes]
     reference_trial: ReferenceTrial | None = None
@@ -149,7 +151,9 @@ class ContractionRelaxation(ProtocolHead):
             c.fault(("reference_trial",), "has no place beside the reduction of paper 1; leave it out")
         for name in c.head.accept:
             if name not in ("K", "B_c", "B_r"):
-                c.fault(("accept", name), f"paper 1's reduction takes {name} as known; it gives K, B_c, B_r", key=True)
+                lack = "takes {} as known" if name in self.gives else "does not give {}"
+                told = f"paper 1's reduction {lack.format(name)}; it gives K, B_c, B_r"
+                c.fault(("accept", name), told, key=True)
         for point in expand(self.sweep, c.document):
             pressure, place = point.values["pressure"], point.places["pressure"]
             c.within("pressure", pressure, place)

@@ -223,7 +223,8 @@ class Plan:
     steps: tuple[Step, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
     """What the reduction needs to know of the protocol, in SI."""
-    accept: Mapping[str, float] = field(default_factory=dict)
+    accept: Mapping[str, Any] = field(default_factory=dict)
+    """Widest relative interval by coefficient, and under `limits` every limit with its place in the protocol."""
     hazards: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_too_fast
 from pmabench.protocol.driven_air import not_pushed_together
@@ -49,6 +50,7 @@ class SinusoidalDisplacement(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     gives: ClassVar[tuple[str, ...]] = ("K", "B", "F_c")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["sinusoidal-displacement"]
     sweep: Sweep[SineAxes]
     trial: SineTrial

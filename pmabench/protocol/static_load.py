@@ -12,6 +12,7 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
@@ -55,6 +56,7 @@ class StaticLoad(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     gives: ClassVar[tuple[str, ...]] = ("F_ce",)
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["static-load"]
     sweep: Sweep[StaticAxes]
     trial: StaticTrial

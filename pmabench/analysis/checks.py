@@ -1,0 +1,225 @@
+"""What speaks for or against an analysis beside its residual: named numbers with a sentence each; fits no coefficient.
+
+A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
+themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
+the pooled fit come from `contraction_checks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis import student
+from pmabench.analysis.reference import stroke_of
+from pmabench.analysis.results import Analysis, Finding
+from pmabench.base.quantities import QUANTITIES
+from pmabench.store.records import Array, RunData, TrialData
+
+SPREAD = 0.03
+"""Spread of repeats, as a share of their mean, from which on they are doubted [1]."""
+FIRST = 0.01
+"""Difference of the first repeat from later ones that is doubted where it is beyond its interval [1]."""
+DRIFT = 0.02
+"""Change from the first to the last trial that is doubted where it is beyond its interval [1]."""
+LEAST = 0.05
+"""Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
+FEWEST = 3
+"""Fewest cells for a first-repeat effect and fewest trials beyond the number of cells for a drift."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number with its sentence."""
+
+    name: str
+    """Key of `NAMES`."""
+    value: float
+    """[SI]"""
+    quantity: str
+    level: str
+    """`note` or `doubt`."""
+    text: str
+
+
+NAMES = {
+    "repeat_spread": "standard deviation between repeats of an operating point, of their mean",
+    "first_repeat": "what the first repeat is above the later ones, of their mean",
+    "drift": "change from the first to the last trial, of the mean",
+    "held_out": "error of loads that were left out of the fit, of the largest load",
+    "other_direction": "what relaxation is missed by with K and F_ce of contraction, of the largest load",
+}
+"""Every check that a protocol can limit, and what it is."""
+
+
+def with_checks(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
+    """The analysis with the checks of its trials, and a finding for every check."""
+    known = checks_of(analysis)
+    own = trial_checks(analysis.kind, runs)
+    if not known and not own:
+        return analysis
+    every = (*known, *own)
+    return replace(
+        analysis,
+        findings=(*analysis.findings, *(Finding(check.level, check.text) for check in every)),
+        facts={**analysis.facts, "checks": [asdict(check) for check in every]},
+    )
+
+
+def checks_of(analysis: Analysis) -> tuple[Check, ...]:
+    """The checks in an analysis' facts, which may come from a file: what is none is left out."""
+    told = analysis.facts.get("checks")
+    found = []
+    for entry in told if isinstance(told, list | tuple) else ():
+        if isinstance(entry, Mapping) and set(entry) == set(Check.__dataclass_fields__):
+            value = entry["value"]
+            texts = [entry[name] for name in ("name", "quantity", "level", "text")]
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if number and all(isinstance(text, str) for text in texts) and entry["quantity"] in QUANTITIES:
+                found.append(Check(**entry))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """One value of each of n trials: arrays of shape (n,). `cell` numbers operating points, `t` orders trials [s]."""
+
+    what: str
+    cell: Array
+    repeat: Array
+    t: Array
+    value: Array
+
+    @property
+    def off(self) -> Array:
+        """Each value's relative distance from the mean of its operating point."""
+        return self.value / self._means - 1.0
+
+    @property
+    def _means(self) -> Array:
+        total, count = np.bincount(self.cell.astype(int), self.value), np.bincount(self.cell.astype(int))
+        return np.asarray((total / np.maximum(count, 1))[self.cell.astype(int)])
+
+    @property
+    def free(self) -> int:
+        """Degrees of freedom within operating points."""
+        return len(self.value) - len(np.unique(self.cell))
+
+
+def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
+    """Spread of repeats, first-repeat effect and drift over the run, of the kinds in `VALUES`."""
+    if kind not in VALUES:
+        return []
+    what, value_of = VALUES[kind]
+    rows: list[tuple[tuple[tuple[str, float], ...], int, float, float]] = []
+    begun = 0.0
+    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+        for trial in run.trials:
+            if trial.status != "finished" or trial.again or not len(trial.t):
+                continue
+            value = value_of(run, trial)
+            if value is not None and np.isfinite(value) and value > 0:
+                point = tuple(sorted((name, float(f"{at:.6g}")) for name, at in trial.point.items()))
+                rows.append((point, -1 if trial.reference else trial.repeat, begun + float(trial.t[0]), value))
+        begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
+    largest = max((row[3] for row in rows), default=0.0)
+    rows = [row for row in rows if row[3] > LEAST * largest]
+    if len(rows) < 2:
+        return []
+    numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
+    cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
+    repeats, times, values = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
+    told = Repeats(what, cell, repeats, times, values)
+    return [check for check in (spread(told), first_repeat(told), drift(told)) if check is not None]
+
+
+def spread(r: Repeats) -> Check | None:
+    """Pooled standard deviation of repeats, relative; None where nothing is repeated.
+
+    s = sqrt(sum (v / mean of its cell - 1)^2 / (trials - cells)).
+    """
+    if r.free < 1:
+        return None
+    s = sqrt(float(r.off @ r.off) / r.free)
+    text = f"repeats of an operating point scatter by {100 * s:.2g} % of the {r.what} ({r.free} degrees of freedom)"
+    return Check("repeat_spread", s, "ratio", "doubt" if s > SPREAD else "note", text)
+
+
+def first_repeat(r: Repeats) -> Check | None:
+    """Mean over operating points of first / mean of the later ones - 1, with Student's t; None with fewer than three.
+
+    Reference trials, which are far apart in time, are none.
+    """
+    apart = []
+    for number in np.unique(r.cell):
+        mine = (r.cell == number) & (r.repeat >= 0)
+        first, later = r.value[mine & (r.repeat == 0)], r.value[mine & (r.repeat > 0)]
+        if len(first) == 1 and len(later):
+            apart.append(float(first[0] / later.mean() - 1.0))
+    if len(apart) < FEWEST:
+        return None
+    mean = float(np.mean(apart))
+    half = float(student.ppf(0.975, len(apart) - 1)) * float(np.std(apart, ddof=1)) / sqrt(len(apart))
+    differs = abs(mean) > half
+    size = f"{100 * mean:+.2g} ± {100 * half:.2g} % of the {r.what} over {len(apart)} operating points"
+    if differs and abs(mean) > FIRST:
+        text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
+        return Check("first_repeat", mean, "ratio", "doubt", text)
+    told = "differs a little from" if differs else "is like the"
+    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {told} later ones: {size}")
+
+
+def drift(r: Repeats) -> Check | None:
+    """Straight line through the distances from the operating points' means over time, from first to last trial.
+
+    The slope is that of least squares within operating points (each has a mean of its own); None with too few repeats.
+    """
+    within = r.t - np.array([r.t[r.cell == number].mean() for number in r.cell])
+    lever = float(within @ within)
+    left = r.free - 1
+    length = float(r.t.max() - r.t.min())
+    if left < FEWEST or lever <= (0.05 * length) ** 2:
+        return None
+    slope = float(within @ r.off) / lever
+    residual = r.off - slope * within
+    half = float(student.ppf(0.975, left)) * sqrt(float(residual @ residual) / left / lever) * length
+    whole = slope * length
+    drifts = abs(whole) > half
+    size = f"{100 * whole:+.2g} ± {100 * half:.2g} % of the {r.what} from the first trial to the last"
+    told = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
+    level = "doubt" if drifts and abs(whole) > DRIFT else "note"
+    return Check("drift", whole, "ratio", level, f"{told}: {size}")
+
+
+def _stroke(run: RunData, trial: TrialData) -> float | None:
+    return stroke_of(trial)
+
+
+def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
+    """Mean of the pressures at which a load lifts and sets down [Pa]."""
+    told = [(trial.found.get(phase) or {}).get("pressure") for phase in ("lift", "set-down")]
+    known = [float(value) for value in told if isinstance(value, int | float)]
+    return sum(known) / 2 if len(known) == 2 else None
+
+
+def _sine(run: RunData, trial: TrialData) -> float | None:
+    """Stiffness of a sine [N/m]."""
+    from pmabench.analysis.sine_loop import NotUsable, measure
+
+    try:
+        settings: Mapping[str, Any] = run.plan.get("settings") or {}
+        return measure(run, trial, float(settings.get("discard", 1))).stiffness
+    except NotUsable:
+        return None
+
+
+VALUES: dict[str, tuple[str, Callable[[RunData, TrialData], float | None]]] = {
+    "contraction-relaxation": ("stroke", _stroke),
+    "static-load": ("pressure at which the load is lifted", _mean_pressure),
+    "sinusoidal-displacement": ("stiffness", _sine),
+}
+"""Kind of test -> the value of a trial that tells repeats apart, in words, and where it comes from; None: unusable."""

@@ -1,0 +1,131 @@
+"""The `accept` section of a protocol: which results a person wants to be sure of; knows no analysis.
+
+A limit is judged by `process`, which ends with exit code 6 where one is not kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+
+from pydantic import AfterValidator, Field
+
+from pmabench.base.quantities import show
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Ratio
+
+if TYPE_CHECKING:
+    from pmabench.protocol.common import Compilation
+
+Coefficient = Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"]
+CheckName = Literal["repeat_spread", "first_repeat", "drift", "held_out", "other_direction"]
+COEFFICIENTS, CHECKS = get_args(Coefficient), get_args(CheckName)
+OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
+"""Checks of every kind of test that has one value per trial."""
+OF_FIT = ("held_out", "other_direction")
+"""Checks of the fit to contraction and relaxation."""
+IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
+"""What a specimen file can expect."""
+
+
+def _wider_than_nothing(value: float) -> float:
+    if not value > 0:
+        raise ValueError(f'{show(value, "ratio")}: an interval is wider than nothing, for instance "5 %"')
+    return value
+
+
+def _above_nothing(value: float) -> float:
+    if not value > 0:
+        raise ValueError(f'{show(value, "ratio")}: a limit is above 0 %, for instance "5 %"')
+    return value
+
+
+Limit = Annotated[Ratio, AfterValidator(_above_nothing)]
+
+
+class Accept(Strict):
+    """Limits of one coefficient, of one check, or of R2."""
+
+    relative_interval: Annotated[Ratio, AfterValidator(_wider_than_nothing)] | None = None
+    """Widest 95 % interval of a coefficient, of its value."""
+    of_specimen: Limit | None = None
+    """How far a coefficient may be from what the specimen file expects, of that."""
+    at_most: Limit | None = None
+    """Largest size of a check."""
+    at_least: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Least R2 of a coefficient over pressure."""
+
+
+Acceptance = dict[Coefficient | CheckName | Literal["R2"], Accept]
+
+
+def measures_of(name: str) -> tuple[str, ...]:
+    """Which limits a name of the section can have."""
+    return (
+        ("relative_interval", "of_specimen")
+        if name in COEFFICIENTS
+        else ("at_least",)
+        if name == "R2"
+        else ("at_most",)
+    )
+
+
+def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...]) -> None:
+    """Note what cannot be judged: what the kind of test does not give, and limits that do not fit."""
+    kind = c.document.data.get("kind")
+    for name, limits in accept.items():
+        able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if checks else ()))
+        if not able:
+            c.fault(("accept", name), f'"{kind}" has no checks; it gives {", ".join(gives)}', key=True)
+            continue
+        if name not in able:
+            c.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(able)}', key=True)
+            continue
+        fitting = measures_of(name)
+        told = [measure for measure in Accept.model_fields if getattr(limits, measure) is not None]
+        if not told:
+            c.fault(("accept", name), f"says no limit; expected {' or '.join(fitting)}", key=True)
+        for measure in told:
+            if measure not in fitting:
+                c.fault(
+                    ("accept", name, measure), f"{name} has no {measure}; expected {' or '.join(fitting)}", key=True
+                )
+        if "of_specimen" in told and name in COEFFICIENTS:
+            _needs_expected(c, name)
+
+
+def _needs_expected(c: Compilation, name: str) -> None:
+    place: Location = ("accept", name, "of_specimen")
+    if name not in IN_EXPECTED:
+        c.fault(place, f"a specimen file does not tell {name}; it can tell {', '.join(IN_EXPECTED)}")
+    elif c.mounted.specimen_file.expected is None:
+        c.fault(place, 'the specimen file has no "expected" section to compare with')
+
+
+def for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
+    """The section as the plan holds it: widest relative intervals by coefficient, and all `limits`; empty for none."""
+    if not accept:
+        return {}
+    widest = {str(name): told.relative_interval for name, told in accept.items() if told.relative_interval is not None}
+    return {**widest, "limits": list(_limits(c, accept))}
+
+
+def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
+    """Every limit: `what`, `measure`, `limit`, its `place` in the protocol, and what is `expected`.
+
+    `expected` is a list of (pressure [Pa], value [SI]), or a single value without a pressure.
+    """
+    for name, told in accept.items():
+        for measure in Accept.model_fields:
+            limit = getattr(told, measure)
+            if limit is None:
+                continue
+            where = c.document.problem(("accept", name, measure), "", key=True)
+            place = f"{Path(where.path).name}:{where.line}" if where.line else Path(where.path).name
+            entry = {"what": name, "measure": measure, "limit": limit, "place": place}
+            expected = c.mounted.specimen_file.expected
+            if measure == "of_specimen" and expected is not None:
+                points = [(point.pressure, getattr(point, name)) for point in expected.points if name != "F_c"]
+                entry["expected"] = sorted(points) or expected.F_c
+            yield entry
