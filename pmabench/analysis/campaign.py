@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Dropped
-from pmabench.analysis.segments import Noise, Samples, noise_seen, samples_of
+from pmabench.analysis.segments import Noise, Samples, noise_seen, samples_of, steps_seen
 from pmabench.analysis.skew import apart
 from pmabench.store.records import RunData, TrialData
 
@@ -26,6 +26,8 @@ class Campaign:
     cell: bool
     """A load cell was recorded."""
     noise: Noise
+    steps: Noise
+    """The part of the noise that the steps of the channels' values make."""
 
     def name(self, number: int) -> str:
         """`run/number` of a trial."""
@@ -72,6 +74,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
             noise=noise_seen(samples, [_settled(trial) for _, trial in members], _every(runs)),
+            steps=steps_seen(samples, _every(runs)),
         ),
         dropped,
     )

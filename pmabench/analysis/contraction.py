@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis import contraction_steps, contraction_view, reference, replay, skew
+from pmabench.analysis import contraction_steps, contraction_view, drift, reference, replay, skew
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign, gather, strokes
 from pmabench.analysis.curves import curve
 from pmabench.analysis.intervals import Pooled, assess, replay_fits
-from pmabench.analysis.pooled import SYMBOLS, Fit, first_knots, fit
+from pmabench.analysis.pooled import SYMBOLS, Fit, first_knots, fit, rms_of
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.segments import Gate, Samples, Segments, cut, moved
 from pmabench.base.quantities import show
@@ -99,17 +99,19 @@ def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     segments = segments_of(campaign.samples)
     if len(segments) < 2 * FEWEST:
         return None
-    solved, expected = fit(segments, knots, campaign.noise)
+    solved, noise = fit(segments, knots, campaign.noise)
     work = replay.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
     again = replay.run(solved, work.P, work.dt, work.load, work.mass, work.x)
 
     def replayed(seed: int) -> Segments:
         return segments_of(replay.measured(work, again, campaign.noise, campaign.cell, seed))
 
-    replays = replay_fits(replayed, solved, expected, int(options.get("replays", REPLAYS)))
+    replays = replay_fits(replayed, solved, rms_of(noise), int(options.get("replays", REPLAYS)))
     skews = _skews(campaign, segments_of, knots, solved)
-    trust = assess(segments, solved, expected, campaign.cells, replays, Scales.of(campaign.runs), skews)
-    return Pooled(segments, solved, expected, trust)
+    drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, segments, solved, rms_of(noise))
+    scales = Scales.of(campaign.runs)
+    trust = assess(segments, solved, noise, campaign.cells, replays, scales, skews, campaign.steps, drifts)
+    return Pooled(segments, solved, noise, trust)
 
 
 def _skews(
@@ -171,7 +173,7 @@ def _open(estimate: Estimate, note: str) -> Estimate:
     """The estimate without its value, and why."""
     if estimate.value is None:
         return estimate
-    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, note=note)
+    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
 
 
 def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Estimate:
@@ -198,13 +200,14 @@ def _estimate(campaign: Campaign, pooled: Pooled, symbol: str, P: float) -> Esti
     combination = np.zeros(len(solved.theta))
     combination[solved.index(symbol, knot)] = 1.0
     value = float(combination @ solved.theta)
-    parts, bias = pooled.trust.parts(combination, NUMERICS * abs(value))
+    parts, bias, budget = pooled.trust.budget(combination, NUMERICS * abs(value))
     start = solved.index(symbol)
     size = float(np.median(np.abs(solved.theta[start : start + len(solved.knots)])))
     if (parts.repeats or 0.0) > contraction_view.WIDE * max(abs(value), size):
         note = f"not identifiable: the {moving} samples near this pressure leave it open"
         return Estimate(value=None, note=note, **base)
-    return _settled(campaign, Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, **base))
+    found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)
+    return _settled(campaign, found)
 
 
 def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:
@@ -228,8 +231,9 @@ def _friction(campaign: Campaign, pooled: Pooled) -> Estimate:
         return Estimate(value=None, note=note, **base)
     combination = np.zeros(len(pooled.fit.theta))
     combination[-1] = 1.0
-    parts, bias = pooled.trust.parts(combination)
-    return _settled(campaign, Estimate(value=pooled.fit.coulomb - bias, parts=parts, bias=bias, corrected=True, **base))
+    parts, bias, budget = pooled.trust.budget(combination)
+    value = pooled.fit.coulomb - bias
+    return _settled(campaign, Estimate(value=value, parts=parts, bias=bias, corrected=True, budget=budget, **base))
 
 
 def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:

@@ -2,43 +2,59 @@
 
 *Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
-once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off.
+once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: see
+`drift`. A `Source` each, which add up to the parts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales
-from pmabench.analysis.pooled import SYMBOLS, Fit, solve
-from pmabench.analysis.results import Parts
-from pmabench.analysis.segments import Segments
+from pmabench.analysis.drift import Cause
+from pmabench.analysis.pooled import SYMBOLS, Fit, expected_noise, rms_of, solve
+from pmabench.analysis.results import Parts, Source
+from pmabench.analysis.segments import Noise, Segments
 from pmabench.store.records import Array
 
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
+CHANNELS = ("pressure", "displacement", "force")
+NO_NOISE = Noise()
+SCATTER = "noise, and scatter between trials"
+UNTOLD = "the record tells no uncertainty"
+FEWEST_KNOTS = 3
+"""A fit on half as many knots has at least so many."""
 FEW = 10
 """With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """Interval parts of `Fit.theta`, half widths of 95 % intervals, and the bias to take off; shape (p,) each."""
+    """Interval parts of `theta` by source, half widths of 95 % intervals, and the bias to take off; shape (p,) each."""
 
     bias: Array
     covariance: Array
     """For the repeats part, shape (p, p)."""
+    steps: Mapping[str, Array]
+    """The part of it that the steps of a channel's values make, shape (p, p) each."""
     mean_error: Array
     """Half width of the mean bias of the replays."""
-    shifts: Array
-    """Change of theta by each cause of calibration error at its 95 % bound, shape (causes, p)."""
+    form: Array
+    """What straight lines between the knots leave of a bend."""
+    shifts: Mapping[str, Array]
+    """Change of theta by each cause of calibration error at its 95 % bound."""
+    untold: tuple[str, ...]
+    """Channels of whose calibration the record tells nothing."""
     skews: Array
     """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
+    drifts: tuple[Cause, ...]
     excess: Mapping[str, float]
     """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
     within: bool
@@ -46,12 +62,49 @@ class Trust:
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
-        repeats = NORMAL * float(np.sqrt(max(0.0, float(combination @ self.covariance @ combination))))
+        parts, bias, _ = self.budget(combination, extra_method)
+        return parts, bias
+
+    def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
+        """The same, and every source behind them, largest first."""
+        variance = max(0.0, float(combination @ self.covariance @ combination))
+        steps = {name: float(combination @ part @ combination) for name, part in self.steps.items()}
+        unsure = float(np.linalg.norm(combination * self.mean_error))
+        shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
+        shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
         bias = float(combination @ self.bias)
-        calibration = float(np.sqrt(np.sum((self.shifts @ combination) ** 2))) if len(self.shifts) else None
-        method = float(np.sqrt(bias**2 + np.sum((combination * self.mean_error) ** 2) + extra_method**2))
-        skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
-        return Parts(repeats=repeats, method=method, calibration=calibration, skew=skew), bias
+        found = [
+            Source(SCATTER, "repeats", "A", NORMAL * sqrt(max(0.0, variance - shrink * sum(steps.values())))),
+            *(Source(f"steps of {name}", "repeats", "B", NORMAL * sqrt(shrink * v)) for name, v in steps.items()),
+            Source("bias of the fit, taken off", "method", "B", abs(bias)),
+            Source("how few replays tell the bias", "method", "A", unsure),
+            Source("straight lines between pressures", "method", "B", abs(float(combination @ self.form))),
+            *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
+            *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
+            *(Source(f"calibration of {n}", "calibration", "B", None, UNTOLD) for n in self.untold),
+            *(_drift(cause, combination) for cause in self.drifts),
+            Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
+        ]  # fmt: skip
+        if len(self.skews):
+            skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
+            found.append(Source("time between the streams", "skew", "B", skew))
+        found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
+        return parts_of(found), bias, tuple(found)
+
+
+def _drift(cause: Cause, combination: Array) -> Source:
+    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination)))
+    return Source(cause.name, "drift", "B", half, cause.note)
+
+
+def parts_of(sources: Sequence[Source]) -> Parts:
+    """The parts that a budget adds up to."""
+
+    def of(part: str) -> float | None:
+        halves = [s.half for s in sources if s.part == part and s.half is not None]
+        return sqrt(sum(half * half for half in halves)) if halves else None
+
+    return Parts(of("repeats"), of("method"), of("calibration"), of("skew") or 0.0, of("drift") or 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,42 +113,53 @@ class Pooled:
 
     segments: Segments
     fit: Fit
-    expected: float
-    """Noise of a segment [N] that the channels explain."""
+    noise: Array
+    """Of each segment [N], that the channels explain; shape (n,)."""
     trust: Trust
+
+    @property
+    def expected(self) -> float:
+        """Root mean square of the residual that the noise of the channels explains [N]."""
+        return rms_of(self.noise)
 
 
 def assess(
     segments: Segments,
     fit: Fit,
-    expected: float,
+    noise: Array,
     cells: NDArray[np.intp],
     replays: Sequence[Array],
     scales: Scales,
     skews: Array,
+    steps: Noise = NO_NOISE,
+    drifts: tuple[Cause, ...] = (),
 ) -> Trust:
     """All parts for a fit.
 
     Parameters
     ----------
-    expected
-        Noise of a segment [N] that the channels explain.
+    noise
+        Standard deviation of each segment [N] that the channels explain, shape (n,).
     cells
         Cell number of each trial number in `segments.trial`.
     replays
         `Fit.theta` of fits to replays of `fit`.
     scales
         How well the channels are known.
-    skews
+    skews, drifts
         As in `Trust`.
+    steps
+        The part of the channels' noise that the steps of their values make.
     """
     bias, spread = _replayed(fit, replays)
-    noise = max(fit.rms, expected)
-    covariance = noise**2 * fit.inverse
+    expected = rms_of(noise)
+    channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
+    more = max(1.0, fit.rms / expected)
+    covariance = more**2 * _covariance(fit, noise)
     analytic = np.diag(covariance)
     seen = analytic
-    if expected > 0 and len(replays) > 1:
-        seen = 0.5 * (analytic + (noise / expected * spread) ** 2)
+    if len(replays) > 1:
+        seen = 0.5 * (analytic + (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, cells)
     stretch = student.ppf(0.975, freedom) / NORMAL
     ratio = between / np.maximum(seen, 1e-300)
@@ -106,12 +170,48 @@ def assess(
     return Trust(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
+        steps={
+            name: fit.inverse
+            @ _scores(fit, expected_noise(segments, fit, replace(NO_NOISE, **{name: size})))
+            @ fit.inverse
+            for name, size in vars(steps).items()
+            if size > 0
+        },
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
+        form=_form(segments, fit, expected),
         shifts=_calibration(segments, fit, expected, scales),
+        untold=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
         skews=skews,
+        drifts=drifts,
         excess=excess,
         within=within,
     )
+
+
+def _covariance(fit: Fit, noise: Array) -> Array:
+    """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
+    even = rms_of(noise) ** 2
+    uneven = _scores(fit, noise) - even * (fit.design.T @ fit.design)
+    return even * fit.inverse + fit.inverse @ uneven @ fit.inverse
+
+
+def _scores(fit: Fit, noise: Array) -> Array:
+    """A' diag(noise^2) A, shape (p, p)."""
+    return np.asarray((fit.design * noise[:, None] ** 2).T @ fit.design)
+
+
+def _form(segments: Segments, fit: Fit, expected: float) -> Array:
+    """What polygons on the knots leave of a bend: a third of what every other knot less changes (Richardson).
+
+    The error of straight lines through a smooth curve goes with the square of their length.
+    """
+    k = len(fit.knots)
+    if k < 2 * FEWEST_KNOTS:
+        return np.zeros(len(fit.theta))
+    kept = np.unique(np.append(np.arange(0, k, 2), k - 1))
+    coarse = solve(segments, fit.knots[kept], expected)
+    values = [coarse.values(symbol, fit.knots) for symbol in SYMBOLS]
+    return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - fit.theta) / 3.0)
 
 
 def _replayed(fit: Fit, replays: Sequence[Array]) -> tuple[Array, Array]:
@@ -162,15 +262,16 @@ def _pooled(fit: Fit, symbol: str, ratio: Array, segments: Segments) -> float:
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> Array:
+def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> dict[str, Array]:
     """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty."""
-    shifts = []
-    for channel in ("pressure", "displacement", "force"):
-        for gain, offset in ((0.0, scales.offsets.get(channel, 0.0)), (scales.gains.get(channel, 0.0), 0.0)):
-            if gain or offset:
-                again = solve(segments.shifted(channel, gain, offset), fit.knots, expected)
-                shifts.append(again.theta - fit.theta)
-    return np.array(shifts).reshape(len(shifts), len(fit.theta))
+    shifts = {}
+    for channel in CHANNELS:
+        offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
+        for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
+            if any(by):
+                again = solve(segments.shifted(channel, *by), fit.knots, expected)
+                shifts[f"{channel}, {name}"] = again.theta - fit.theta
+    return shifts
 
 
 def replay_fits(replay: Callable[[int], Segments], fit: Fit, expected: float, count: int) -> list[Array]:

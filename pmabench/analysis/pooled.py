@@ -140,8 +140,8 @@ def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> A
     return np.vstack(rows)
 
 
-def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> float:
-    """What the residual of a segment would be from the noise of the channels alone [N], as root mean square.
+def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> Array:
+    """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,).
 
     Force noise, or displacement noise in M x'' where no cell measures; pressure noise times the slope of F_ce - K x;
     displacement noise in the velocity times B.
@@ -158,7 +158,7 @@ def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> float:
     speed = per_window * np.sqrt(2 * min(n, window)) / n
     inertia = segments.mass * per_window * 2 / ((n + 1) * segments.dt)
     load = np.where(segments.mass > 0, inertia**2, noise.force**2 * share)
-    return float(np.sqrt(np.mean(load + (slope * noise.pressure) ** 2 * share + (damping * speed) ** 2)))
+    return np.asarray(np.sqrt(load + (slope * noise.pressure) ** 2 * share + (damping * speed) ** 2))
 
 
 def first_knots(tested: Array, commanded: Array) -> Array:
@@ -180,8 +180,8 @@ def first_knots(tested: Array, commanded: Array) -> Array:
     return np.unique(np.concatenate((chosen, 0.5 * (np.array(chosen[1:]) + np.array(chosen[:-1])))))
 
 
-def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
-    """The pooled fit and the noise [N] that a segment should have, with knots added where the residual asks for them.
+def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
+    """The pooled fit with knots added where the residual asks for them, and the noise of each segment [N], shape (n,).
 
     A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
     the sum of squares is least, is kept if that falls by more than `GAIN`, and by far more than by chance.
@@ -189,7 +189,7 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
     floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
     solved = solve(segments, knots, floor)
     for _ in range(MOST_KNOTS):
-        expected = max(floor, expected_noise(segments, solved, noise))
+        expected = rms_of(np.maximum(floor, expected_noise(segments, solved, noise)))
         stretch = _worst_stretch(segments, solved, expected)
         if stretch is None:
             break
@@ -198,8 +198,13 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, float]:
         if finer.residual @ finer.residual > (1 - gain) * (solved.residual @ solved.residual):
             break
         solved = finer
-    expected = max(floor, expected_noise(segments, solved, noise))
-    return solve(segments, solved.knots, expected), expected
+    each = np.maximum(floor, expected_noise(segments, solved, noise))
+    return solve(segments, solved.knots, rms_of(each)), each
+
+
+def rms_of(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:

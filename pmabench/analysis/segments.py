@@ -240,6 +240,17 @@ def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapp
     return Noise(typical("P"), typical("x"), typical("force"))
 
 
+def steps_seen(stretches: Sequence[Samples], every: Mapping[str, int] | None = None) -> Noise:
+    """The part of `noise_seen` that the steps of each channel's values alone make: width over the root of 12."""
+
+    def typical(name: str) -> float:
+        columns = [(getattr(samples, name), samples.ok) for samples in stretches]
+        widths = [_step(column[ok]) for column, ok in columns if column is not None and ok.any()]
+        return float(np.sqrt((every or {}).get(name, 1)) * np.median(widths) / np.sqrt(12.0)) if widths else 0.0
+
+    return Noise(typical("P"), typical("x"), typical("force"))
+
+
 def _step(column: Array) -> float:
     """Smallest step between values: that of a coarse converter, next to nothing where noise fills it.
 

@@ -79,7 +79,7 @@ def settled(estimate: Estimate, between: str, skew: float) -> Estimate:
     worth = f"worth {part / abs(value):.0%} of it" if value else "worth more than it"
     note = f"{REFUSED}: {between} may be {milliseconds(skew)} apart, {worth}"
     note = sentences(note, estimate.note)
-    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, note=note)
+    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
 
 
 def findings(
