@@ -143,15 +143,16 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     good = trial.usable & np.isfinite(x) & np.isfinite(P)
     if float(np.mean(~good)) > UNUSABLE_SHARE:
         raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged or missing")
-    ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp" and c.phase != "vent"]
-    t, end = trial.t, float(trial.t[-1])
-    moved = [c for c in ramps if t[0] - 1e-9 <= c.t <= end]
+    ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
+    t = trial.t
+    end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
+    moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
     begin = moved[0].t if moved else end
     there = max(
         (c.t + abs(c.value - c.before) / c.data["rate"] for c in moved if c.data.get("rate", 0.0) > 0), default=t[0]
     )
     first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
-    last = good & (t >= end - LAST * (end - there))
+    last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
         raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
     held = np.flatnonzero(last)

@@ -109,7 +109,10 @@ class FreeContraction(ProtocolHead):
 
 
 def _steps(of: FreeTrial, pressure: float, top: float | None, index: int) -> list[Step]:
-    """One trial; `top` [Pa] is where it comes from when it comes from above."""
+    """One trial; `top` [Pa] is where it comes from when it comes from above.
+
+    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    """
     first = pressure if top is None else top
     fill = [Ramp("fill", "pressure", 0.0, first, of.rate)] if first > NOTHING else []
     fall = [Hold("top", of.rest), Ramp("empty", "pressure", first, pressure, of.rate)]
@@ -120,6 +123,6 @@ def _steps(of: FreeTrial, pressure: float, top: float | None, index: int) -> lis
         *fill,
         *(fall if first - pressure > NOTHING else []),
         Hold("hold", of.hold),
-        Record("hold", False, index),
         *back,
+        Record("vent", False, index),
     ]
