@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -15,11 +16,33 @@ if TYPE_CHECKING:
 
 @click.command(name="import")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
-@click.option("--map", "map_name", required=True, help="Map file, or the name of a shipped one.")
+@click.option("--map", "map_name", help="Map file, or the name of a shipped one.")
+@click.option("--guess", "guessing", is_flag=True, help="Propose a map with its reasons, and import nothing.")
+@click.option(
+    "--span",
+    multiple=True,
+    metavar="CHANNEL=LOW..HIGH",
+    help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
+)
+@click.option("-o", "output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @common
-def command(ui: Ui, files: tuple[Path, ...], map_name: str, out: Path) -> int | None:
+def command(
+    ui: Ui,
+    files: tuple[Path, ...],
+    map_name: str | None,
+    guessing: bool,
+    span: tuple[str, ...],
+    output: Path | None,
+    out: Path,
+) -> int | None:
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
+    if guessing == (map_name is not None) or (not guessing and (span or output)):
+        raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
+    if guessing or map_name is None:
+        from pmabench.cli.guess import guess
+
+        return guess(ui, files, span, output)
     from pmabench.files.shipped import find_file
     from pmabench.store.importers.importing import import_files
 

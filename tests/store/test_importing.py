@@ -206,7 +206,7 @@ def test_mutated_logs_are_prepared_or_refused(tmp_path_factory, data):
         content[at:until] = data.draw(st.text(alphabet="0123456789.,-e\n", max_size=8)).encode()
     (folder / "step_data.dat").write_bytes(bytes(content))
     try:
-        prepared = importing._prepare(folder / "step_data.dat", read_map(OLD / "step.yaml"))
+        prepared = importing.prepare(folder / "step_data.dat", read_map(OLD / "step.yaml"))
     except InvalidFile as refused:
         assert refused.problems
     else:

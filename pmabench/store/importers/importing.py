@@ -92,7 +92,7 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
     hashes: list[str] = []
     for path in files:
         try:
-            prepared = _prepare(path, rules)
+            prepared = prepare(path, rules)
         except InvalidFile as error:
             problems.extend(error.problems)
             continue
@@ -111,7 +111,7 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
     existed = out.exists()
     try:
         for path, digest, siblings in zip(files, hashes, among, strict=True):
-            prepared = _prepare(path, rules)
+            prepared = prepare(path, rules)
             if prepared.table.sha256 != digest:
                 raise invalid(path, "was changed while it was read")
             made.append(_write(prepared, rules, siblings, out))
@@ -125,7 +125,7 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
     return made
 
 
-def _prepare(path: Path, rules: ImportMap) -> _Prepared:
+def prepare(path: Path, rules: ImportMap) -> _Prepared:
     """Read, scale and check one file."""
     wanted = [column.column for column in rules.columns if not column.optional]
     optional = [column.column for column in rules.columns if column.optional]

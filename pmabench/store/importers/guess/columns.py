@@ -1,0 +1,300 @@
+"""Which column is time, pressure, force, displacement, command: by its name, its unit and the shape of its numbers.
+
+Pure functions of names and arrays; must not know files. Every choice carries its reasons, and doubts where it is weak.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pmabench.store.importers.units import QUANTITY, spelled
+from pmabench.store.records import Array
+
+WORDS = {
+    "time": {"t", "time", "zeit", "elapsed", "timestamp", "seconds", "sec", "tijd", "temps", "x_value"},
+    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"},
+    "force": {
+        "f",
+        "force",
+        "load",
+        "kraft",
+        "lc",
+        "loadcell",
+        "tension",
+        "weight",
+        "cell",
+        "fuerza",
+        "forca",
+    },
+    "displacement": {
+        *("x", "pos", "position", "disp", "displacement", "dist", "distance", "length", "len", "stroke", "weg", "lvdt"),
+        *("pot", "z", "contraction", "extension", "elongation", "encoder", "laser"),
+    },
+    "command": {
+        *("cmd", "command", "set", "setpoint", "sp", "ref", "reference", "desired", "target", "soll", "out", "output"),
+        *("demand", "commanded", "des", "vpr", "u"),
+    },
+    "supply": {"supply", "comp", "compressor", "tank", "reservoir", "source", "inlet", "line"},
+    "phase": {"phase", "state", "step", "stage", "branch"},
+    "other": {
+        "volt",
+        "volts",
+        "temp",
+        "temperature",
+        "temperatura",
+        "flow",
+        "volume",
+        "humidity",
+        "sys",
+        "index",
+        "count",
+    },
+}
+OF_ROLE = {
+    "pressure_command": "pressure",
+    "displacement_command": "length",
+    "supply": "pressure",
+    "displacement": "length",
+}
+
+
+@dataclass
+class Proposal:
+    """What one column seems to be."""
+
+    name: str
+    values: Array
+    role: str = "ignore"
+    unit: str = ""
+    """As pmabench spells it; empty where it is not known."""
+    reasons: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> Array:
+        """Values without those that are none."""
+        return self.values[np.isfinite(self.values)]
+
+
+def unit_in(name: str) -> str:
+    """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
+    inside = re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name)
+    for text in reversed(inside):
+        if spelled(text):
+            return spelled(text)
+    last = re.split(r"[_/,.\s]+", name.strip())
+    if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
+        return spelled(last[-1])
+    return ""
+
+
+def words(name: str) -> set[str]:
+    """The words of a name in lower case, without brackets and digits."""
+    plain = re.sub(r"[\[({][^\])}]*[\])}]", " ", name.rsplit("/", 1)[-1])
+    plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
+    plain = plain.translate(str.maketrans("ãáàâéêíóõúçÃÁÉÍÓÚÇ", "aaaaeeiooucaaeiouc"))
+    found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
+    return found | {"_".join(re.split(r"[\s_]+", plain.strip().lower()))}
+
+
+def choose(proposals: Sequence[Proposal]) -> None:
+    """Give every column its role; at most one of each."""
+    for proposal in proposals:
+        _by_name(proposal)
+    _time(proposals)
+    _one_each(proposals)
+    _by_shape(proposals)
+    _unknown(proposals)
+
+
+def _unknown(proposals: Sequence[Proposal]) -> None:
+    """Columns that go with the pressure and were not recognised are worth a look."""
+    pressure = next((p for p in proposals if p.role == "pressure"), None)
+    for proposal in proposals:
+        if (
+            proposal.role != "ignore"
+            or pressure is None
+            or proposal.reasons
+            or len(pressure.values) != len(proposal.values)
+        ):
+            continue
+        together = _together(proposal.values, pressure.values)
+        if abs(together) > 0.8:
+            proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
+        else:
+            proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
+
+
+def _by_name(proposal: Proposal) -> None:
+    own = words(proposal.name)
+    quantity = QUANTITY.get(proposal.unit, "")
+    hits = {role for role, known in WORDS.items() if own & known}
+    told = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
+    role = "ignore"
+    if quantity == "time" or (hits == {"time"} and quantity == ""):
+        role = "time"
+    elif "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}:
+        proposal.reasons.append(f"{told}: none of the channels of a muscle's test")
+        return
+    elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):
+        role = "supply" if "supply" in hits else "pressure_command" if "command" in hits else "pressure"
+    elif quantity == "length" or (quantity in {"", "reading"} and hits & {"displacement"} and not hits & {"force"}):
+        role = "displacement_command" if "command" in hits else "displacement"
+    elif quantity == "force" or ("force" in hits and quantity in {"", "reading", "mass"}):
+        role = "force"
+    elif "command" in hits and quantity in {"", "reading"}:
+        role = "pressure_command"
+    elif "phase" in hits and quantity == "":
+        role = "phase"
+    proposal.role = role
+    if role != "ignore":
+        proposal.reasons.append(told)
+
+
+def _time(proposals: Sequence[Proposal]) -> None:
+    """The column that rises: a named one where it does, else any."""
+
+    def rises(values: Array) -> bool:
+        if len(values) < 2 or not np.isfinite(values).all() or np.ptp(values) == 0:
+            return False
+        return float(np.mean(np.diff(values) >= 0)) > 0.99
+
+    named = [p for p in proposals if p.role == "time"]
+    good = [p for p in named if rises(p.values)]
+    for proposal in named:
+        if proposal not in good:
+            proposal.role = "ignore"
+            proposal.doubts.append("is named or measured like a time, but does not rise")
+    if not good:
+        good = [
+            p for p in proposals if p.role == "ignore" and p.unit == "" and rises(p.values) and len(set(p.values)) > 9
+        ]
+        if good:
+            good = good[:1]
+            good[0].role = "time"
+            good[0].reasons.append("the only column that rises from the first row to the last")
+    for proposal in good[1:]:
+        proposal.role = "ignore"
+        proposal.reasons.append(f'a second time; "{good[0].name[:40]}" is taken')
+    if good and not good[0].unit:
+        _time_unit(good[0])
+
+
+def _time_unit(time: Proposal) -> None:
+    steps = np.diff(time.values)
+    step = float(np.median(steps[steps > 0]))
+    for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if 2e4 >= 1.0 / (step * factor) >= 2.0:
+            time.unit = unit
+            time.reasons.append(
+                f"steps of {step:.4g}: in {unit} these are {1.0 / (step * factor):.4g} samples a second"
+            )
+            return
+    time.unit = "s"
+    time.doubts.append(f"steps of {step:.4g}: the unit of time is not told; s is taken")
+
+
+def _one_each(proposals: Sequence[Proposal]) -> None:
+    """Of several that claim one role the one that moves most, told, keeps it."""
+    for role in ("pressure", "force", "displacement", "pressure_command", "displacement_command", "supply", "phase"):
+        same = [p for p in proposals if p.role == role]
+        if len(same) < 2:
+            continue
+        best = max(same, key=lambda p: (len(words(p.name) & WORDS.get(role, set())), bool(p.unit), _moves(p.good)))
+        for proposal in same:
+            if proposal is not best:
+                proposal.role = "ignore"
+                proposal.doubts.append(f'may be {role.replace("_", " ")} too; "{best.name[:40]}" is taken')
+        best.doubts.append(f"{len(same)} columns look like {role.replace('_', ' ')}; this one was taken")
+    pressure = [p for p in proposals if p.role == "pressure"]
+    spare = [p for p in proposals if p.role in {"supply", "pressure_command"}]
+    if not pressure and spare:
+        spare[0].doubts.append(f"no measured pressure was found; is it this {spare[0].role.replace('_', ' ')}?")
+
+
+def _moves(values: Array) -> float:
+    """How far a channel moves, against the scatter from sample to sample."""
+    if len(values) < 3:
+        return 0.0
+    scatter = float(np.median(np.abs(np.diff(values)))) or 1e-12
+    return float(np.ptp(np.quantile(values, [0.01, 0.99]))) / scatter
+
+
+def _by_shape(proposals: Sequence[Proposal]) -> None:
+    """Columns without names: phases are few whole numbers in order; of the others pressure and force are told apart."""
+    bare = [p for p in proposals if p.role == "ignore" and p.name.startswith("column ") and not p.unit and len(p.good)]
+    for proposal in list(bare):
+        marks = np.unique(proposal.good)
+        if len(marks) <= 6 and np.array_equal(marks, np.round(marks)) and bool(np.all(np.diff(proposal.good) >= 0)):
+            bare.remove(proposal)
+            if len(marks) > 1:
+                proposal.role = "phase"
+                proposal.reasons.append(f"few whole numbers in order, {', '.join(f'{m:g}' for m in marks)}: phases")
+    taken = {p.role for p in proposals}
+    if "pressure" in taken or not bare:
+        return
+    order = sorted(bare, key=lambda p: _like_pressure(p.good), reverse=True)
+    pressure, others = order[0], order[1:]
+    scale = _pressure_unit(pressure.good)
+    if scale is None:
+        return
+    pressure.role, pressure.unit = "pressure", scale
+    top = float(np.quantile(pressure.good, 0.99))
+    pressure.reasons.append(f"never far below zero, {top:.4g} at most: like a pressure in {scale}")
+    if others and "force" not in taken:
+        force = max(others, key=lambda p: abs(_together(p.values, pressure.values)))
+        together = _together(force.values, pressure.values)
+        if abs(together) > 0.5:
+            force.role, force.unit = "force", "N"
+            force.reasons.append(f"goes with the pressure (correlation {together:.2f}), flat where the pressure is low")
+            force.doubts.append("that it is a force in N is a guess: no name tells it")
+            pressure.doubts.append(
+                "told from the other column by its numbers only: look whether it is not the other way round"
+            )
+    for proposal in (pressure, *(p for p in others if p.role == "force")):
+        step = lattice(proposal.good)
+        if step:
+            proposal.doubts.append(
+                f"stands in steps of {step:.4g}: counts were turned into it; where you know the line say it with "
+                '"recorded_with"'
+            )
+
+
+def _together(a: Array, b: Array) -> float:
+    good = np.isfinite(a) & np.isfinite(b)
+    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
+        return 0.0
+    return float(np.corrcoef(a[good], b[good])[0, 1])
+
+
+def _pressure_unit(values: Array) -> str | None:
+    top = float(np.quantile(values, 0.99))
+    for unit, low, high in (("bar", 0.8, 12.0), ("kPa", 50.0, 1200.0), ("Pa", 5e4, 1.2e6), ("MPa", 0.05, 0.8)):
+        if low <= top <= high:
+            return unit
+    return None
+
+
+def _like_pressure(values: Array) -> float:
+    """The higher the more like a gauge pressure: of its size, never below zero, rarely at rest at its lower end."""
+    low, top = (float(v) for v in np.quantile(values, [0.002, 0.998]))
+    span = (top - low) or 1.0
+    size = 1.0 if _pressure_unit(values) else 0.0
+    below = min(1.0, max(0.0, -low / span) * 20)
+    rest = float(np.mean(values < low + 0.1 * span))
+    return size - below - rest
+
+
+def lattice(values: Array) -> float:
+    """The step in which values stand, where they are those of a converter; 0 where they are not."""
+    marks = np.unique(np.round(values, 9))
+    if not 20 < len(marks) < len(values) / 4:
+        return 0.0
+    gaps = np.diff(marks)
+    step = float(np.median(gaps))
+    near = np.abs(gaps / step - np.round(gaps / step))
+    return step if float(np.mean(near < 0.2)) > 0.95 and float(gaps.min()) > 1e-6 * step else 0.0

@@ -1,0 +1,310 @@
+"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile, PmaError, invalid
+from pmabench.files.shipped import shipped_folder
+from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
+from pmabench.store.importers.guess.layout import TextGuess, guess_layout
+from pmabench.store.importers.map_file import BinaryLayout, TextLayout
+from pmabench.store.importers.map_rules import ImportMap, read_map
+from pmabench.store.importers.table import content_of, read_table
+from pmabench.store.importers.units import spelled
+from pmabench.store.records import Array
+
+FILES = 20
+"""Files of one guess that are looked at; the columns are told by the first."""
+MAGIC = (
+    (b"LabVIEW Measurement", "lvm"),
+    (b"\xef\xbb\xbfLabVIEW Measurement", "lvm"),
+    (b"TDSm", "tdms"),
+    (b"MATLAB ", "mat"),
+)
+LONG_PAUSE = 2.0
+"""Seconds; a log that pauses so long several times was switched off between its parts."""
+
+
+@dataclass
+class Guess:
+    """What was found; `columns` in the order of the file."""
+
+    files: list[Path]
+    layout: TextLayout | BinaryLayout
+    columns: list[Proposal]
+    optional: list[str]
+    """Names of columns that some of the files lack."""
+    left_out: list[str]
+    kind: str = "isometric"
+    trials: dict[str, str] = field(default_factory=dict)
+    """Lines of `trials`, as text."""
+    forms: list[str] = field(default_factory=list)
+    form_of: str = "file"
+    form_units: dict[str, str] = field(default_factory=dict)
+    form_comma: bool = False
+    rate: tuple[float, float] = (1.0, 1000.0)
+    gap: float = 1.0
+    reasons: dict[str, list[str]] = field(default_factory=dict)
+    """`file`, `sampling`, `trials`, `name_tells` -> why."""
+    doubts: list[str] = field(default_factory=list)
+    known: str = ""
+    """Name of a shipped map that takes these files as they are."""
+    seconds: Array | None = None
+    """Time of each row [s], where a time was found."""
+
+    def role(self, role: str) -> Proposal | None:
+        """The column with a role, where there is one."""
+        return next((column for column in self.columns if column.role == role), None)
+
+
+def guess_files(files: Sequence[Path]) -> Guess:
+    """Look at up to 20 files of one layout; raises InvalidFile where they cannot be read or are not alike."""
+    if not files:
+        raise invalid("files", "give at least one file")
+    first = _look(files[0])
+    guess = first
+    for path in files[1:FILES]:
+        _alike(guess, path)
+    guess.files = list(files)
+    _sampling(guess)
+    _kind(guess)
+    _names(guess)
+    guess.known = _known(files[0])
+    for role in ("time", "pressure"):
+        if guess.role(role) is None:
+            guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
+    return guess
+
+
+def _look(path: Path) -> Guess:
+    content = content_of(path)
+    kind = next((kind for magic, kind in MAGIC if content.startswith(magic)), "text")
+    if kind == "text":
+        return _look_at_text(path, guess_layout(str(path), content))
+    layout = BinaryLayout.model_validate({"format": kind})
+    table = read_table(path, layout, None)
+    groups: dict[tuple[str, int], list[str]] = {}
+    for name, values in table.columns.items():
+        groups.setdefault((name.rpartition("/")[0] if kind == "tdms" else "", len(values)), []).append(name)
+    if not groups:
+        raise invalid(path, "holds no columns of numbers")
+    group = max(groups, key=lambda key: (len(groups[key]) * key[1], key))
+    others = [name for key, names in groups.items() if key != group for name in names]
+    names = {"lvm": "LabVIEW measurement", "tdms": "TDMS", "mat": "MATLAB"}
+    reasons = [f"{names[kind]}, by its first bytes; {len(groups[group])} columns of {group[1]} samples each"]
+    if others:
+        reasons.append(f"columns of other lengths or groups are left out: {', '.join(others)[:200]}")
+    columns = [
+        Proposal(name, table.columns[name], unit=spelled(table.units.get(name, "")) or unit_in(name))
+        for name in groups[group]
+    ]
+    for column in columns:
+        if spelled(table.units.get(column.name, "")):
+            column.reasons.append(f"the file says its unit, {column.unit}")
+    choose(columns)
+    guess = Guess([path], layout, columns, [], [*others, *table.left_out], reasons={"file": reasons})
+    if guess.role("time") is None:
+        guess.doubts.append('nothing in the file tells the time: say "period" if the samples are evenly apart')
+    return guess
+
+
+def _look_at_text(path: Path, told: TextGuess) -> Guess:
+    numbers = [name for name in told.names if name not in told.texts]
+    table = read_table(path, told.layout, numbers, (), told.texts)
+    columns = [Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name)) for name in numbers]
+    choose(columns)
+    words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in told.texts]
+    every = {column.name: column for column in [*columns, *words]}
+    guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons={"file": told.reasons})
+    if not told.named:
+        _call_by_role(guess)
+    return guess
+
+
+def _call_by_role(guess: Guess) -> None:
+    """Columns without names are called by what they are."""
+    for column in guess.columns:
+        if column.role != "ignore":
+            column.name = column.role
+    if isinstance(guess.layout, TextLayout):
+        guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
+
+
+def _alike(guess: Guess, path: Path) -> None:
+    """Another file of the same layout: a column at the end that not all files have is optional."""
+    other = _look(path)
+    same = type(other.layout) is type(guess.layout)
+    if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
+        keys = ("delimiter", "decimal", "encoding", "header", "skip_lines", "comment")
+        same = all(getattr(guess.layout, key) == getattr(other.layout, key) for key in keys)
+        blank = "skip" if "skip" in {guess.layout.blank_lines, other.layout.blank_lines} else "refuse"
+        missing = sorted({*guess.layout.missing, *other.layout.missing})
+        guess.layout = guess.layout.model_copy(update={"blank_lines": blank, "missing": missing})
+        if same and guess.layout.header == "none":
+            longer = guess if len(guess.columns) >= len(other.columns) else other
+            shorter = other if longer is guess else guess
+            extra = [column.name for column in longer.columns[len(shorter.columns) :]]
+            guess.optional = sorted({*guess.optional, *extra})
+            if longer is other:
+                roles = [column.role for column in guess.columns]
+                guess.columns += [column for column in other.columns[len(roles) :] if column.role not in roles]
+                guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
+            return
+    names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
+    if not same or names != others:
+        told = ", ".join(sorted(names ^ others)[:4])
+        raise invalid(
+            path, f"is laid out otherwise than {guess.files[0]}{f' ({told})' if told else ''}: guess them apart"
+        )
+
+
+def _sampling(guess: Guess) -> None:
+    time = guess.role("time")
+    if time is None:
+        return
+    guess.seconds = time.values * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}.get(time.unit, 1.0)
+    steps = np.diff(guess.seconds)
+    forward = steps[steps > 0]
+    if not len(forward):
+        return
+    usual = float(np.median(forward))
+    guess.rate = (0.7 / usual, 1.4 / usual)
+    early, late = (float(step) for step in np.quantile(steps[steps >= 0], [0.05, 0.95]))
+    even = late < 1.01 * usual and early > 0.99 * usual
+    guess.gap = (1.5 if even else 4.0) * usual
+    wide = float(np.quantile(forward, 0.995))
+    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0)
+    how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
+    told = [f"median {1 / usual:.4g} samples a second, {how}"]
+    if (steps < 0).any():
+        told.append(f"the time jumps back {int((steps < 0).sum())} times: it is flagged, not mended")
+    if (steps > guess.gap).any():
+        told.append(f"{int((steps > guess.gap).sum())} gaps, the longest {steps.max():.3g} s")
+    guess.reasons["sampling"] = told
+
+
+def _kind(guess: Guess) -> None:
+    """Which reduction fits, and how the file parts into trials."""
+    told = guess.reasons.setdefault("trials", [])
+    command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
+    pauses = np.diff(t)[np.diff(t) > LONG_PAUSE] if t is not None else np.empty(0)
+    if displacement is not None and len(pauses) >= 2 and guess.role("force") is not None:
+        guess.kind, guess.trials = "recorded-pull", {"by": "gap", "longer_than": f"{0.6 * pauses.min():.2g} s"}
+        told.append(
+            f"the log pauses {len(pauses)} times for {pauses.min():.2g} s and longer: parts at set contractions"
+        )
+        return
+    sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
+    if displacement is None:
+        guess.kind, guess.trials = "isometric", {"by": "file"}
+        told.append("no displacement: force over pressure at one contraction in each file")
+    elif sine:
+        guess.kind, guess.trials = "recorded-sine", {"by": "file"}
+        told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
+    elif command is not None and (edge := _edge(command.values)) > 0:
+        guess.kind = "recorded-step"
+        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
+        told.append("the command goes in steps: each is a trial")
+    else:
+        guess.kind, guess.trials = "recorded-step", {"by": "file"}
+        told.append("no command with steps: the file is one trial")
+
+
+def sine_of(t: Array, values: Array) -> float:
+    """The frequency [Hz] of a channel that is one sine, shape (n,), `t` [s]; 0 where it is not."""
+    good = np.isfinite(values) & np.concatenate([[True], np.diff(t) > 0])
+    t, values = t[good], values[good]
+    if len(t) < 50 or np.ptp(values) == 0:
+        return 0.0
+    low, high = np.quantile(values, [0.02, 0.98])
+    even = np.linspace(t[0], t[-1], min(4096, len(t)))
+    signal = np.interp(even, t, np.clip(values, low, high))
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(even)))) ** 2
+    peak = int(np.argmax(power[1:])) + 1
+    share = float(power[max(1, peak - 3) : peak + 4].sum() / power[1:].sum())
+    smooth = len(np.unique(np.round(values, 6))) > 8
+    return float(peak / (t[-1] - t[0])) if share > 0.9 and peak >= 3 and smooth else 0.0
+
+
+def _edge(values: Array) -> float:
+    """Half of the smallest usual step of a command that rests at levels; 0 where it does not."""
+    good = values[np.isfinite(values)]
+    span = float(np.ptp(good)) if len(good) else 0.0
+    if span == 0:
+        return 0.0
+    moves = np.abs(np.diff(good))
+    big = moves > 0.02 * span
+    if not 0 < big.sum() < 0.1 * len(good):
+        return 0.0
+    return 0.5 * float(np.quantile(moves[big], 0.05))
+
+
+_PARTS = (
+    (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
+    (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
+    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
+    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
+    (re.compile(r"(?<=[A-Za-z-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
+    (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
+)
+
+
+def _names(guess: Guess) -> None:
+    """Dates, numbers of tests and points in the names of the files, or of their folders: whichever tell more."""
+    best = max((_told_by(guess, of) for of in ("file", "folder")), key=lambda told: (len(told[0]), told[1] == "file"))
+    keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
+    if keys and len(forms) <= 20:
+        guess.forms = forms
+        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} tells {', '.join(sorted(keys))}"]
+
+
+def _told_by(guess: Guess, of: str) -> tuple[set[str], str, list[str], dict[str, str], bool]:
+    units: dict[str, str] = {}
+    comma = False
+    forms: dict[str, None] = {}
+    for path in guess.files:
+        form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
+        for pattern, key, unit in _PARTS:
+            match = pattern.search(form)
+            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
+                continue
+            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
+                continue
+            comma |= "," in match[0]
+            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
+            if unit:
+                units[key] = unit
+        forms[form] = None
+    keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
+    if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
+        keys = set()
+    return keys, of, list(forms), units, comma
+
+
+def _known(path: Path) -> str:
+    """The shipped map that takes a file as it is, without a fault and at the rate that it expects."""
+    from pmabench.store.importers.importing import prepare
+
+    for rules in _shipped():
+        try:
+            findings = prepare(path, rules).findings
+        except (InvalidFile, PmaError):
+            continue
+        if not any(found.level == "fault" or found.kind == "rate" for found in findings):
+            return Path(rules.path).stem
+    return ""
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> tuple[ImportMap, ...]:
+    return tuple(read_map(each) for each in sorted(shipped_folder("map").glob("*.yaml")))

@@ -1,0 +1,269 @@
+"""Writes a guess as a map, its reasons as comments; what no file can tell is left as `??`, which `import` refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.store.importers.guess.columns import OF_ROLE, Proposal
+from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.map_file import TextLayout
+from pmabench.store.importers.units import QUANTITY
+
+OPEN = "??"
+EDGE = {"pressure": "bar", "length": "mm", "force": "N"}
+LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
+"""Usual ranges of sensors: unit, ends, and beyond which it is another."""
+GRAM, KILOGRAM = 0.00980665, 9.80665
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a sensor measures over its usual range, given by who knows: low and high with one unit."""
+
+    low: float
+    high: float
+    unit: str
+
+
+def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
+    """The map as YAML. `spans`: role -> what its sensor measures over its usual range."""
+    lines = [
+        "# Proposed by pmabench import --guess, each choice with its reason. Look at all: a guess is no knowledge.",
+        "# Where ?? stands the files do not tell it, and the import refuses the map until you do.",
+        *(_comment(f"DOUBT: {text}") for text in guess.doubts),
+        *([_comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
+        "schema: pmabench.map/1",
+        f"name: {_text('guessed from ' + guess.files[0].name)}",
+        "source: not told  # who recorded these files, when and where",
+        f"kind: {guess.kind}{_why(guess, 'trials')}",
+        "",
+        *_file(guess),
+        "",
+        "columns:",
+    ]
+    for column in guess.columns:
+        lines += _column(column, guess, spans)
+    lines += ["", *_name_tells(guess)]
+    gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
+    low, high = (f"{rate:.4g}" for rate in guess.rate)
+    lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
+    lines.append(_trials(guess, spans))
+    lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
+    return "\n".join(lines) + "\n"
+
+
+def still_open(text: str) -> list[int]:
+    """Lines of a map in which something is to be filled in, from 1."""
+    return [
+        number for number, line in enumerate(text.split("\n"), 1) if OPEN in line.split("  # ")[0] and line[:1] != "#"
+    ]
+
+
+def _comment(text: str) -> str:
+    plain = "".join(sign if sign.isprintable() else " " for sign in text)
+    return f"# {plain[:400]}"
+
+
+def _why(guess: Guess, key: str) -> str:
+    told = "; ".join(guess.reasons.get(key, []))
+    return f"  {_comment(told)}" if told else ""
+
+
+def _text(text: str) -> str:
+    """A YAML scalar that is that text and nothing else."""
+    if re.fullmatch(r"[A-Za-z@][A-Za-z0-9@ _./()-]*", text) and text.lower() not in {
+        "y",
+        "n",
+        "yes",
+        "no",
+        "on",
+        "off",
+        "true",
+        "false",
+        "null",
+    }:
+        return text.strip() if text == text.strip() else json.dumps(text)
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _file(guess: Guess) -> list[str]:
+    layout, told = guess.layout, [f"  {_comment(text)}" for text in guess.reasons.get("file", [])]
+    if not isinstance(layout, TextLayout):
+        period = ', period: "??"' if guess.role("time") is None else ""
+        return ["file:", *told, f"  format: {layout.format}{period.replace(', ', chr(10) + '  ')}"]
+    lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
+    if layout.names:
+        lines.append(f"  names: [{', '.join(_text(name) for name in layout.names)}]")
+    for key in ("decimal", "encoding", "blank_lines", "skip_lines"):
+        value = getattr(layout, key)
+        if value != TextLayout.model_fields[key].default:
+            lines.append(f"  {key}: {value}")
+    if layout.comment:
+        lines.append(f"  comment: {json.dumps(layout.comment)}")
+    if layout.missing:
+        lines.append(f"  missing: {json.dumps(layout.missing)}")
+    return lines
+
+
+def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
+    head = [f"  {_comment(text)}" for text in column.reasons]
+    head += [f"  {_comment('DOUBT: ' + text)}" for text in column.doubts]
+    name = _text(column.name)
+    if column.role == "ignore":
+        return [*head, f"  {name}: ignore"]
+    if column.role == "phase":
+        marks = np.unique(column.good)
+        called = (
+            dict(zip(("fill", "exhaust"), marks, strict=False))
+            if len(marks) == 2
+            else {f"phase {m:g}": m for m in marks}
+        )
+        told = ", ".join(f"{_text(key)}: {mark:g}" for key, mark in called.items())
+        optional = ", optional: true" if column.name in guess.optional else ""
+        return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
+    if column.role == "time":
+        return [*head, f"  {name}: {{is: time, unit: {column.unit or 's'}}}"]
+    body, why = _scale(column, spans.get(column.role))
+    if column.role == "displacement":
+        lines, reasons = _contraction(column, guess)
+        body, why = body + lines, why + reasons
+    zeros = int(np.count_nonzero(column.good == 0))
+    if column.unit == "mA" and zeros:
+        body.append("dropout: 0 mA")
+        why.append(f"{zeros} samples read 0 mA, as a cut wire does")
+    blip = _blip(column.good) if column.role.endswith("command") else None
+    if blip is not None:
+        body.append(f"blip: {blip:g} {column.unit}")
+        why.append(f"{blip:g} stands only in single samples between others")
+    if column.name in guess.optional:
+        body.append("optional: true")
+    return [
+        *head,
+        *(f"  {_comment(text)}" for text in why),
+        f"  {name}:",
+        *(f"    {line}" for line in [f"is: {column.role}", *body]),
+    ]
+
+
+def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
+    """Unit, calibration and range of a column, and why."""
+    quantity, unit = OF_ROLE.get(column.role, column.role.removesuffix("_command")), column.unit
+    if QUANTITY.get(unit) == ("length" if quantity == "length" else quantity):
+        if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
+            offset = {
+                "Pa": 101325,
+                "hPa": 1013.25,
+                "kPa": 101.325,
+                "MPa": 0.101325,
+                "bar": 1.01325,
+                "mbar": 1013.25,
+                "psi": 14.696,
+            }
+            line = f"line: {{slope: 1 {unit}/{unit}, offset: -{offset[unit]} {unit}}}"
+            return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
+        return [f"unit: {unit}"], []
+    if quantity == "force" and unit in {"g", "kg"}:
+        factor = GRAM if unit == "g" else KILOGRAM
+        return [f"unit: {unit}", f"line: {{slope: {factor} N/{unit}, offset: 0 N}}"], [
+            f"a weight in {unit}, with 9.80665 m/s2"
+        ]
+    edge = EDGE[quantity]
+    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", f"{OPEN} {edge}")
+    top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
+    for known, begin, end, most in LOOPS:
+        if unit == known and top <= most:
+            why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
+            why += "; what it spans you say" if span else "; what it spans stands in no file"
+            body = [f"unit: {unit}", f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]']
+            return body + (["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else []), [why]
+    told = unit or "count"
+    if span is not None and len(column.good):
+        ends = float(column.good.min()), float(column.good.max())
+        return [f"unit: {told}", f'points: [["{OPEN} {told}", {low}], ["{OPEN} {told}", {high}]]'], [
+            f"readings from {ends[0]:.4g} to {ends[1]:.4g}: the calibration stands in no file"
+        ]
+    return [f"unit: {told}", f'line: {{slope: "{OPEN} {edge}/{told}", offset: "{OPEN} {edge}"}}'], [
+        "its calibration stands in no file"
+    ]
+
+
+def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
+    """How the reading tells contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
+    pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
+    unsure = "whether its reading falls or rises while the muscle shortens is not told here; rises is taken"
+    others = [c for c in (pressure, force) if c is not None]
+    good = np.isfinite(column.values) & (column.values != 0)
+    for other in others:
+        good &= np.isfinite(other.values) & (other.values != 0)
+    x = column.values[good]
+    if pressure is None or len(x) < 20 or np.ptp(x) == 0 or np.ptp(pressure.values[good]) == 0:
+        return [], [unsure]
+    P = pressure.values[good]
+    if guess.kind == "recorded-pull" and force is not None:
+        table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
+        less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
+        rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
+        why = f"at equal pressure the force falls where it {'rises' if rises else 'falls'}; zero is its end there"
+    else:
+        together = float(np.corrcoef(P, x)[0, 1])
+        if abs(together) < 0.5:
+            return [], [unsure]
+        rises, zero = together > 0, float(np.median(x[np.quantile(P, 0.02) >= P]))
+        why = f"it {'rises' if rises else 'falls'} with the pressure; zero is its reading at the lowest one here"
+        if rises and QUANTITY.get(unit) == "length" and abs(zero) < 0.05 * np.ptp(x):
+            return [], []
+    return [f"contraction: {{reading: {'rises' if rises else 'falls'}, zero: {zero:.5g} {unit}}}"], [why]
+
+
+def _blip(values: np.ndarray) -> float | None:
+    """A value at the lower end that stands in single samples only; None where there is none."""
+    if len(values) < 20:
+        return None
+    low = float(values.min())
+    here = values == low
+    alone = here[1:-1] & ~here[:-2] & ~here[2:]
+    near = np.abs(values[:-2] - values[2:])[alone] if alone.any() else np.empty(0)
+    others = values[~here]
+    far = len(others) > 0 and float(others.min()) - low > 0.02 * float(np.ptp(others) or 1.0)
+    return low if far and len(near) and here[1:-1].sum() == alone.sum() and here.sum() <= 0.01 * len(values) else None
+
+
+def _name_tells(guess: Guess) -> list[str]:
+    if not guess.forms:
+        return []
+    lines = [f"name_tells:{_why(guess, 'name_tells')}", f"  of: {guess.form_of}"]
+    lines.append(f"  forms: [{', '.join(json.dumps(form, ensure_ascii=False) for form in guess.forms)}]")
+    if guess.form_comma:
+        lines.append("  decimal: comma")
+    if guess.form_units:
+        lines.append(f"  units: {{{', '.join(f'{key}: {unit}' for key, unit in guess.form_units.items())}}}")
+    keys = set(guess.form_units)
+    lacking = sorted(key for key in keys if any("{" + key + "}" not in form for form in guess.forms))
+    if lacking:
+        told = ", ".join(f"{key}: 0 {guess.form_units[key]}" for key in lacking)
+        lines.append(f"  otherwise: {{{told}}}  # the names without it: 0 is taken")
+    return [*lines, ""]
+
+
+def _trials(guess: Guess, spans: Mapping[str, Span]) -> str:
+    trials = dict(guess.trials)
+    command = guess.role("pressure_command")
+    if "smallest" in trials and command is not None:
+        trials["smallest"] = _smallest(float(trials["smallest"]), command, spans.get("pressure_command"))
+    return f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"
+
+
+def _smallest(reading: float, command: Proposal, span: Span | None) -> str:
+    """A step of the command in a unit of pressure; a share of its usual range where that is not known."""
+    if QUANTITY.get(command.unit) == "pressure":
+        return f"{reading:.3g} {command.unit}"
+    top = float(np.quantile(command.good, 0.999))
+    for known, begin, end, most in LOOPS:
+        if span is not None and command.unit == known and top <= most:
+            return f"{reading / (end - begin) * (span.high - span.low):.3g} {span.unit}"
+    return f'"{OPEN} bar"'

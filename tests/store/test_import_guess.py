@@ -1,0 +1,290 @@
+"""A map is proposed for files never seen: right for the layouts that are known, and silent about what no file tells."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
+from pmabench.display.sparkline import sparkline
+from pmabench.store.importers import warm
+from pmabench.store.importers.guess.columns import lattice, unit_in
+from pmabench.store.importers.guess.guess import guess_files, sine_of
+from pmabench.store.importers.guess.layout import guess_layout
+from pmabench.store.importers.guess.write import Span, map_text, still_open
+from pmabench.store.importers.importing import import_files
+from pmabench.store.importers.map_rules import read_map
+from pmabench.store.reader import open_run
+from tests.recorded import recorded_data
+
+OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
+POLLED = {
+    "T_(ms)": ("time", "ms"),
+    "Sys_Volts_(V)": ("ignore", "V"),
+    "Comp_P_(mA)": ("supply", "mA"),
+    "Piezo_P_(mA)": ("pressure", "mA"),
+    "Piezo_out_(mV)": ("pressure_command", "mV"),
+    "V_dist_(mA)": ("displacement", "mA"),
+    "LC_(grams)": ("force", "g"),
+}
+SPANS = {
+    "pressure": Span(0.0, 12.0, "bar"),
+    "supply": Span(0.0, 12.0, "bar"),
+    "pressure_command": Span(0.0, 6.0, "bar"),
+    "displacement": Span(0.0, 101.6, "mm"),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_child_stays():
+    yield
+    warm.close_readers()
+
+
+def roles(guess):
+    return {column.name: (column.role, column.unit) for column in guess.columns}
+
+
+def written(tmp_path, guess, spans=None):
+    path = tmp_path / "guessed.yaml"
+    path.write_text(map_text(guess, spans or {}), encoding="utf-8")
+    return path
+
+
+def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
+    files = sorted((OLD / "isometric").glob("*.csv"))
+    guess = guess_files(files)
+    assert roles(guess) == {
+        "force": ("force", "N"),
+        "pressure": ("pressure", "kPa"),
+        "time": ("time", "s"),
+        "phase": ("phase", ""),
+    }
+    assert guess.optional == ["phase"]
+    assert guess.kind == "isometric"
+    assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
+    assert any("its numbers only" in doubt for doubt in guess.role("pressure").doubts)
+    path = written(tmp_path, guess)
+    assert not still_open(path.read_text(encoding="utf-8"))
+    runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs")]
+    assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
+    assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "kind"),
+    [("*step_exp", "recorded-step"), ("*frq*", "recorded-sine"), ("*characterization*", "recorded-pull")],
+)
+def test_files_of_currents_are_told_by_their_header(tmp_path, pattern, kind):
+    files = sorted((OLD / "polled").glob(f"{pattern}/*_data.dat"))
+    guess = guess_files(files)
+    assert roles(guess) == POLLED
+    assert guess.kind == kind
+    open_map = written(tmp_path, guess)
+    with pytest.raises(InvalidFile) as caught:
+        read_map(open_map)
+    assert {problem.line for problem in caught.value.problems} <= set(still_open(open_map.read_text(encoding="utf-8")))
+    rules = read_map(written(tmp_path, guess, SPANS))
+    pressure, displacement = rules.column("pressure"), rules.column("displacement")
+    assert pressure.slope * 12 + pressure.offset == pytest.approx(6e5)
+    assert displacement.slope == pytest.approx(-0.1016 / 16)
+    runs = import_files(files, tmp_path / "guessed.yaml", tmp_path / "runs")
+    assert all(run.trials for run in runs)
+    assert open_run(runs[0].path).manifest["started_utc"].startswith("2026-01-05T10:")
+
+
+def test_the_shipped_map_that_fits_is_named():
+    (step, _) = sorted((OLD / "polled").glob("*step_exp/*_data.dat"))
+    assert guess_files([step]).known == "mit-2-151-step"
+    assert not guess_files([OLD / "foreign" / "one.lvm"]).known
+
+
+@pytest.mark.parametrize("name", ["one.lvm", "comma.lvm", "segments.lvm", "bench.tdms"])
+def test_formats_that_name_their_channels_and_units(tmp_path, name):
+    guess = guess_files([OLD / "foreign" / name])
+    told = {role: unit for role, unit in roles(guess).values() if role != "ignore"}
+    assert told == {"time": "s", "pressure": "mA", "force": "N", "displacement": "mm", "pressure_command": "bar"}
+    assert guess.kind == "recorded-step"
+    path = written(tmp_path, guess, {"pressure": Span(0.0, 8.0, "bar")})
+    (run,) = import_files([OLD / "foreign" / name], path, tmp_path / "runs")
+    trials = open_run(run.path).trials
+    assert [trial.commands[0].t for trial in trials] == pytest.approx([1.5, 3.5])
+    assert run.flagged["dropout"] == 2
+
+
+def test_a_mat_file_whose_columns_have_no_names_says_so():
+    for name in ("log5.mat", "log73.mat"):
+        guess = guess_files([OLD / "foreign" / name])
+        assert roles(guess)["log.pressure_mA"] == ("pressure", "mA")
+        assert roles(guess)["log.time_s"] == ("time", "s")
+        assert roles(guess)["log.cmd_bar"] == ("pressure_command", "bar")
+        (force,) = [column for column in guess.columns if column.name == "log.FX(:,1)"]
+        assert force.role == "ignore"
+        assert "is it force or displacement?" in force.doubts[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "layout", "units"),
+    [
+        (
+            "Zeit (s);Druck (bar);Kraft (N)\n0,0;1,5;2,5\n0,1;1,6;2,6\n",
+            {"delimiter": "semicolon", "decimal": "comma"},
+            "s bar N",
+        ),
+        ("# a log\n# t [ms], p [kPa], f [N]\n0,1.5,2\n10,1.6,3\n", {"comment": "#", "header": "none"}, "ms kPa N"),
+        (
+            "made by hand\n\ntime\tpressure\tforce\ns\tkPa\tlbf\n0.0\t1\t2\n0.1\t2\t3\n",
+            {"skip_lines": 4, "header": "none"},
+            "s kPa lbf",
+        ),
+        ("t_s p_psi F_N\n0 1.5 2\n0.1 1.6 n/a\n0.2 1.7 3\n", {"delimiter": "blank", "missing": ["n/a"]}, "s psi N"),
+        ("t_s|p_MPa|note|x_mm\n0|1|good|2\n0.1|2|bad|2\n", {"delimiter": "bar"}, "s MPa mm"),
+        ("a,b\nt_s,p_bar\n0,1\n0.5,2\n", {"skip_lines": 1, "header": "first line"}, "s bar"),
+    ],
+)
+def test_layouts_of_text(tmp_path, content, layout, units):
+    (tmp_path / "old.txt").write_text(content, encoding="utf-8")
+    guess = guess_files([tmp_path / "old.txt"])
+    for key, value in layout.items():
+        assert getattr(guess.layout, key) == value, key
+    assert [column.unit for column in guess.columns if column.unit] == units.split()
+    path = written(tmp_path, guess)
+    if guess.role("force") or guess.role("displacement"):
+        assert import_files([tmp_path / "old.txt"], path, tmp_path / "runs")
+
+
+def test_other_encodings(tmp_path):
+    text = "Zeit (s);Druck Öl (bar);Kraft (N)\n0,0;1,5;2,5\n0,1;1,6;2,6\n"
+    for encoding in ("latin-1", "utf-16", "utf-8-sig"):
+        assert guess_layout("old", text.encode(encoding)).names[1] == "Druck Öl (bar)"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("T_(ms)", "ms"),
+        ("LC_(grams)", "g"),
+        ("Druck [bar]", "bar"),
+        ("p_kPa", "kPa"),
+        ("Force, N", "N"),
+        ("x/mm", "mm"),
+        ("P", ""),
+        ("items", ""),
+        ("Pressão ABS. (MPa)", "MPa"),
+        ("Piezo_P_(mA)", "mA"),
+        ("sensor_a", ""),
+    ],
+)
+def test_units_in_names(name, unit):
+    assert unit_in(name) == unit
+
+
+def test_what_is_no_table_is_refused_in_a_sentence(tmp_path):
+    for content, told in ((b"hello\nthere\n", "no rows of at least two numbers"), (b"\x00\x01\x02\x03", "is binary")):
+        (tmp_path / "old").write_bytes(content)
+        with pytest.raises(InvalidFile, match=told):
+            guess_files([tmp_path / "old"])
+    (tmp_path / "old").write_text("t_s,p_bar\n0,1\n0.5,2\n", encoding="utf-8")
+    with pytest.raises(InvalidFile, match="guess them apart"):
+        guess_files([tmp_path / "old", OLD / "polled/2026-01-05_101500_step_exp/step_data.dat"])
+
+
+def test_an_absolute_pressure_becomes_a_gauge_pressure(tmp_path):
+    (tmp_path / "old.csv").write_text(
+        "t (s),Pressure abs (MPa),F (N)\n0,0.101325,1\n0.1,0.601325,2\n", encoding="utf-8"
+    )
+    path = written(tmp_path, guess_files([tmp_path / "old.csv"]))
+    (run,) = import_files([tmp_path / "old.csv"], path, tmp_path / "runs")
+    assert open_run(run.path).trials[0].channels["pressure"] == pytest.approx([0.0, 500e3], abs=1e-3)
+
+
+def test_names_full_of_markup_stay_text_in_the_map(tmp_path):
+    evil = 'p_bar": {is: force}\\n #<b>&\x1b[31m'
+    header = ",".join(["t_s", evil, "F_N"])
+    (tmp_path / "old.csv").write_text(header + "\n0,1,2\n0.1,2,3\n", encoding="utf-8")
+    guess = guess_files([tmp_path / "old.csv"])
+    text = map_text(guess, {})
+    assert "\x1b" not in text
+    told = CliRunner().invoke(main, ["import", "--guess", str(tmp_path / "old.csv")]).output
+    assert "\x1b" not in told
+
+
+def test_a_sine_is_told_from_steps_and_noise():
+    t = np.arange(0, 10, 0.01)
+    assert sine_of(t, 3 + np.sin(2 * np.pi * 1.5 * t)) == pytest.approx(1.5, abs=0.06)
+    assert sine_of(t, np.sign(np.sin(2 * np.pi * 0.5 * t))) == 0
+    assert sine_of(t, np.random.default_rng(1).normal(size=len(t))) == 0
+
+
+def test_numbers_of_a_converter_stand_in_steps():
+    rng = np.random.default_rng(1)
+    counts = rng.integers(0, 300, 5000)
+    assert lattice(counts * 0.7654 - 18.609) == pytest.approx(0.7654)
+    assert lattice(rng.normal(size=5000)) == 0
+
+
+def test_the_picture_goes_from_low_to_high():
+    assert sparkline([0, 1, 2, 3, 4, 5, 6, 7]) == "▁▂▃▄▅▆▇█"
+    assert sparkline([1.0, float("nan"), 1.0]) == "▁ ▁"
+    assert len(sparkline(list(range(1000)), 60)) == 60
+    assert not sparkline([])
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_at_the_command_line(tmp_path):
+    source = OLD / "foreign" / "one.lvm"
+    told = call("import", "--guess", source, "--span", "pressure=0 bar..8 bar", "-o", tmp_path / "map.yaml")
+    assert "▁" in told
+    assert "because: the file says its unit, mA" in told
+    assert "then: pmabench import" in told
+    call("import", source, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+    assert "is there already" in call("import", "--guess", source, "-o", tmp_path / "map.yaml", code=2)
+    data = json.loads(call("import", "--guess", source, "--json"))
+    assert data["open"]
+    assert {column["is"] for column in data["columns"]} >= {"time", "pressure", "force"}
+    assert "give --map to import, or --guess" in call("import", source, code=2)
+    assert "say CHANNEL=LOW..HIGH" in call("import", "--guess", source, "--span", "pressure=8 bar", code=2)
+    assert "is no unit of pressure" in call("import", "--guess", source, "--span", "pressure=0 N..8 N", code=2)
+
+
+def test_recorded_files_of_both_benches():
+    folder = recorded_data()
+    for path in sorted((folder / "aarl_10mm").rglob("*.csv")):
+        told = dict(roles(guess_files([path])).values())
+        assert told == {"force": "N", "pressure": "kPa", "time": "s"}, path
+    kinds = {"step": "recorded-step", "frq": "recorded-sine", "cha": "recorded-pull"}
+    for path in sorted((folder / "mit_2-151").rglob("*_data.dat")):
+        guess = guess_files([path])
+        assert roles(guess) == POLLED, path
+        assert guess.kind == kinds[next(key for key in kinds if path.name.startswith(key))]
+        assert guess.known == guess.kind.replace("recorded", "mit-2-151")
+
+
+def test_recorded_samples_of_other_formats():
+    samples = recorded_data().parent / "reader_samples"
+    told = {
+        path.name: roles(guess_files([path]))
+        for path in samples.rglob("*.*")
+        if path.suffix in {".lvm", ".tdms", ".mat"}
+    }
+    assert told["short.lvm"] == {
+        "X_Value": ("time", "s"),
+        "Excitation (Trigger)": ("force", "N"),
+        "Response (Trigger)": ("ignore", ""),
+    }
+    pressure = {name for name, (role, unit) in told["with_comments.lvm"].items() if (role, unit) == ("pressure", "MPa")}
+    assert len(pressure) == 1
+    assert {role for role, _ in told["no_decimal_separator.lvm"].values()} == {"time", "ignore"}
+    assert told["raw1.tdms"]["Layer Data/@time"] == ("time", "s")
+    assert {unit for role, unit in told["raw1.tdms"].values() if role == "ignore"} == {"V"}
+    assert [role for role, _ in told["Digital_Input.tdms"].values()].count("time") == 1
+    assert told["testfile6.mat"] == {"B": ("ignore", "")}
