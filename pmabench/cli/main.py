@@ -31,6 +31,7 @@ COMMANDS = {
     "import": ("import_", "Make runs of files that other programs recorded, by a column map."),
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
     "report": ("report", "Write the characterisation report as one HTML file."),
+    "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON or a python-control model."),
     "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient, with E_n numbers."),
     "tune": ("tune", "Controller settings from an ultimate gain and period."),
     "model": ("model", "Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate, fit."),

@@ -23,7 +23,7 @@ _ESCAPES = {
     "~": r"\textasciitilde{}",
     "<": r"\textless{}",
     ">": r"\textgreater{}",
-    '"': r"\textquotedbl{}",
+    '"': "''",
     "|": r"\textbar{}",
     "−": "$-$",
     "±": r"$\pm$",

@@ -1,0 +1,56 @@
+"""`pmabench export`: a run or its coefficients as files of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pmabench.base.errors import UsageError
+from pmabench.cli.common import Ui, common
+
+FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control")
+SAMPLES = ("csv", "parquet", "mat")
+"""Formats in which a run's own samples are given out; for the others it is processed."""
+
+
+@click.command(name="export")
+@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN-OR-ANALYSIS...")
+@click.option("--format", "form", required=True, type=click.Choice(FORMATS), help="Kind of file.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for csv and parquet, else the file."
+)
+@common
+def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int | None:
+    """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
+
+    For latex, json and python-control runs are processed first. Units stand in the heads of columns.
+    """
+    from pmabench.notebook import Results, open_analysis, open_run
+    from pmabench.report.export import export_results, export_run
+
+    if output.is_fifo():
+        raise UsageError(f"{output} is a pipe; give the name of a file or folder")
+    folder = form in ("csv", "parquet")
+    if folder and output.exists() and not output.is_dir():
+        raise UsageError(f"{output} is a file; --format {form} writes a folder")
+    if not folder and output.is_dir():
+        raise UsageError(f"{output} is a folder; --format {form} writes one file")
+    folders = [source for source in sources if (source / "analysis.json").is_file()]
+    others = [source for source in sources if source not in folders]
+    if form in SAMPLES and others:
+        if len(sources) > 1:
+            raise UsageError(f"--format {form} of runs takes one run at a time; of analysis folders any number")
+        paths = export_run(open_run(others[0]), form, output)
+    else:
+        from pmabench.cli.process import analyse, load_runs, without_analyses
+
+        found = open_analysis(*folders) if folders else Results((), ())
+        if others:
+            runs = load_runs(without_analyses(ui, others))
+            found = Results((*found.analyses, *analyse(runs)), (*found.runs, *runs))
+        paths = export_results(found, form, output)
+    told = [str(path) for path in paths]
+    data = {"schema": "pmabench.export/1", "format": form, "written": told}
+    ui.result(data, lambda: click.echo("\n".join(told)), told)
+    return None

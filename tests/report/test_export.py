@@ -1,0 +1,152 @@
+"""Exports hold the numbers of the record and of the analysis, with units, as other programs read them."""
+
+import json
+import re
+import warnings
+
+import control
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from scipy.io import loadmat
+
+import pmabench
+from pmabench.analysis.results import Analysis
+from pmabench.base.errors import UsageError
+from pmabench.cli.main import main
+from pmabench.notebook import Results
+from pmabench.report.control_model import control_model, simulated
+from pmabench.report.export import FORMATS, export_results, export_run
+from tests.store.runs import closed
+
+from . import samples
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return pmabench.open_run(closed(tmp_path_factory.mktemp("run")))
+
+
+RESULTS = Results(tuple(samples.all_analyses()), ())
+
+
+def test_samples_come_back_as_they_were(run, tmp_path):
+    first = run.streams[0]
+    frame = run.stream(first)
+    export_run(run, "csv", tmp_path / "csv")
+    read = pd.read_csv(tmp_path / "csv" / f"{first}.csv")
+    pd.testing.assert_frame_equal(read, frame, check_dtype=False, rtol=1e-15, atol=0.0)
+    export_run(run, "parquet", tmp_path / "pq")
+    table = pq.read_table(tmp_path / "pq" / f"{first}.parquet")
+    assert table.schema.field("pressure [Pa]").metadata[b"unit"] == b"Pa"
+    assert table.schema.metadata[b"run"] == run.id.encode()
+    np.testing.assert_array_equal(table.column("pressure [Pa]").to_numpy(), frame["pressure [Pa]"])
+    (path,) = export_run(run, "mat", tmp_path / "x.mat")
+    data = loadmat(path, squeeze_me=True, struct_as_record=False)
+    stream = getattr(data[first.replace("-", "_")], "pressure")  # noqa: B009
+    np.testing.assert_array_equal(stream, frame["pressure [Pa]"])
+    assert getattr(data[first.replace("-", "_")].units, "pressure") == "Pa"  # noqa: B009
+    assert list(np.atleast_1d(data["trials"].trial)) == list(run.trials.index)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mat"])
+def test_the_same_run_gives_the_same_bytes(run, tmp_path, form):
+    one, two = (export_run(run, form, tmp_path / name) for name in ("a", "b"))
+    assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+
+
+def test_coefficients_come_back_with_their_units(tmp_path):
+    K = next(e for e in samples.contraction().estimates if e.symbol == "K" and e.at["pressure"] == 400e3)
+    export_results(RESULTS, "csv", tmp_path / "csv")
+    read = pd.read_csv(tmp_path / "csv" / "contraction-relaxation" / "coefficients.csv")
+    row = read[(read["method"] == "measured-pressure") & (read["P [kPa]"] == 400)].iloc[0]
+    assert row["K [N/mm]"] == pytest.approx(K.value / 1e3)
+    export_results(RESULTS, "parquet", tmp_path / "pq")
+    table = pq.read_table(tmp_path / "pq" / "estimates.parquet").to_pandas()
+    mine = table[(table.symbol == "K") & (table["pressure [Pa]"] == 400e3) & (table.method == "measured-pressure")]
+    assert (mine.value.iloc[0], mine.unit.iloc[0]) == (K.value, "N/m")
+    export_results(RESULTS, "mat", tmp_path / "x.mat")
+    data = loadmat(tmp_path / "x.mat", squeeze_me=True, struct_as_record=False)["contraction_relaxation"].estimates
+    assert K.value in data.value[data.symbol == "K"]
+    assert data.units.pressure == "Pa"
+    export_results(RESULTS, "json", tmp_path / "x.json")
+    told = json.loads((tmp_path / "x.json").read_text())
+    assert [a["kind"] for a in told["analyses"]] == [a.kind for a in RESULTS.analyses]
+
+
+def test_latex_tables_hold_plain_numbers_and_balance(tmp_path):
+    (path,) = export_results(RESULTS, "latex", tmp_path / "t.tex")
+    text = path.read_text()
+    assert r"$K$ [N/mm]" in text
+    assert r"7.552 $\pm$ 0.021" in text
+    assert "(simulated)" in text
+    assert "siunitx" not in text
+    assert text.count("{") == text.count("}")
+    for body in re.findall(r"\\begin\{tabular\}\{([lr]+)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
+        columns, rows = body
+        for row in re.findall(r"^(.*) \\\\$", rows, re.MULTILINE):
+            assert len(re.split(r"(?<!\\)&", row)) == len(columns)
+
+
+def test_the_exported_model_is_the_fitted_muscle(tmp_path):
+    """Against the closed form: at rest x = (F_ce - F_L) / K, and the first order motion of B and K."""
+    (path,) = export_results(RESULTS, "python-control", tmp_path / "muscle.py")
+    names: dict = {}
+    exec(compile(path.read_text(), str(path), "exec"), names)
+    P, load = 400e3, 157.0
+    K, B, F = (samples.truth(symbol, P) for symbol in ("K", "B_c", "F_ce"))
+    t = np.linspace(0.0, 3.0, 301)
+    params = {"F_c": 0.0, "M": 1.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = control.input_output_response(
+            names["muscle"], t, [np.full(301, P), np.full(301, load)], [0.0, 0.0], params, solve_ivp_method="LSODA"
+        )
+    exact = (F - load) / K * (1 - np.exp(-K * t / B))
+    late = t > 0.05  # the mass of 1 kg makes the first milliseconds a second order
+    assert np.max(np.abs(found.outputs[0] - exact)[late]) < 2e-3 * exact[-1]
+    assert found.outputs[0, -1] == pytest.approx((F - load) / 7552.0, rel=1e-3)
+
+
+def test_the_stated_deviation_is_what_the_model_is_off(tmp_path):
+    model = control_model(samples.contraction())
+    assert model.deviation is not None
+    trace = next(t for t in samples.contraction().traces if t.figure == "overlay")
+    off = (
+        simulated(trace.columns["t"], trace.columns["pressure"], trace.marks["load"], model.params)
+        - trace.columns["model"]
+    )
+    assert np.max(np.abs(off)) <= model.deviation.largest * 1.01
+    (path,) = export_results(RESULTS, "python-control", tmp_path / "m.py")
+    assert f"{model.deviation.rms * 1e3:.2g} mm rms off" in path.read_text()
+    assert "B_r is not known at 500 kPa" in path.read_text()
+    assert "SIMULATED" in path.read_text()
+
+
+def test_what_makes_no_model_is_told(tmp_path, run):
+    with pytest.raises(UsageError, match="no F_ce, K and B_c over pressure"):
+        export_results(Results((samples.static_load(),), ()), "python-control", tmp_path / "m.py")
+    with pytest.raises(UsageError, match="no analysis"):
+        export_results(Results((), ()), "python-control", tmp_path / "m.py")
+    with pytest.raises(UsageError, match="format of results"):
+        export_run(run, "latex", tmp_path / "x")
+
+
+@pytest.mark.parametrize("form", [form for form in FORMATS if form != "python-control"])
+def test_an_analysis_of_nothing_is_exported(form, tmp_path):
+    for path in export_results(Results((Analysis("new-kind", (), False),), ()), form, tmp_path / "x"):
+        assert path.exists()
+
+
+def test_the_command_names_what_it_wrote(run, tmp_path):
+    def pmabench_export(*words):
+        return CliRunner().invoke(main, ["export", *words])
+
+    out = pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "x"), "--json")
+    assert (out.exit_code, json.loads(out.stdout)["format"]) == (0, "csv")
+    assert all(path.endswith(".csv") for path in json.loads(out.stdout)["written"])
+    (tmp_path / "f").write_text("")
+    assert pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "f")).exit_code == 2
+    assert pmabench_export(str(tmp_path), "--format", "mat", "-o", str(tmp_path / "g")).exit_code == 3
