@@ -17,7 +17,7 @@ import numpy as np
 
 from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
-from pmabench.report.csv_files import write_tables
+from pmabench.report.csv_files import TABLES, write_tables
 from pmabench.store.folder import plain
 
 ANALYSIS = "analysis.json"
@@ -46,8 +46,8 @@ def file_names(names: Iterator[str] | list[str]) -> list[str]:
     return result
 
 
-def write_analysis(analysis: Analysis, folder: Path) -> Path:
-    """Write `analysis.json`, `traces/<name>.parquet` and the CSV tables into `folder`; files of an earlier one go.
+def write_analysis(analysis: Analysis, folder: Path, *, tables: bool = True) -> Path:
+    """Write `analysis.json`, `traces/<name>.parquet` and the CSV `tables` into `folder`; files of an earlier one go.
 
     Raises RecordError where it cannot be written.
     """
@@ -62,9 +62,13 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
             entry["file"] = f"{TRACES}/{name}.parquet"
             entry["columns"] = list(trace.columns)
             _write_trace(trace, folder / entry["file"])
-        write_tables(analysis, folder)
+        if tables:
+            write_tables(analysis, folder)
+        else:
+            for name in TABLES:
+                (folder / f"{name}.csv").unlink(missing_ok=True)
         text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-        (folder / ANALYSIS).write_text(text + "\n", encoding="utf-8", newline="")
+        (folder / ANALYSIS).write_bytes(f"{text}\n".encode())
     except OSError as error:
         raise RecordError(f"{folder}: the analysis cannot be written: {error.strerror or error}") from error
     return folder
@@ -81,7 +85,7 @@ def _write_trace(trace: Trace, path: Path) -> None:
         fields.append(pa.field(name, pa.float64(), metadata={"quantity": quantity, "unit": unit}))
     arrays = [pa.array(np.asarray(values, dtype=np.float64)) for values in trace.columns.values()]
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
-    pq.write_table(table, path, compression="zstd", compression_level=3)
+    pq.write_table(table, path, compression="zstd", compression_level=3, use_dictionary=False)
 
 
 def read_analysis(folder: Path) -> Analysis:

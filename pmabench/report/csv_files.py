@@ -14,6 +14,8 @@ from typing import Any
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.report.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
 
+TABLES = ("coefficients", "estimates", "curves", "dropped", "findings")
+
 
 def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     """CSV files in display units, the same bytes for the same analysis.
@@ -38,7 +40,7 @@ def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     paths = []
     for name, (rows, heads) in tables.items():
         path = folder / f"{name}.csv"
-        path.write_text(csv_text(rows, heads), encoding="utf-8", newline="")
+        path.write_bytes(csv_text(rows, heads).encode())
         paths.append(path)
     return paths
 

@@ -59,7 +59,7 @@ def _entry(path: Path, out: Path, folder: str) -> dict[str, Any]:
         return {"skipped": f"is a run of kind {kind}"}
     runs = open_chains([path])
     (analysis,) = reduce_runs(runs)
-    written = write_analysis(analysis, out / folder / analysis.kind)
+    written = write_analysis(analysis, out / folder / analysis.kind, tables=False)
     told: dict[str, Any] = plain(
         {
             "run": runs[-1].id,

@@ -46,7 +46,9 @@ def archive(live: Path, target: Path) -> Archived:
             arrivals = reader.arrivals
             with part.open("r+b") as file:
                 os.fsync(file.fileno())
-            if digests != [_digest(table) for table in _row_groups(part)] or _arrivals_of(part) != arrivals:
+            with pq.ParquetFile(part) as written:
+                same = _arrivals_of(written) == arrivals
+            if not same or digests != [_digest(table) for table in _row_groups(part)]:
                 raise ValueError("what was read back is not what was written")
             kept = Archived(reader.rows, reader.fault, reader.torn)
         part.replace(target)
@@ -79,10 +81,9 @@ def _write(part: Path, reader: LiveReader) -> list[bytes]:
     return digests
 
 
-def _arrivals_of(source: Any) -> list[tuple[int, int]]:
-    with pq.ParquetFile(source) as file:
-        device, host = json.loads((file.metadata.metadata or {}).get(ARRIVALS.encode(), b"[[], []]"))
-        return [(int(a), int(b)) for a, b in zip(device, host, strict=True)]
+def _arrivals_of(file: Any) -> list[tuple[int, int]]:
+    device, host = json.loads((file.metadata.metadata or {}).get(ARRIVALS.encode(), b"[[], []]"))
+    return [(int(a), int(b)) for a, b in zip(device, host, strict=True)]
 
 
 def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
@@ -123,7 +124,7 @@ def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]
     try:
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
             about = about_stream(file.schema_arrow)
-            return file.read(use_threads=False), about, _arrivals_of(source)
+            return file.read(use_threads=False), about, _arrivals_of(file)
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
 
