@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.checks import NAMES, checks_of
-from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
 
@@ -39,6 +39,14 @@ class Limit:
         size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
         place = f" ({self.place})" if self.place else ""
         return f"accepted {sign[self.measure]}{size}{place}"
+
+    @property
+    def short(self) -> str:
+        """What is limited and how, for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
+        sign = {"relative_interval": "±", "of_specimen": "±", "at_most": "≤", "at_least": "≥"}[self.measure]
+        size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
+        of = " of the specimen file" if self.measure == "of_specimen" else ""
+        return f"{self.what.replace('_', ' ') if self.measure == 'at_most' else self.what} {sign} {size}{of}"
 
 
 def limits_of(run: RunData) -> list[Limit]:
@@ -147,15 +155,16 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
 
 def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:
     """R2 of each coefficient over pressure, by its best curve."""
-    best: dict[str, tuple[float, str]] = {}
+    best: dict[str, Curve] = {}
     for curve in analysis.curves:
-        if curve.method == primary.get(curve.symbol, curve.method):
-            best[curve.symbol] = max(best.get(curve.symbol, (-np.inf, "")), (curve.r2, curve.form))
+        before = best.get(curve.symbol)
+        if curve.method == primary.get(curve.symbol, curve.method) and not (before and before.r2 >= curve.r2):
+            best[curve.symbol] = curve
     if not best:
         yield f"R2: there is no curve over pressure, {limit.asked}"
-    for symbol, (r2, form) in best.items():
-        if not r2 >= limit.limit:
-            yield f"R2 of {symbol} over pressure ({form}): {r2:.4g}, {limit.asked}"
+    for symbol, curve in best.items():
+        if not curve.r2 >= limit.limit:
+            yield f"R2 of {symbol} over pressure ({curve.form}): {curve.r2:.4g}, {limit.asked}"
 
 
 def _check(analysis: Analysis, limit: Limit) -> str:

@@ -125,7 +125,7 @@ def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
             place = f"{Path(where.path).name}:{where.line}" if where.line else Path(where.path).name
             entry = {"what": name, "measure": measure, "limit": limit, "place": place}
             expected = c.mounted.specimen_file.expected
-            if measure == "of_specimen" and expected is not None:
+            if measure == "of_specimen" and expected is not None and name in IN_EXPECTED:
                 points = [(point.pressure, getattr(point, name)) for point in expected.points if name != "F_c"]
                 entry["expected"] = sorted(points) or expected.F_c
             yield entry

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pmabench import __version__
+from pmabench.analysis.acceptance import limits_of
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis
 from pmabench.report import overlays, provenance, tables, wording
@@ -125,10 +126,9 @@ def content_of(
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
-    judged = [run for run in runs if provenance.accepts(run)]
-    failed = [wording.clean(text) for text in verdicts(judged, analyses)]
-    accepted = {symbol: widest for run in judged for symbol, widest in provenance.accepts(run).items()}
-    accept = [f"{symbol} ± {100 * widest:g} %" for symbol, widest in accepted.items()]
+    limits = {run.id: limits_of(run) for run in runs}
+    failed = [wording.clean(text) for text in verdicts([run for run in runs if limits[run.id]], analyses)]
+    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
     findings = tables.findings_table(analyses)
     shown, more = first_findings(findings)
     specimens = provenance.specimens(runs)

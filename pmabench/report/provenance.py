@@ -173,13 +173,6 @@ def _points(run: RunData) -> str:
     return "; ".join(told) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
 
 
-def accepts(run: RunData) -> dict[str, float]:
-    """Largest relative interval that the protocol of a run accepts, by symbol."""
-    told = run.plan.get("accept")
-    known = told.items() if isinstance(told, Mapping) else ()
-    return {clean(k, 20): float(v) for k, v in known if isinstance(v, int | float) and not isinstance(v, bool)}
-
-
 def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
     """Identity of every run: id, when, and the hashes that tell whether it was changed."""
     rows = []

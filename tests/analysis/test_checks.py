@@ -1,0 +1,126 @@
+"""Checks beside the residual: repeats by hand, and muscles that are not what the fit takes them for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.analysis import contraction
+from pmabench.analysis.campaign import gather
+from pmabench.analysis.checks import Check, Repeats, checks_of, drift, first_repeat, spread, trial_checks, with_checks
+from pmabench.analysis.contraction_checks import checks
+from pmabench.analysis.results import Analysis
+from tests.analysis.simulate import contraction_run, rig
+
+CELLS = [(load, P) for load in (58.86, 156.96, 255.06) for P in (3e5, 4e5, 5e5)]
+
+
+def repeats(cell, repeat, value, t=None):
+    t = np.arange(len(cell), dtype=float) if t is None else t
+    return Repeats("stroke", *(np.array(row, dtype=float) for row in (cell, repeat, t, value)))
+
+
+def test_the_spread_is_the_pooled_standard_deviation():
+    found = spread(repeats([0, 0, 1, 1], [0, 1, 0, 1], [9.0, 11.0, 20.0, 20.0]))
+    assert found.value == pytest.approx(0.1)  # sqrt((0.1^2 + 0.1^2) / 2)
+    assert found.level == "doubt"
+    assert "10 % of the stroke (2 degrees" in found.text
+    assert spread(repeats([0, 1, 2], [0, 0, 0], [1.0, 2.0, 3.0])) is None
+
+
+@pytest.mark.parametrize(
+    ("firsts", "mean", "level"),
+    [
+        ((1.01, 1.02, 1.03), 0.02, "note"),
+        ((1.019, 1.02, 1.021), 0.02, "doubt"),
+        ((1.0019, 1.002, 1.0021), 0.002, "note"),
+    ],
+)
+def test_a_first_repeat_that_differs_is_told_by_students_t(firsts, mean, level):
+    """t(0.975, 2) = 4.303: 2 +- 2.5 % is no difference, 2 +- 0.25 % is one."""
+    values = [v for first in firsts for v in (10 * first, 9.0, 11.0)]
+    found = first_repeat(repeats(np.repeat([0, 1, 2], 3), [0, 1, 2] * 3, values))
+    assert found.value == pytest.approx(mean)
+    assert found.level == level
+    assert ("differs" in found.text) == (firsts[0] != 1.01)
+    two = repeats([0, 0, 1, 1], [0, 1, 0, 1], [1.0, 1.1, 1.0, 1.1])
+    assert first_repeat(two) is None
+
+
+def test_a_drift_is_found_with_its_size_and_none_where_there_is_none():
+    t = np.linspace(0.0, 900.0, 30)
+    cell = np.tile(np.arange(10), 3)
+    level = 5.0 + cell
+    noise = np.random.default_rng(3).normal(0.0, 0.001, 30)
+    drifts = drift(repeats(cell, np.repeat([0, 1, 2], 10), level * (1 + 0.04 * (t / 900 - 0.5) + noise), t))
+    assert drifts.value == pytest.approx(0.04, abs=0.002)
+    assert drifts.level == "doubt"
+    steady = drift(repeats(cell, np.repeat([0, 1, 2], 10), level * (1 + noise), t))
+    assert abs(steady.value) < 0.002
+    assert "no drift" in steady.text
+    assert drift(repeats([0, 0, 1, 1], [0, 1, 0, 1], [1.0, 1.1, 1.0, 1.1])) is None
+
+
+def test_reference_trials_tell_drift_and_are_no_first_repeats():
+    run = contraction_run(rig(), CELLS[:2], repeats=4, seed=5)
+    trials = [replace(trial, reference=trial.point["pressure"] == 3e5) for trial in run.trials]
+    names = {check.name for check in trial_checks("contraction-relaxation", [replace(run, trials=tuple(trials))])}
+    assert names == {"repeat_spread", "drift"}
+    assert trial_checks("ultimate-gain", [run]) == []
+
+
+def fitted(change=lambda trial: trial, kind="bench"):
+    run = contraction_run(rig("paper0", kind), CELLS, 1, 1)
+    run = replace(run, trials=tuple(change(trial) for trial in run.trials))
+    campaign, _ = gather([run])
+    told = checks(campaign, contraction._pool(campaign, {"replays": 2}))
+    return {check["name"]: check for check in told}
+
+
+def moved(trial, x):
+    return replace(trial, channels={**trial.channels, "displacement": x})
+
+
+def test_a_muscle_of_the_models_form_passes():
+    found = fitted()
+    assert {check["level"] for check in found.values()} == {"note"}
+    assert found["held_out"]["value"] < 2e-3
+    assert found["other_direction"]["value"] < 2e-3
+    assert "friction is seen" in found["friction"]["text"]
+    assert "friction is hardly seen" in fitted(kind="ideal")["friction"]["text"]
+
+
+def test_a_spring_that_is_not_straight_does_not_carry_over_to_other_loads():
+    def bent(trial):
+        x = trial.channels["displacement"]
+        return moved(trial, x + 8.0 * x**2)
+
+    found = fitted(bent)["held_out"]
+    assert found["level"] == "doubt"
+    assert "does not carry over" in found["text"]
+
+
+def test_a_muscle_that_is_softer_on_the_way_back_is_told():
+    def hysteresis(trial):
+        x = trial.channels["displacement"].copy()
+        back = next(c.t for c in trial.commands if c.phase in ("relax", "vent"))
+        x[trial.t > back] *= 1.06
+        return moved(trial, x)
+
+    found = fitted(hysteresis)["other_direction"]
+    assert found["level"] == "doubt"
+    assert "do not have one K" in found["text"]
+
+
+def test_checks_become_findings_and_survive_a_file_that_anybody_wrote():
+    run = contraction_run(rig(), CELLS[:3], repeats=2, seed=5)
+    told = {"name": "held_out", "value": 0.5, "quantity": "ratio", "level": "doubt", "text": "far"}
+    analysis = with_checks(Analysis("contraction-relaxation", ("r1",), True, facts={"checks": [told], "a": 1}), [run])
+    assert [check.name for check in checks_of(analysis)] == ["held_out", "repeat_spread", "first_repeat"]
+    assert next(f.text for f in analysis.findings) == "far"
+    assert analysis.facts["a"] == 1
+    odd = [{**told, "value": "x"}, {**told, "quantity": "nonsense"}, {"name": "x"}, 7, None, {**told, "more": 1}, told]
+    assert checks_of(replace(analysis, facts={"checks": odd})) == (Check(**told),)
+    assert checks_of(replace(analysis, facts={"checks": "x"})) == ()
