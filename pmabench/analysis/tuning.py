@@ -6,14 +6,17 @@ Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from math import inf, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any
 
 from pmabench.analysis.results import Estimate, Finding, Parts
+from pmabench.analysis.simc import SOURCE as SIMC_PAPER
+from pmabench.analysis.simc import simc
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
-from pmabench.model.loop import Controller, Loop, Margins, dead_time_for, margins, overshoot, ultimate
+from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
 
 ZIEGLER_NICHOLS = "Ziegler and Nichols, Trans. ASME 64 (1942) 759, ultimate-gain (second, closed-loop) method"
 TYREUS_LUYBEN = "Tyreus and Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625"
@@ -45,6 +48,25 @@ RULES: tuple[Rule, ...] = (
     Rule("Tyreus-Luyben", "PID", 1 / 2.2, 2.2, 1 / 6.3, TYREUS_LUYBEN),
 )
 
+
+@dataclass(frozen=True)
+class LoopRule:
+    """A rule that needs the loop itself, dead time, lags and gain, and no ultimate gain."""
+
+    name: str
+    form: str
+    """`PI` or `PID`."""
+    source: str
+
+    @property
+    def title(self) -> str:
+        """Name and form, for instance `SIMC PI`."""
+        return f"{self.name} {self.form}"
+
+
+LOOP_RULES: tuple[LoopRule, ...] = (LoopRule("SIMC", "PI", SIMC_PAPER), LoopRule("SIMC", "PID", SIMC_PAPER))
+AnyRule = Rule | LoopRule
+
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
     "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
 }
@@ -55,7 +77,7 @@ FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
 class Gains:
     """What one rule says: the ideal form K_p, T_i, T_d, and the parallel form K_i = K_p/T_i, K_d = K_p T_d."""
 
-    rule: Rule
+    rule: AnyRule
     K_p: Estimate
     T_i: Estimate | None
     T_d: Estimate | None
@@ -63,8 +85,8 @@ class Gains:
     K_d: Estimate | None
     margins: Margins | None = None
     """Where a model of the loop is known."""
-    overshoot: float | None = None
-    """Of a simulated set-point step [1]."""
+    answer: Answer | None = None
+    """To a simulated set-point step."""
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
@@ -73,48 +95,67 @@ class Gains:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite margins as None."""
-        known = None
-        if self.margins is not None:
-            known = {name: None if value == inf else value for name, value in asdict(self.margins).items()}
+
+        def told(made: Margins | Answer | None) -> dict[str, Any]:
+            found = {} if made is None else asdict(made)
+            return {name: value if isfinite(value) else None for name, value in found.items()}
+
         return {
             "rule": self.rule.title,
             "name": self.rule.name,
             "form": self.rule.form,
             "source": self.rule.source,
             "gains": {e.symbol: e.to_dict() for e in self.estimates},
-            "margins": known,
-            "overshoot": None if self.overshoot == inf else self.overshoot,
+            "margins": told(self.margins) or None,
+            "overshoot": told(self.answer).get("overshoot"),
+            "settling": told(self.answer).get("settling"),
         }
 
 
-def rules_named(text: str) -> tuple[Rule, ...]:
+def rules_named(text: str) -> tuple[AnyRule, ...]:
     """The rules whose name, form or title is `text`, in any case; raises ValueError with the nearest name."""
+    every: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES)
     wanted = text.casefold().replace("_", "-")
-    chosen = tuple(r for r in RULES if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
+    chosen = tuple(r for r in every if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
     if not chosen:
         raise ValueError(
-            f"no tuning rule {text!r}{did_you_mean(text, {r.name for r in RULES} | {r.title for r in RULES})}"
+            f"no tuning rule {text!r}{did_you_mean(text, {r.name for r in every} | {r.title for r in every})}"
         )
     return chosen
 
 
-def tune(K_u: Estimate, T_u: Estimate, rules: Iterable[Rule] = RULES, loop: Loop | None = None) -> tuple[Gains, ...]:
+def tune(
+    K_u: Estimate, T_u: Estimate, rules: Iterable[AnyRule] = (*RULES, *LOOP_RULES), loop: Loop | None = None
+) -> tuple[Gains, ...]:
     """Settings of every rule from the ultimate gain `K_u` [Pa/m, or any unit] and period `T_u` [s], with intervals.
 
     Relative half widths of K_u and T_u are added as squares in K_i and K_d, cause by cause: taken as independent.
-    With the model `loop`, each rule also gets its margins and the overshoot of a simulated set-point step.
+    With the model `loop`, each rule also gets its margins and its answer to a simulated set-point step. Rules that
+    need the loop itself are left out where it is not known or not of their kind; theirs have no intervals.
 
     Raises ValueError where K_u or T_u has no value, or one that is not above 0.
     """
     if not K_u.value or not T_u.value or K_u.value <= 0 or T_u.value <= 0:
         raise ValueError("no settings without an ultimate gain and a period above 0")
-    return tuple(_apply(rule, K_u, K_u.value, T_u, T_u.value, loop) for rule in rules)
+    made = []
+    for rule in rules:
+        if isinstance(rule, Rule):
+            made.append(_apply(rule, K_u, K_u.value, T_u, T_u.value, loop))
+            continue
+        if loop is not None:
+            with suppress(ValueError):
+                made.append(_by_loop(rule, K_u, simc(loop, rule.form), loop))
+    return tuple(made)
+
+
+def _units(K_u: Estimate) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Unit and quantity of K_i and of K_d."""
+    bare = (f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", "")
+    return FOLLOWING.get(K_u.unit, bare)
 
 
 def _apply(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float, loop: Loop | None) -> Gains:
-    (unit_i, quantity_i), (unit_d, quantity_d) = FOLLOWING.get(
-        K_u.unit, ((f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", ""))
-    )
+    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
     common = replace(K_u, method=rule.title, bias=None, corrected=False, coordinate="")
 
     def power(symbol: str, factor: float, n: int, m: int, unit: str, quantity: str) -> Estimate:
@@ -139,7 +180,23 @@ def _apply(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float,
         T_i=inf if rule.integral is None else rule.integral * period,
         T_d=0.0 if rule.derivative is None else rule.derivative * period,
     )
-    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, controller), overshoot(loop, controller))
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, controller), set_point_step(loop, controller))
+
+
+def _by_loop(rule: LoopRule, K_u: Estimate, c: Controller, loop: Loop) -> Gains:
+    """Settings that a rule takes from the loop; units and operating point are those of K_u."""
+    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
+    common = replace(
+        K_u, method=rule.title, bias=None, corrected=False, parts=Parts(), note="from the fitted loop, no interval"
+    )
+    K_p = replace(common, symbol="K_p", value=c.K_p)
+    T_i = replace(common, symbol="T_i", value=c.T_i, unit="s", quantity="time")
+    K_i = replace(common, symbol="K_i", value=c.K_p / c.T_i, unit=unit_i, quantity=quantity_i)
+    T_d = K_d = None
+    if c.T_d > 0:
+        T_d = replace(common, symbol="T_d", value=c.T_d, unit="s", quantity="time")
+        K_d = replace(common, symbol="K_d", value=c.K_p * c.T_d, unit=unit_d, quantity=quantity_d)
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, c), set_point_step(loop, c))
 
 
 def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Parts:
@@ -169,7 +226,7 @@ def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
     """
     expected = ultimate(loop)
     lags = ", ".join(f"{abs(complex(lag)):.3g} s" for lag in loop.lags)
-    plant = f"a linear loop with dead time {loop.dead_time * 1e3:.3g} ms and lags {lags}"
+    plant = f"a linear loop with dead time {loop.dead_time * 1e3:.3g} ms and lag{'s' * (len(loop.lags) > 1)} {lags}"
     off = abs(T_u / expected.period - 1)
     if off > DOUBTED:
         needed = dead_time_for(T_u, loop.lags)

@@ -1,6 +1,7 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials with a relay are reduced in `relay_gain`; here are those with a rising gain, and what both say together.
+Trials of steps without a loop are reduced in `open_loop_gain`, those with a relay in `relay_gain`; here are those with
+a rising gain, and what all say together.
 
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
 Knows the samples and what the search wrote down; not how the bench is built.
@@ -16,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis import relay_gain, skew, student, tuning
+from pmabench.analysis import open_loop_gain, relay_gain, skew, student, tuning
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
+from pmabench.analysis.open_loop import steps_of
 from pmabench.analysis.relay_levels import search_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
@@ -82,7 +84,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     T_u are held against.
     """
     options = options or {}
-    cells, relays, dropped = _cells(runs)
+    cells, relays, steps, dropped = _cells(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
@@ -103,6 +105,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
             findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
+    for stepped in steps:
+        ways = stepped.estimates
+        estimates += ways
+        findings += open_loop_gain.findings(stepped)
+        dropped += stepped.dropped
+        traces += open_loop_gain.traces(stepped)
+        settle(ways[0], ways[1], stepped.loop, skew.apart(stepped.runs, CHANNELS))
     for cell in cells:
         K_u, T_u = _estimates(cell)
         estimates += [K_u, T_u]
@@ -131,8 +140,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={
             "options": dict(options),
-            "trials": sum(len(cell.good) for cell in cells) + sum(len(relay.good) for relay in relays),
-            "cells": len(cells) + len(relays),
+            "trials": sum(map(len, [c.good for c in cells] + [c.good for c in relays] + [c.good for c in steps])),
+            "cells": len(cells) + len(relays) + len(steps),
             "loops": loops,
             "tuning": settings,
             "levels": [
@@ -142,22 +151,30 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
                 for level in found.levels
             ],
             "relay": [level for relay in relays for level in relay_gain.facts(relay)],
+            "open_loop": [trial for stepped in steps for trial in open_loop_gain.facts(stepped)],
         },
     )
 
 
-def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[Dropped]]:
+def _cells(
+    runs: Sequence[RunData],
+) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[open_loop_gain.StepsCell], list[Dropped]]:
     dropped: list[Dropped] = []
+    stepped: list[tuple[RunData, TrialData]] = []
     relays: list[tuple[RunData, TrialData]] = []
     groups: dict[tuple[tuple[str, float], ...], list[tuple[RunData, TrialData]]] = {}
     for run in runs:
         for trial in run.trials:
             if trial.status not in USED:
                 dropped.append(Dropped(name_of(trial), trial.point, f"the trial is {trial.status}"))
-            elif _search(trial) is None and search_of(trial) is None:
+            elif _search(trial) is None and search_of(trial) is None and not steps_of(trial):
                 dropped.append(Dropped(name_of(trial), trial.point, "no levels of gain are recorded"))
             elif "displacement" not in trial.channels:
                 dropped.append(Dropped(name_of(trial), trial.point, "the displacement is not recorded"))
+            elif steps_of(trial) and "pressure" not in trial.channels:
+                dropped.append(Dropped(name_of(trial), trial.point, "the pressure is not recorded"))
+            elif steps_of(trial):
+                stepped.append((run, trial))
             elif search_of(trial) is not None:
                 relays.append((run, trial))
             else:
@@ -167,7 +184,7 @@ def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[relay_gain.RelayC
     for key, members in sorted(groups.items()):
         found = tuple(examine(run, trial, _search(trial) or {}) for run, trial in members)
         cells.append(_Cell(dict(key), tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
-    return cells, relay_gain.cells(relays), dropped
+    return cells, relay_gain.cells(relays), open_loop_gain.cells(stepped), dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:

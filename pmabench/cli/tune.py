@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +13,14 @@ import click
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Estimate
-    from pmabench.analysis.tuning import Gains, Rule
+    from pmabench.analysis.results import Analysis, Estimate
+    from pmabench.analysis.tuning import AnyRule, Gains
     from pmabench.model.loop import Loop
 
 
 @click.command(name="tune")
+@click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--steps", is_flag=True, help="From open-loop steps in RUNS of kind ultimate-gain.")
 @click.option("--ku", help='Ultimate gain, for instance "7.1 bar/cm"; a bare number has no unit.')
 @click.option("--tu", help='Ultimate period, for instance "9 s".')
 @click.option("--analysis", type=click.Path(path_type=Path), help="Analysis folder of an ultimate-gain run.")
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
 @common
 def command(
     ui: Ui,
+    runs: tuple[Path, ...],
+    steps: bool,
     ku: str | None,
     tu: str | None,
     analysis: Path | None,
@@ -33,41 +39,95 @@ def command(
     dead_time: str | None,
     lags: tuple[str, ...],
 ) -> int | None:
-    """Gains of the tuning rules from K_u and T_u, or from an analysis."""
-    from pmabench.analysis.tuning import RULES, facts, rules_named, tune
+    """Gains of the tuning rules from K_u and T_u, from an analysis, or from the RUNS of open-loop steps."""
+    from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, rules_named, tune
     from pmabench.base.errors import UsageError
 
     given = [value is not None for value in (ku, tu)]
-    if any(given) if analysis is not None else not all(given):
-        raise UsageError('give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER')
+    if steps != bool(runs) or (steps and (any(given) or analysis is not None)):
+        raise UsageError("--steps takes runs and nothing else: pmabench tune --steps RUN...")
+    if not steps and (any(given) if analysis is not None else not all(given)):
+        raise UsageError(
+            'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN...'
+        )
     try:
-        rules: tuple[Rule, ...] = RULES if rule is None else rules_named(rule)
+        rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    pairs = _measured(analysis) if analysis is not None else [(_gain(ui, ku or ""), _time(ui, tu or ""), None)]
-    found: list[tuple[dict[str, float], tuple[Gains, ...]]] = []
+    notes: list[str] = []
+    if steps:
+        reduced = _reduced(ui, runs)
+        notes = [f"{finding.level}: {finding.text}" for finding in reduced.findings]
+        pairs = _pairs(reduced)
+    elif analysis is not None:
+        pairs = _measured(analysis)
+    else:
+        pairs = [(_gain(ui, ku or ""), _time(ui, tu or ""), None)]
+    if dead_time is not None or lags:
+        pairs, said = _beside(pairs, dead_time, lags)
+        notes += said
+    found: list[tuple[Estimate, Estimate, tuple[Gains, ...]]] = []
     for gain, period, loop in pairs:
         try:
-            found.append((dict(gain.at), tune(gain, period, rules, loop)))
+            found.append((gain, period, tune(gain, period, rules, loop)))
         except ValueError as error:
             raise UsageError(str(error)) from error
-    notes = _plausible(pairs[0][1], dead_time, lags)
+    if found and not any(gains for _, _, gains in found):
+        raise UsageError(
+            f"{rules[0].name} needs the loop itself: give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
+        )
     data = {
         "schema": "pmabench.tune/1",
-        "settings": [fact for at, gains in found for fact in facts(gains, at)],
+        "ultimate": [estimate.to_dict() for gain, period, _ in found for estimate in (gain, period)],
+        "settings": [fact for gain, _, gains in found for fact in facts(gains, gain.at)],
         "findings": notes,
     }
 
     def human() -> None:
-        for at, gains in found:
-            if at:
-                click.echo("at " + ", ".join(f"{name} {value:g}" for name, value in at.items()))
+        for gain, period, gains in found:
+            if gain.at:
+                click.echo(_told(gain, period))
             _print(ui, gains)
         for note in notes:
             click.echo(note)
 
     ui.result(data, human)
-    return None
+    return None if found else 6
+
+
+def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
+    """What the open-loop steps of runs give; other ways to K_u in them stand beside it in the findings."""
+    from pmabench.analysis.open_loop_gain import METHOD
+    from pmabench.analysis.ultimate_gain import KIND, reduce
+    from pmabench.base.errors import invalid
+    from pmabench.cli.process import load_runs, without_analyses
+
+    loaded = load_runs(without_analyses(ui, runs))
+    for run in loaded:
+        if run.kind != KIND:
+            raise invalid(
+                run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"'
+            )
+    reduced = reduce(loaded)
+    estimates = tuple(e for e in reduced.estimates if e.method == METHOD)
+    if not estimates:
+        raise invalid(runs[0], 'holds no open-loop steps; run a protocol with "open_loop", as ultimate-gain-open-loop')
+    return replace(reduced, estimates=estimates)
+
+
+def _told(gain: Estimate, period: Estimate) -> str:
+    """Operating point, K_u and T_u with their intervals, and where they come from."""
+    from pmabench.analysis.results import POINT_QUANTITIES
+    from pmabench.base.quantities import show
+
+    names = [name for name in POINT_QUANTITIES if name in gain.at]
+    where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
+    values = []
+    for estimate in (gain, period):
+        half = estimate.parts.combined
+        width = "" if half is None else f" +- {show(half, estimate.quantity, 2)}"
+        values.append(f"{estimate.symbol} = {show(estimate.value or 0.0, estimate.quantity, 4)}{width}")
+    return f"at {where}: {', '.join(values)} ({gain.method})"
 
 
 def _gain(ui: Ui, text: str) -> Estimate:
@@ -120,10 +180,17 @@ def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[floa
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
     from pmabench.base.errors import invalid
-    from pmabench.model.loop import Loop
     from pmabench.report.analysis_folder import read_analysis
 
-    analysis = read_analysis(folder)
+    found = _pairs(read_analysis(folder))
+    if not found:
+        raise invalid(folder, "holds no ultimate gain and period")
+    return found
+
+
+def _pairs(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
+    from pmabench.model.loop import Loop
+
     loops = {
         _point(fact["at"]): Loop(fact["gain"], fact["dead_time"], tuple(fact["lags"]))
         for fact in analysis.facts.get("loops", [])
@@ -133,32 +200,45 @@ def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
     gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]
     first = {_point(e.at): e for e in reversed(gains)}  # of several ways the first one told
-    found = [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
-    if not found:
-        raise invalid(folder, "holds no ultimate gain and period")
-    return found
+    return [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
 
 
 def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(at.items()))
 
 
-def _plausible(period: Estimate, dead_time: str | None, lags: tuple[str, ...]) -> list[str]:
-    from pmabench.base.errors import UsageError
+Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
-    if dead_time is None and lags:
-        raise UsageError("--lag is for --dead-time; give both, or neither")
-    if dead_time is None or period.value is None:
-        return []
+
+def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
+    """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
     from pmabench.analysis.tuning import plausibility
-    from pmabench.model.loop import Loop
+    from pmabench.base.errors import UsageError
+    from pmabench.model.loop import Loop, ultimate
 
+    if dead_time is None:
+        raise UsageError("--lag is for --dead-time; give both, or neither")
     loop = Loop(1.0, _seconds("--dead-time", dead_time), tuple(_seconds("--lag", lag) for lag in lags))
-    try:
-        finding = plausibility(period.value, loop)
-    except ValueError as error:
-        raise UsageError(f"--dead-time {dead_time} with --lag {', '.join(lags) or 'none'}: {error}") from error
-    return [f"{finding.level}: {finding.text}"]
+    found, notes = [], []
+    for gain, period, known in pairs:
+        try:
+            finding = plausibility(period.value or 0.0, loop)
+        except ValueError as error:
+            raise UsageError(f"--dead-time {dead_time} with --lag {', '.join(lags) or 'none'}: {error}") from error
+        notes.append(f"{finding.level}: {finding.text}")
+        scaled = None
+        if finding.level == "note" and gain.value:
+            scaled = replace(loop, gain=ultimate(loop).gain / gain.value)  # the gain that oscillates at K_u
+        found.append((gain, period, known or scaled))
+    return found, notes
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if isfinite(share) else "unstable"
+
+
+def _late(time: float) -> str:
+    return f"{time:.3g} s" if isfinite(time) else "never"
 
 
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
@@ -175,15 +255,15 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
 
     known = any(row.margins is not None for row in gains)
     heads = ["rule", "K_p", "T_i", "T_d", "K_i", "K_d"]
-    heads += ["M_s", "gain margin", "phase margin", "overshoot"] if known else []
+    heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"] if known else []
     rows = []
     for row in gains:
         cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
         if known and row.margins is None:
-            cells += [""] * 4
+            cells += [""] * 5
         elif row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            cells.append("" if row.overshoot is None else f"{100 * row.overshoot:.0f} %")
+            cells += ["", ""] if row.answer is None else [_percent(row.answer.overshoot), _late(row.answer.settling)]
         rows.append([row.rule.title, *cells])
     print_grid(ui.console(), heads, rows, ("rule",))

@@ -54,7 +54,7 @@ class Quick:
 _NEEDS = {
     "contraction-relaxation": ("segments", "steps"),
     "sinusoidal-displacement": ("sine_loop",),
-    "ultimate-gain": ("gain_levels", "relay_levels"),
+    "ultimate-gain": ("gain_levels", "relay_levels", "open_loop"),
     "positioning": ("positioning",),
     "validation": ("validation",),
     "isobaric-ramp": ("ramp_loop",),
@@ -233,10 +233,21 @@ def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Ultimate gain and period of one search."""
     from pmabench.analysis.gain_levels import examine
+    from pmabench.analysis.open_loop import examine as examine_steps
+    from pmabench.analysis.open_loop import steps_of
     from pmabench.analysis.relay_levels import examine as examine_relay
     from pmabench.analysis.relay_levels import search_of
+    from pmabench.model.loop import ultimate
 
     relay = search_of(trial)
+    if steps_of(trial) and {"pressure", "displacement"} <= set(trial.channels):
+        by_steps = examine_steps(run, trial)
+        truth = None if by_steps.loop is None else ultimate(by_steps.loop)
+        both = (None, None) if truth is None else (truth.gain, truth.period)
+        return [Measured("K_u", "gain", both[0]), Measured("T_u", "time", both[1])], [
+            *by_steps.refused,
+            *by_steps.doubts,
+        ]
     if relay is not None and "displacement" in trial.channels:
         by_relay = examine_relay(run, trial, relay)
         best = None if by_relay.refused else by_relay.best

@@ -1,7 +1,8 @@
-"""Ultimate gain and period of the position loop: a proportional gain raised in steps (paper 0), or a relay."""
+"""Ultimate gain and period of the position loop: by a rising gain (paper 0), by a relay, or by steps without a loop."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -9,7 +10,7 @@ from pydantic import Field
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Force, Gain, Length, Load, Pressure, Ratio, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Seek, Set, TrialRecord
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Seek, Set, Step, TrialRecord
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
 
 
@@ -55,8 +56,20 @@ class RelayTest(Strict):
     """Window of the measured force."""
 
 
+class OpenLoop(Strict):
+    """No loop: steps of the command, up, back, down and back, from which a model of the loop is fitted."""
+
+    amplitude: Pressure
+    """Height of a step, to both sides of the bias."""
+    hold: Time
+    """After each step; long enough to come to rest."""
+    cycles: Annotated[int, Field(ge=3, le=100)]
+    """Of four steps; the scatter between cycles makes the interval."""
+    settle: Time
+
+
 class UltimateTrial(Strict):
-    """One search: either by `gain_steps` or by `relay`."""
+    """One trial: by `gain_steps`, by `relay` or by `open_loop`."""
 
     approach: Time
     """Time of the ramp to the bias pressure."""
@@ -64,6 +77,7 @@ class UltimateTrial(Strict):
     """Range that the command cannot leave."""
     gain_steps: GainSteps | None = None
     relay: RelayTest | None = None
+    open_loop: OpenLoop | None = None
 
 
 class UltimateGain(ProtocolHead):
@@ -79,15 +93,18 @@ class UltimateGain(ProtocolHead):
         """The plan: per set-point a ramp to the bias and one search."""
         trial = self.trial
         c.needs_channel("displacement")
-        if (trial.gain_steps is None) == (trial.relay is None):
-            c.fault(("trial",), 'needs one of "gain_steps" and "relay", not both')
+        ways = (trial.gain_steps, trial.relay, trial.open_loop)
+        if sum(way is not None for way in ways) != 1:
+            c.fault(("trial",), 'needs one of "gain_steps", "relay" and "open_loop"')
             return c.plan("ultimate-gain", {})
         if trial.gain_steps is not None:
             _check_steps(c, trial.gain_steps)
-            searching = _steps(trial.gain_steps)
         if trial.relay is not None:
             _check_relay(c, trial.relay)
-            searching = _relay(trial.relay)
+        if trial.open_loop is not None:
+            c.needs_channel("pressure")
+            for name in ("amplitude", "hold", "settle"):
+                c.positive(getattr(trial.open_loop, name), ("trial", "open_loop", name))
         c.positive(trial.approach, ("trial", "approach"))
         low, high = trial.pressure
         c.within("pressure", low, ("trial", "pressure", 0))
@@ -103,23 +120,43 @@ class UltimateGain(ProtocolHead):
             if index == 0:
                 c.precondition()
             c.trials.append(TrialRecord(index, values, point.repeat))
-            if trial.relay is not None:
-                _inside(c, trial.relay, trial.pressure, bias, point.places["bias"])
-            law, parameters, limit = searching
-            parameters = {**parameters, "setpoint": setpoint, "bias": bias, "low": low, "high": high}
             c.steps += [
                 Ramp("approach", "pressure", 0.0, bias, max(bias, 1.0) / max(trial.approach, 1e-3)),
                 Hold("approach", 2.0),
                 Record("ultimate-gain", True, index),
-                Seek("ultimate-gain", law, "pressure", low, high, limit, parameters, at_limit="flag"),
+                *_steps_of(c, trial, values, point.places["bias"]),
                 Record("ultimate-gain", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", 3.0),
             ]
-        consent = (
-            "the loop is taken to the limit of stability" if trial.relay is None else "a relay makes the loop swing"
-        )
-        return c.plan("ultimate-gain", {"consent": consent})
+        consent = {}
+        if trial.gain_steps is not None:
+            consent = {"consent": "the loop is taken to the limit of stability"}
+        elif trial.relay is not None:
+            consent = {"consent": "a relay makes the loop swing"}
+        return c.plan("ultimate-gain", consent)
+
+
+def _steps_of(c: Compilation, trial: UltimateTrial, point: Mapping[str, float], place: Location) -> list[Step]:
+    """What happens while a trial is recorded; `place` is that of its bias."""
+    bias, (low, high) = point["bias"], trial.pressure
+    if trial.open_loop is not None:
+        steps = trial.open_loop
+        if not low <= bias - steps.amplitude < bias + steps.amplitude <= high:
+            c.fault(place, 'with the amplitude of the steps lies outside the range "pressure" of the trial')
+        found: list[Step] = [Hold("settle", steps.settle)]
+        for value in (bias + steps.amplitude, bias, bias - steps.amplitude, bias) * steps.cycles:
+            found += [Set("open-loop", "pressure", value), Hold("open-loop", steps.hold)]
+        return found
+    if trial.relay is not None:
+        _inside(c, trial.relay, trial.pressure, bias, place)
+    searches = [_relay(trial.relay)] if trial.relay is not None else []
+    searches += [_steps(trial.gain_steps)] if trial.gain_steps is not None else []
+    fixed = {"setpoint": point["setpoint"], "bias": bias, "low": low, "high": high}
+    return [
+        Seek("ultimate-gain", law, "pressure", low, high, limit, {**parameters, **fixed}, at_limit="flag")
+        for law, parameters, limit in searches
+    ]
 
 
 def _check_steps(c: Compilation, law: GainSteps) -> None:

@@ -327,6 +327,8 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
                 row[head] = rounded(margins[name] / scale, None, 3)
         if isinstance(entry.get("overshoot"), int | float):
             row["overshoot [%]"] = rounded(entry["overshoot"] * 100, None, 2)
+        if isinstance(entry.get("settling"), int | float):
+            row["settling [s]"] = rounded(entry["settling"], None, 2)
         rows.append(row)
     wanted = ("operating point", "rule", "K_p", "T_i", "T_d", "K_i", "K_d", *(head for _, head, _ in _MARGINS))
     heads = list(dict.fromkeys(head for row in rows for head in row))

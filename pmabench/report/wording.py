@@ -179,9 +179,9 @@ METHODS: dict[str, str] = {
     "branches turn into each other.",
     "rubber term": "F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8) by least squares through the mean curve at 0 kPa, ε "
     "by the nominal length.",
-    "open-loop": "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag are fitted "
-    "from command to pressure, a gain, a lag for each direction and the inertia from the measured pressure to the "
-    "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
+    "open-loop": "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag are "
+    "fitted from command to pressure, a gain, a lag for each direction and the inertia from the measured pressure to "
+    "the contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
     "directions (Ziegler and Nichols 1942). Where rests depend on the side they were reached from, as friction makes "
     "them, neither is told.",
     "gain-steps": "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings "

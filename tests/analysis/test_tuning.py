@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from math import degrees
 
 import pytest
 
 from pmabench.analysis.results import Estimate, Parts
-from pmabench.analysis.tuning import RULES, facts, plausibility, rules_named, tune
+from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
 
@@ -69,17 +70,53 @@ def test_margins_where_a_model_is_known() -> None:
     loop = Loop(1.466e-7, 0.041, (0.0955, 0.247))
     true = ultimate(loop)
     by_rule = {g.rule.title: g for g in tune(*pair(true.gain, true.period, "Pa/m"), loop=loop)}
-    assert len(by_rule) == len(RULES)
+    assert len(by_rule) == len(RULES) + len(LOOP_RULES)
     proportional = by_rule["Ziegler-Nichols P"].margins
     assert proportional is not None
     assert proportional.gain_margin == pytest.approx(2.0, rel=1e-3)
     classic, calm = by_rule["Ziegler-Nichols PI"], by_rule["Tyreus-Luyben PI"]
-    assert (classic.overshoot or 0.0) > 0.4 > 0.2 > (calm.overshoot or 0.0)
+    assert classic.answer is not None
+    assert calm.answer is not None
+    assert classic.answer.overshoot > 0.4 > 0.2 > calm.answer.overshoot
+    assert 1.0 < classic.answer.settling < 4.0
     assert json.loads(json.dumps(facts(by_rule.values(), {"setpoint": 0.03}), allow_nan=False))
 
 
+def test_simc_by_the_half_rule() -> None:
+    """By hand: lags 10, 2 and 0.4 with dead time 1; tau_c = theta."""
+    loop = Loop(2.0, 1.0, (10.0, 2.0, 0.4))
+    true = ultimate(loop)
+    by_rule = {g.rule.title: g for g in tune(*pair(true.gain, true.period), loop=loop)}
+    told = {e.symbol: e.value for e in by_rule["SIMC PI"].estimates}  # tau_1 = 11, theta = 1 + 1 + 0.4
+    assert told == pytest.approx({"K_p": 11 / (2 * 2 * 2.4), "T_i": 11.0, "K_i": 1 / (2 * 2 * 2.4)})
+    told = {e.symbol: e.value for e in by_rule["SIMC PID"].estimates}  # tau_1 = 10, tau_2 = 2.2, theta = 1.2
+    series, tau_i, tau_d = 10 / (2 * 2 * 1.2), 8 * 1.2, 2.2
+    f = 1 + tau_d / tau_i
+    assert told == pytest.approx(
+        {"K_p": series * f, "T_i": tau_i * f, "T_d": tau_d / f, "K_i": series / tau_i, "K_d": series * tau_d}
+    )
+
+
+def test_simc_of_one_lag_has_the_margins_that_its_paper_prints() -> None:
+    """Skogestad 2003, table 1, tau_c = theta: gain margin 3.14, phase margin 61.4 deg, M_s 1.59, for tau_1 <= 8 theta."""
+    loop = Loop(3.0, 0.5, (2.0,))
+    (found,) = tune(*pair(), rules=rules_named("simc pi"), loop=loop)
+    assert found.margins is not None
+    assert found.margins.gain_margin == pytest.approx(3.14, abs=0.01)
+    assert degrees(found.margins.phase_margin) == pytest.approx(61.4, abs=0.1)
+    assert found.margins.M_s == pytest.approx(1.59, abs=0.01)
+    assert found.K_p.ci95 is None
+
+
+def test_simc_is_left_out_where_it_cannot_be() -> None:
+    assert tune(*pair(), rules=rules_named("SIMC")) == ()
+    swinging = Loop(1.0, 0.1, (0.2 + 0.3j, 0.2 - 0.3j))
+    assert tune(*pair(), rules=rules_named("SIMC"), loop=swinging) == ()
+    assert [g.rule.form for g in tune(*pair(), rules=rules_named("SIMC"), loop=Loop(1.0, 0.1, (1.0,)))] == ["PI"]
+
+
 def test_rules_are_found_by_name_form_or_title() -> None:
-    assert {r.title for r in rules_named("pi")} == {"Ziegler-Nichols PI", "Tyreus-Luyben PI"}
+    assert {r.title for r in rules_named("pi")} == {"Ziegler-Nichols PI", "Tyreus-Luyben PI", "SIMC PI"}
     with pytest.raises(ValueError, match="did you mean"):
         rules_named("Ziegler-Nicols")
     with pytest.raises(ValueError, match="above 0"):

@@ -105,7 +105,7 @@ BENCHES_OF = {
     "static-load": "weights", "contraction-relaxation": "weights", "ultimate-gain": "weights",
     "ultimate-gain-relay": "weights", "positioning-pi": "weights", "validation": "weights", "free-contraction": "weights",
     "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator", "step-displacement": "actuator",
-    "isometric-pressurisation": "actuator", "closed-volume": "closed",
+    "isometric-pressurisation": "actuator", "closed-volume": "closed", "ultimate-gain-open-loop": "weights",
 }  # fmt: skip
 REACH = {"actuator": (0.0, 50e-3), "closed": (-6e-3, 40e-3)}
 """Where the free end may be sent [m]; written out again here, as the pressure."""
@@ -162,6 +162,11 @@ SETTINGS = {
         "trial.pressure": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
         "trial.gain_steps.start": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/mm"),
         "trial.gain_steps.window": length,
+    },
+    "ultimate-gain-open-loop": {
+        "sweep.zip.bias": pressure.map(lambda v: f"[{v}]"),
+        "trial.pressure": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
+        "trial.open_loop.amplitude": pressure,
     },
     "ultimate-gain-relay": {
         "sweep.zip.bias": pressure.map(lambda v: f"[{v}]"),
@@ -221,6 +226,8 @@ SHORT = {
                       "prepare.precondition.cycles": "0"},
     "ultimate-gain": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.gain_steps.levels": "2",
                       "trial.gain_steps.level_time": "0.05 s", "trial.gain_steps.settle": "0.05 s"},
+    "ultimate-gain-open-loop": {"prepare.precondition.cycles": "0", "trial.approach": "0.2 s",
+                                "trial.open_loop.hold": "0.2 s", "trial.open_loop.settle": "0.05 s"},
     "ultimate-gain-relay": {"sweep.repeat.count": "1", "prepare.precondition.cycles": "0", "trial.approach": "0.2 s",
                             "trial.relay.level_time": "0.5 s", "trial.relay.settle": "0.05 s"},
     "free-contraction": {"sweep.matrix.pressure": "[200 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",

@@ -15,8 +15,8 @@ from pmabench.model.loop import (
     margins,
     mode,
     muscle_loop,
-    overshoot,
     sensitivity,
+    set_point_step,
     ultimate,
 )
 
@@ -126,15 +126,17 @@ def test_margins_of_a_proportional_loop() -> None:
     unstable = margins(loop, Controller(1.1 * ultimate(loop).gain))
     assert not unstable.stable
     assert unstable.M_s == inf
-    assert overshoot(loop, Controller(1.1 * ultimate(loop).gain)) == inf
+    answer = set_point_step(loop, Controller(1.1 * ultimate(loop).gain))
+    assert (answer.overshoot, answer.settling) == (inf, inf)
 
 
 @pytest.mark.parametrize(("T_i", "T_d"), [(inf, 0.0), (0.29, 0.0), (0.5, 0.06)])
-def test_overshoot_as_a_hand_written_simulation_has_it(T_i: float, T_d: float) -> None:
+def test_overshoot_and_settling_as_a_hand_written_simulation_has_them(T_i: float, T_d: float) -> None:
     L, T_r, tau, K_p = 0.04, 0.1, 0.25, 3.5
     h = 1e-4
     line = deque([0.0] * round(L / h))
     P = x = integral = slow = peak = 0.0
+    trace = []
     for _ in range(60_000):
         error = 1.0 - x
         integral += error * h / T_i
@@ -144,6 +146,9 @@ def test_overshoot_as_a_hand_written_simulation_has_it(T_i: float, T_d: float) -
         P += h / T_r * (line.popleft() - P)
         x += h / tau * (P - x)
         peak = max(peak, x)
+        trace.append(x)
     final = 1.0 if T_i < inf else K_p / (1 + K_p)
-    found = overshoot(Loop(1.0, L, (T_r, tau)), Controller(K_p, T_i, T_d))
-    assert found == pytest.approx(peak / final - 1.0, abs=0.01)
+    found = set_point_step(Loop(1.0, L, (T_r, tau)), Controller(K_p, T_i, T_d))
+    assert found.overshoot == pytest.approx(peak / final - 1.0, abs=0.01)
+    outside = np.flatnonzero(np.abs(np.array(trace) - final) > 0.02 * final)
+    assert found.settling == pytest.approx((outside[-1] + 1) * h, rel=0.03)

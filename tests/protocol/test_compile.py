@@ -23,6 +23,7 @@ BENCH_OF = {
     "sinusoidal-displacement": "mock-actuator",
     "ultimate-gain": "mock",
     "ultimate-gain-relay": "mock",
+    "ultimate-gain-open-loop": "mock",
     "positioning-pi": "mock",
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
