@@ -39,10 +39,10 @@ SETTLED_FORCE = 5e-5
 """Slower than this [m/s] with less than this out of balance [N], a muscle counts as at rest: 10 nm from its end."""
 SHORT = 0.0041
 """Stretches up to this length [s] are stepped: starting LSODA costs more than they do."""
-STEP = 1e-3
-"""Longest step of those [s]."""
-LAUNCH = 2.5e-4
-"""Step at speeds of stiction [s]: whatever is unstable there is solved exactly within a step, LSODA is lost."""
+STEP = 2e-3
+"""Longest step of a loop that is closed every sample [s]."""
+LAUNCH = 1e-3
+"""Step at speeds of stiction [s]: what grows there is solved exactly within a step, LSODA is lost."""
 CREEP = 4e-3
 """Step where the damping is so strong that nothing grows at speeds of stiction, with the pressure at its end [s]."""
 CALM = 100.0
@@ -146,7 +146,7 @@ class Plant:
             if self.way == 0:
                 self._rest(trace, min(end, to_nanosecond(self.time + REST)), record)
             elif end - self.time <= SHORT:
-                self._stepwise(trace, end, record, STEP, math.inf)
+                self._stepwise(trace, end, record, LAUNCH, math.inf)
             elif self.way * self.v < self.muscle.friction.knee:
                 soon = min(end, to_nanosecond(self.time + HORIZON))
                 self._stepwise(trace, soon, record, self._fine_step(trace), 1.05 * self.muscle.friction.knee)
@@ -317,12 +317,10 @@ class Plant:
     # -- stepping ------------------------------------------------------------------------------------------------
 
     def _fine_step(self, trace: Trace) -> float:
-        """A step that follows the growth of speed out of stiction, whose time constant is M by slope [s]."""
-        slope = self.muscle.friction.slope
+        """Longest step at speeds of stiction [s]."""
         P = trace.value(self.time)
-        if abs(P - trace.level) < CALM and trace.slope == trace.omega == 0 and self._damping[self.way](P) > 2 * slope:
-            return CREEP
-        return min(max(LAUNCH, 0.05 * self.mass / slope), STEP) if slope else STEP
+        calm = abs(P - trace.level) < CALM and trace.slope == trace.omega == 0
+        return CREEP if calm and self._damping[self.way](P) > 2 * self.muscle.friction.slope else LAUNCH
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
         """Slide in steps of at most `longest` until `end`, or until it turns, rests or is as fast as `speed`."""
@@ -347,26 +345,40 @@ class Plant:
             self._step(trace, until if i == count else begin + (until - begin) * i / count)
 
     def _step(self, trace: Trace, until: float) -> None:
+        """Slide or rest until `until` with the force out of balance on a straight line, K and B of the middle."""
         muscle, h = self.muscle, until - self.time
-        middle = trace.value(0.5 * (self.time + until))
-        f_ce, stiffness = self._f_ce(middle), self._stiffness(middle)
+        P, P_end = trace.value(self.time), trace.value(until)
+        F, K = self._f_ce(P), self._stiffness(P)
+        F_end, K_end = (F, K) if P_end == P else (self._f_ce(P_end), self._stiffness(P_end))
+        left = h
         for _ in range(3):
-            drive = f_ce - stiffness * self.x - self.force
+            share = left / h
+            drive = F_end - (F_end - F) * share - (K_end - (K_end - K) * share) * self.x - self.force
+            end = F_end - K_end * self.x - self.force
             if self.way == 0:
                 self.way = self._breaks_away(drive)
+            if self.way == 0:
+                self.way = self._breaks_away(end)
                 if self.way == 0:
                     break
-            damping = self._damping[self.way](middle) + 0.5 * h * stiffness
-            gone, speed, left = glide(muscle.friction, h, self.way * self.v, self.way * drive, damping, self.mass)
-            self.x += self.way * gone
-            self.v = self.way * speed
+                hold = self.way * (muscle.friction.F_s + SETTLED_FORCE)
+                left *= (end - hold) / (end - drive)
+                drive = hold
+                if left <= 0:
+                    break
+            B = self._damping[self.way]
+            damping = B(P) if P_end == P else 0.5 * (B(P) + B(P_end))
+            way, course = self.way, (self.way * drive, self.way * (end - drive) / left)
+            linear = damping, 0.5 * (K + K_end)
+            gone, speed, left = glide(muscle.friction, left, way * self.v, course, linear, self.mass)
+            self.x += way * gone
+            self.v = way * speed
             if not 0 <= self.x <= muscle.stop:
                 self.x = min(max(self.x, 0.0), muscle.stop)
                 self.v, left = 0.0, 0.0
                 self.way = 0
-            elif speed == 0 or (speed < SETTLED_SPEED and abs(drive) < SETTLED_FORCE):
+            elif speed == 0 or (speed < SETTLED_SPEED and abs(end - way * K_end * gone) < SETTLED_FORCE):
                 self.v, self.way = 0.0, 0
             if left == 0:
                 break
-            h = left
         self.time = until

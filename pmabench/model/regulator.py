@@ -7,7 +7,8 @@ actuator with a follow error.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -41,8 +42,7 @@ class Regulator:
             raise ValueError("a dead band needs a lag above 0")
 
 
-@dataclass(frozen=True)
-class Trace:
+class Trace(NamedTuple):
     """A closed form: level + slope s + sin_part sin(omega s) + cos_part cos(omega s) + decay exp(-s / lag).
 
     s = t - start [s].
@@ -203,7 +203,7 @@ class Regulated:
         self._waves = self._waves[active:]
         wave = self._waves[0]
         if not wave.steady:
-            wave = replace(wave, start=self._arrival(wave))
+            wave = wave._replace(start=self._arrival(wave))
         end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
         value = self._trace.value(t)
         if r.lag == 0 or (r.vent_ratio == 1 and r.dead_band == 0):
@@ -213,7 +213,7 @@ class Regulated:
         if way == 0:
             self._trace = Trace(t, 0.0, decay=value, lag=1 / r.leak) if r.leak else Trace(t, value)
         else:
-            edge = replace(wave, level=wave.level - way * r.dead_band)
+            edge = wave._replace(level=wave.level - way * r.dead_band)
             self._trace = self._answer(edge, t, value, r.lag * (1 if way > 0 else r.vent_ratio))
         self._end = self._change(wave, way, t, end)
 
@@ -222,7 +222,7 @@ class Regulated:
         share = 1 / (1 + lag * self.regulator.leak)
         if share == 1:
             return lagged(wave, t, value, lag)
-        short = replace(wave, level=share * wave.level, slope=share * wave.slope, amplitude=share * wave.amplitude)
+        short = wave._replace(level=share * wave.level, slope=share * wave.slope, amplitude=share * wave.amplitude)
         return lagged(short, t, value, share * lag)
 
     def _way(self, wave: Wave, t: float, value: float) -> int:

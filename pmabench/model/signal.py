@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from pmabench.model.curve import Array
 
 def to_nanosecond(t: float) -> float:
     """A moment [s] on the grid of whole nanoseconds, so that equal moments compare equal however they were summed."""
-    return round(t, 9)
+    return round(t * 1e9) / 1e9
 
 
-@dataclass(frozen=True)
-class Wave:
+class Wave(NamedTuple):
     """u(t) = level + slope s + amplitude sin(omega s + phase), s = t - start [s], until the next wave starts."""
 
     start: float
@@ -40,7 +39,7 @@ class Wave:
     def later(self, t: float) -> Wave:
         """The same wave counted from t [s] on."""
         since = t - self.start
-        return replace(self, start=t, level=self.level + self.slope * since, phase=self.phase + self.omega * since)
+        return self._replace(start=t, level=self.level + self.slope * since, phase=self.phase + self.omega * since)
 
     @property
     def steady(self) -> bool:

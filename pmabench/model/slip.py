@@ -7,8 +7,10 @@ with speed are for `glide` only: nothing grows faster there than a stiff solver'
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.integrate import odeint
@@ -23,6 +25,13 @@ TIME = 0.01
 """Error tolerances of LSODA per step, absolute in contraction [m] and in speed times `TIME` [s]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
+
+FARTHEST = 100.0
+"""A speed that grows is followed over so many of its time constants at once [1]."""
+FELT, APART = 1e-6, 1e-6
+"""Least effect of the spring within a step, and least distance of two exponents, both as shares [1]."""
+EXACT, SHORTEST = 1e-9, 1e-12
+"""A speed is met within this share of itself [1], or of the moment [s]."""
 
 State = np.ndarray[tuple[int], np.dtype[np.float64]]
 
@@ -81,41 +90,73 @@ def slide(
 
 
 def glide(
-    friction: Friction, h: float, speed: float, drive: float, damping: float, mass: float
+    friction: Friction, h: float, speed: float, drive: tuple[float, float], linear: tuple[float, float], mass: float
 ) -> tuple[float, float, float]:
-    """Slide for at most h [s] under M u' = drive - damping u - friction(u), u >= 0, exactly.
+    """Slide for at most h [s] under M u' = drive - K s - B u - friction(u), s' = u >= 0, exactly.
 
-    Inside each of the two straight parts of the friction the solution is an exponential, and so is the moment at which
-    it leaves that part: no mass and no damping make it unstable.
+    `drive` is its value now [N] and its rate [N/s], `linear` are B [N.s/m] and K [N/m]. Inside each of the two straight
+    parts of the friction s is a straight line and two exponentials: no mass and no damping make it unstable, and what
+    grows is not lost.
 
     Returns
     -------
     tuple
         Way gone [m], speed at the end [m/s], time left when the speed came to 0 [s] (else 0).
     """
-    gone, left = 0.0, h
+    gone, left, (push, rate), (damping, stiffness) = 0.0, h, drive, linear
     knee = friction.knee
-    for _ in range(4):
-        fast = speed > knee or (speed == knee and drive - friction.F_c >= damping * speed)
+    for _ in range(6):
+        if left <= 0:
+            break
+        fast = speed > knee or (speed == knee and push - friction.F_c >= damping * speed)
         resist, b = (friction.F_c, damping) if fast else (friction.F_s, damping - friction.slope)
         low, high = (knee, math.inf) if fast else (0.0, knee)
-        b = b if abs(b) > 1e-9 else 1e-9
-        final, rate = (drive - resist) / b, b / mass
-        rising = drive - resist > b * speed
-        bound = high if rising else low
-        duration, crosses = left, False
-        if bound != math.inf and final != speed:
-            ratio = (bound - final) / (speed - final)
-            if ratio > 0:
-                arrival = -math.log(ratio) / rate
-                if 0 <= arrival < left:
-                    duration, crosses = arrival, True
-        fade = math.expm1(-rate * duration)
-        gone += final * duration - (speed - final) * fade / rate
-        speed = bound if crosses else max(0.0, speed + (speed - final) * fade)
-        left -= duration
-        if not crosses:
-            return gone, speed, 0.0
-        if speed == 0:
-            return gone, 0.0, left
+        near, far, level, line, A, B = _course(push - resist, rate, b, stiffness, mass, speed, left)
+        exp: Callable[[Any], Any] = math.exp if isinstance(far, float) else cmath.exp
+        duration = left if far.real * left < FARTHEST else FARTHEST / far.real
+        near_end, far_end = A * exp(near * duration), B * exp(far * duration)
+        end = (line + near * near_end + far * far_end).real
+        bound = high if end > high else low if end < low else None
+        if bound is not None and speed == bound:  # it cannot leave this way: it stays on the bound
+            return gone + bound * left, bound, 0.0
+        if bound is not None:
+            begin, off, last, beyond = 0.0, speed - bound, duration, end - bound
+            for _ in range(40):  # regula falsi, the end that stays for the second time counting half
+                duration = last - beyond * (last - begin) / (beyond - off)
+                near_end, far_end = A * exp(near * duration), B * exp(far * duration)
+                error = (line + near * near_end + far * far_end).real - bound
+                if (error > 0) == (beyond > 0):
+                    last, beyond, off = duration, error, 0.5 * off
+                else:
+                    begin, off, beyond = duration, error, 0.5 * beyond
+                if abs(error) < EXACT * (knee + speed) or last - begin < SHORTEST:
+                    break
+            end = bound
+        way = (level + line * duration + near_end + far_end).real
+        gone, speed, left = gone + way, end, left - duration
+        push += rate * duration - stiffness * way
+        if bound == 0:
+            return gone, 0.0, max(left, 0.0)
     return gone, speed, 0.0
+
+
+def _course(
+    push: float, rate: float, b: float, stiffness: float, mass: float, speed: float, h: float
+) -> tuple[complex, complex, float, float, complex, complex]:
+    """S = level + line t + A exp(near t) + B exp(far t) of M s'' = push + rate t - b s' - stiffness s for `h` [s].
+
+    From s = 0, s' = `speed`. Returns near, far [1/s], level [m], line [m/s], A, B [m]. A spring that is too weak to
+    be felt within h counts as one that is felt by a millionth, and equal exponents as apart by as much.
+    """
+    K = max(stiffness, FELT * (abs(b) + mass / h) / h)
+    half = 0.5 * b / mass
+    square = half * half - K / mass
+    root = math.sqrt(square) if square > 0 else cmath.sqrt(square)
+    if abs(root) < APART * abs(half):
+        root = APART * abs(half)
+    far = -half - root if half >= 0 else root - half
+    near = K / mass / far
+    line = rate / K
+    level = (push - b * line) / K
+    B = (speed - line + level * near) / (far - near)
+    return near, far, level, line, -level - B, B
