@@ -70,7 +70,7 @@ class Trace(NamedTuple):
     def values(self, t: Array) -> Array:
         """Values at times t [s], the first of which is the earliest."""
         since = t - self.start
-        value = self.level + self.slope * since if self.slope else np.full(since.shape, self.level)
+        value = self.level + self.slope * since if self.slope else np.full(since.shape, self.level, np.float64)
         if self.decay and len(since) and since[0] < FADED * self.lag:
             value += self.decay * np.exp(-since / self.lag)
         if self.omega:
@@ -84,7 +84,7 @@ class Trace(NamedTuple):
     def rates(self, t: Array) -> Array:
         """Rates of change at times t [s], the first of which is the earliest."""
         since = t - self.start
-        rate = np.full(since.shape, self.slope)
+        rate = np.full(since.shape, self.slope, np.float64)
         if self.decay and len(since) and since[0] < FADED * self.lag:
             rate -= self.decay / self.lag * np.exp(-since / self.lag)
         if self.omega:

@@ -148,3 +148,12 @@ def test_a_leak_keeps_the_output_below_the_command(band):
 def test_a_dead_band_needs_a_lag():
     with pytest.raises(ValueError, match="lag"):
         Regulator(lag=0.0, dead_band=1.0)
+
+
+def test_whole_numbers_are_commanded_as_any_others():
+    whole, exact = (Regulated(Regulator(lag=0.1)) for _ in range(2))
+    whole.command(constant(0.0, 300))
+    exact.command(constant(0.0, 300.0))
+    t = np.linspace(0.0, 1.0, 11)
+    for found, expected in zip(whole.values(t), exact.values(t), strict=True):
+        np.testing.assert_array_equal(found, expected)
