@@ -30,6 +30,7 @@ COMMANDS = {
     "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided; a new file."),
     "import": ("import_", "Make runs of files that other programs recorded, by a column map."),
     "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
+    "recalibrate": ("recalibrate", "The same raw samples with other calibrations; what changes in each coefficient."),
     "report": ("report", "Write the characterisation report as one HTML file."),
     "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON or a python-control model."),
     "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient, with E_n numbers."),

@@ -46,7 +46,7 @@ def command(
         from pmabench.cli.process_many import process_folders
 
         start = runs[0].resolve()
-        place = out or _beside(start if runs[0] in below else start.parent) / "analyses"
+        place = out or beside(start if runs[0] in below else start.parent) / "analyses"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
         return process_folders(ui, wanted, place, jobs or 1, cluster)
     if jobs is not None or cluster is not None:
@@ -58,7 +58,7 @@ def command(
     loaded = load_runs(given)
     analyses = analyse(loaded)
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
-    folder = out or _beside(Path(first.path).resolve().parent) / "analyses" / first.id
+    folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
     failed = verdicts(loaded, analyses)
     data: dict[str, Any] = {
@@ -86,7 +86,7 @@ def command(
     return 6 if failed else None
 
 
-def _beside(folder: Path) -> Path:
+def beside(folder: Path) -> Path:
     """Where analyses go: beside a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
     return folder.parent if folder.name == "runs" else folder
 

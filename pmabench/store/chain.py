@@ -12,6 +12,7 @@ from pmabench.base.errors import InvalidFile, Problem, RecordError, invalid
 from pmabench.store import folder as files
 from pmabench.store.folder import read_manifest, read_seal, sha256_of, status_of
 from pmabench.store.reader import open_run
+from pmabench.store.recalibration import Recalibration
 from pmabench.store.records import RunData
 from pmabench.store.seal import close_interrupted
 from pmabench.store.trials import exclude, supersede
@@ -64,7 +65,7 @@ def _finished(runs: Sequence[RunData]) -> list[int]:
     return [t.index for run in runs for t in run.trials if t.status == "finished" and not t.again]
 
 
-def open_chain(folder: Path) -> tuple[RunData, ...]:
+def open_chain(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
     """The run and all runs that it continues, the first one first; a run that continues none stands alone.
 
     Of the attempts at one trial over all runs that came to an end the last stands, the others are `superseded`.
@@ -72,12 +73,14 @@ def open_chain(folder: Path) -> tuple[RunData, ...]:
     """
     return tuple(
         replace(run, trials=exclude(run.trials, {note.exclude for note in run.notes if note.exclude is not None}))
-        for run in _load(folder)
+        for run in _load(folder, anew)
     )
 
 
-def open_chains(paths: Sequence[Path]) -> list[RunData]:
+def open_chains(paths: Sequence[Path], anew: Recalibration | None = None) -> list[RunData]:
     """The chains that end with `paths`, each run once; raises InvalidFile with what is wrong with each path.
+
+    `anew`: as for `open_run`.
 
     A path that another one continues belongs to that one's chain. Two runs that continue the same one are refused:
     its trials would count twice.
@@ -85,7 +88,7 @@ def open_chains(paths: Sequence[Path]) -> list[RunData]:
     chains, problems = [], list[Problem]()
     for path in paths:
         try:
-            chains.append(open_chain(path))
+            chains.append(open_chain(path, anew))
         except InvalidFile as error:
             problems.extend(error.problems)
     if problems:
@@ -108,15 +111,15 @@ def _place(run: RunData) -> Path:
     return Path(run.path).resolve()
 
 
-def _load(folder: Path) -> tuple[RunData, ...]:
+def _load(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
     """The chain with what superseded what, and no exclusions."""
-    runs = [open_run(folder, honour_notes=False)]
+    runs = [open_run(folder, honour_notes=False, anew=anew)]
     while (link := runs[0].manifest.get("continues")) is not None:
         path = Path(runs[0].path)
         before = _linked(path, link)
         if before.resolve() in {_place(run) for run in runs}:
             raise invalid(path, "continues a run that continues it")
-        runs.insert(0, open_run(before, honour_notes=False))
+        runs.insert(0, open_run(before, honour_notes=False, anew=anew))
     for number in range(1, len(runs)):
         _fits(runs[:number], runs[number])
     return _superseded(runs)

@@ -26,6 +26,7 @@ from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
 from pmabench.store.notes import read_notes
+from pmabench.store.recalibration import Line, Recalibration, refound
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
 from pmabench.store.timebase import onto
 from pmabench.store.trials import cut_trials, exclude
@@ -34,13 +35,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
+def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration | None = None) -> RunData:
     """Load a run with all its trials; notes exclude some of them unless `honour_notes` is False.
+
+    `anew`: other calibrations for the same raw samples, and channels moved in time.
 
     Files of a closed run are checked against its seal; of a dead or running one, whole batches and events are read.
     Raises InvalidFile for what is no run, is damaged, was changed, or was written by a newer pmabench.
     """
-    folder = RunFiles(Path(path))
+    folder = RunFiles(Path(path), anew)
     journal = folder.journal()
     events = events_of(journal)
     streams = [folder.stream(name, events) for name in folder.stream_names()]
@@ -63,6 +66,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True) -> RunData:
         trials = cut_trials(folder.manifest["id"], events, main.t, channels, flags, until)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise invalid(folder.path / files.EVENTS, f"tells trials in a way that cannot be read ({error})") from error
+    if folder.lines:
+        trials = refound(trials, folder.lines)
     notes = read_notes(folder.path)
     if honour_notes:
         trials = exclude(trials, {note.exclude for note in notes if note.exclude is not None})
@@ -154,8 +159,11 @@ class Samples:
 class RunFiles:
     """The files of one run, checked as they are read."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, anew: Recalibration | None = None) -> None:
         self.path = path
+        self.anew = anew
+        self.lines: dict[str, Line] = {}
+        """What became of values on the old scale, by channel, of the streams that were read."""
         self.manifest = read_manifest(path)
         self.seal = read_seal(path)
 
@@ -228,7 +236,11 @@ class RunFiles:
                 whole = sealed and not told.get("fault")
             device = self.manifest.get("devices", {}).get(name, {})
             clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
-            return _in_si(table, about, clock, whole)
+            if self.anew is None:
+                return _in_si(table, about, clock, whole)
+            changed, lines = self.anew.columns(about, self.path)
+            self.lines |= lines
+            return self.anew.moved(_in_si(table, changed, clock, whole))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             if use_live and (not sealed or told.get("rows", 0) is None):
                 return Samples.none(name)

@@ -1,0 +1,181 @@
+"""`pmabench recalibrate`: the same raw samples with other calibrations or moved in time, and what that changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import UsageError
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Analysis
+    from pmabench.store.recalibration import NewScale, Recalibration
+    from pmabench.store.records import RunData
+
+
+@click.command(name="recalibrate")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...")
+@click.option(
+    "--calibration",
+    "calibrations",
+    multiple=True,
+    metavar="[CHANNEL=]FILE",
+    help="A calibration file; the channel where several measure its quantity.",
+)
+@click.option(
+    "--skew",
+    "skews",
+    multiple=True,
+    metavar="CHANNEL=TIME",
+    help='How much older the values of a channel are than their time stamps, for instance "pressure=12 ms".',
+)
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the new analyses, which must not exist.")
+@common
+def command(
+    ui: Ui, runs: tuple[Path, ...], calibrations: tuple[str, ...], skews: tuple[str, ...], out: Path | None
+) -> int | None:
+    """Process RUNS again from their raw samples with other calibrations, and say what becomes of each coefficient.
+
+    The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
+    """
+    from pmabench.analysis.changes import changes
+    from pmabench.cli.process import analyse, beside, load_runs, without_analyses, write
+    from pmabench.report.change_tables import print_changes, write_changes
+    from pmabench.store.chain import open_chains
+    from pmabench.store.recalibration import refuse_loops
+
+    if not calibrations and not skews:
+        raise UsageError("nothing is to be changed: give --calibration FILE or --skew CHANNEL=TIME")
+    given = without_analyses(ui, runs)
+    recorded = load_runs(given)
+    anew = _asked(recorded, calibrations, skews)
+    if anew.scales:
+        refuse_loops(recorded)
+    changed = open_chains(given, anew)
+    told = _told(recorded, changed, anew)
+    before = analyse(recorded)
+    after = [_marked(analysis, told) for analysis in analyse(changed)]
+    found = changes(before, after)
+    first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
+    folder = out or _free(beside(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
+    if folder.exists():
+        raise UsageError(f"{folder} exists; give --out the name of a new folder")
+    folders = write(after, changed, folder)
+    tables = write_changes(found, told, folder)
+    data: dict[str, Any] = {
+        "schema": "pmabench.recalibrate/1",
+        "runs": [run.id for run in recorded],
+        "channels": told,
+        "folders": [str(path) for path in folders],
+        "table": [str(path) for path in tables],
+        "changes": [change.to_dict() for change in found],
+    }
+
+    def human() -> None:
+        for channel in told:
+            click.echo(channel["sentence"])
+        print_changes(found, ui.console())
+        click.echo("\n".join(str(path) for path in (*folders, *tables)))
+
+    ui.result(data, human, [str(path) for path in (*folders, *tables)])
+    return None
+
+
+def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence[str]) -> Recalibration:
+    from pmabench.store.recalibration import LONGEST, Recalibration, channel_for
+
+    scales: dict[str, NewScale] = {}
+    for text in calibrations:
+        name, file = _named(text, runs)
+        scale = _scale(file, _quantity(file))
+        channel = channel_for(runs, scale.quantity, name)
+        if channel in scales:
+            raise UsageError(f"two calibrations are given for {channel}")
+        scales[channel] = scale
+    late: dict[str, float] = {}
+    for text in skews:
+        from pmabench.files.quantity import parse_quantity
+
+        name, equals, value = text.partition("=")
+        known = sorted({channel for run in runs for channel in run.channels})
+        if not equals or name not in known:
+            raise UsageError(f'--skew "{text}" is not CHANNEL=TIME; channels here: {", ".join(known)}')
+        try:
+            late[name] = parse_quantity(value, "time")
+        except ValueError as error:
+            raise UsageError(f"--skew {name}: {error}") from error
+        if abs(late[name]) > LONGEST:
+            raise UsageError(f"--skew {name}: {value} is more than {LONGEST:g} s")
+    return Recalibration(scales, late)
+
+
+def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
+    """Channel (empty: not said) and file; a file whose name has an `=` in it is meant as it is."""
+    name, equals, file = text.partition("=")
+    if equals and not Path(text).exists() and (name.isidentifier() or any(name in run.channels for run in runs)):
+        return name, Path(file)
+    return "", Path(text)
+
+
+def _quantity(file: Path) -> str:
+    from pmabench.bench.files import CalibrationFile
+    from pmabench.files.document import read_document, validate
+
+    return validate(CalibrationFile, read_document(file)).quantity
+
+
+def _scale(file: Path, quantity: str) -> NewScale:
+    from dataclasses import asdict
+
+    from pmabench.bench.calibration import read_calibration
+    from pmabench.store.recalibration import NewScale
+
+    read = read_calibration(file, quantity)
+    return NewScale(quantity, read.raw_unit, read.scale.slope, read.scale.offset, asdict(read.record))
+
+
+def _told(before: Sequence[RunData], after: Sequence[RunData], anew: Recalibration) -> list[dict[str, Any]]:
+    """Of each changed channel: its scale and calibration before and after, and a sentence for people."""
+    told = []
+    for name, late in anew.late.items():
+        sentence = f"{name}: its values are taken as {1e3 * late:.6g} ms older than their time stamps"
+        told.append({"channel": name, "late": late, "sentence": sentence})
+    for name in anew.scales:
+        scales: list[dict[str, Any]] = []
+        for old, new in zip(before, after, strict=True):
+            if name in old.channels:
+                was, is_ = old.channels[name], new.channels[name]
+                scales.append({
+                    "run": old.id,
+                    "before": {"calibration": was.calibration, "slope": was.slope, "offset": was.offset},
+                    "after": {"calibration": is_.calibration, "slope": is_.slope, "offset": is_.offset},
+                })  # fmt: skip
+        names = list(dict.fromkeys(str(scale["before"]["calibration"]) or "no calibration" for scale in scales))
+        sentence = f"{name}: calibration {anew.scales[name].calibration.get('id')} instead of {', '.join(names)}"
+        told.append({"channel": name, "scales": scales, "sentence": sentence})
+    return told
+
+
+def _marked(analysis: Analysis, told: Sequence[dict[str, Any]]) -> Analysis:
+    """The analysis, which says that its samples were not taken as they were recorded."""
+    from pmabench.analysis.results import Finding
+
+    said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in told]
+    return replace(
+        analysis,
+        findings=(*said, *analysis.findings),
+        facts={**analysis.facts, "recalibrated": [dict(channel) for channel in told]},
+    )
+
+
+def _free(folder: Path) -> Path:
+    number, free = 1, folder
+    while free.exists():
+        number += 1
+        free = folder.with_name(f"{folder.name}-{number}")
+    return free

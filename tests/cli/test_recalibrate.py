@@ -1,0 +1,147 @@
+"""Another calibration of the same raw samples changes each coefficient as its equation says, and nothing on disk."""
+
+import hashlib
+import json
+from math import hypot
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
+from pmabench.store.reader import open_run
+from pmabench.store.recalibration import NewScale, Recalibration, refound
+from tests.benchmarks.archive import write_run
+from tests.store.runs import closed
+
+LENGTH = """schema: pmabench.calibration/1
+id: {id}
+quantity: {quantity}
+reference: gauge blocks
+date: 2026-03-01
+points: [[0 {raw}, {low}], [50000 {raw}, {high}]]
+expanded_uncertainty: {uncertainty}
+gain_uncertainty: 0.2 %
+"""
+ONE_PERCENT = {
+    "id": "C-2",
+    "quantity": "length",
+    "raw": "count",
+    "low": "0 mm",
+    "high": "101 mm",
+    "uncertainty": "1 um",
+}
+"""The archive's displacement has 2 um a count: this is 1 % more."""
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def file(folder, **changes):
+    told = ONE_PERCENT | changes
+    path = folder / f"{told['id']}.yaml"
+    path.write_text(LENGTH.format(**told))
+    return path
+
+
+def tree(folder):
+    return {p.relative_to(folder): hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return write_run(tmp_path_factory.mktemp("lab") / "runs", 3)
+
+
+def changed(told):
+    return {(c["symbol"], bool(c["at"])): c for c in told["changes"]}
+
+
+def test_a_scale_one_percent_larger_changes_strokes_and_nothing_that_rests_on_time(run, tmp_path):
+    before = tree(run)
+    told = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
+    found = changed(told)
+    stroke, slope, K, B = (found[name, True] for name in ("X", "dP/dx", "K", "B"))
+    assert stroke["after"]["value"] == pytest.approx(1.01 * stroke["before"]["value"], rel=1e-12)
+    assert stroke["difference"] == pytest.approx(0.01 * stroke["before"]["value"], rel=1e-9)
+    assert slope["after"]["value"] == pytest.approx(slope["before"]["value"] / 1.01, rel=1e-12)
+    for coefficient in (K, B):  # K = M w^2 and B = 2 D w M: mass and times, no length
+        assert coefficient["after"]["value"] == pytest.approx(coefficient["before"]["value"], rel=1e-6)
+    x = stroke["before"]["value"]
+    assert stroke["half_width"] == pytest.approx(hypot(0.001 * x, 0.002 * 1.01 * x), rel=1e-9)
+    assert told["channels"][0]["sentence"] == "displacement: calibration C-2 instead of C-1"
+    assert tree(run) == before
+    (folder,) = told["folders"]
+    analysis = json.loads((run.parents[1] / folder / "analysis.json").read_text())
+    assert analysis["findings"][0]["text"].startswith("recalibrated after the fact, displacement: calibration C-2")
+    again = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
+    assert again["folders"] != told["folders"]
+    assert again["changes"] == told["changes"]
+
+
+def test_the_same_calibration_changes_nothing(run, tmp_path):
+    told = json.loads(
+        call(
+            "recalibrate", run, "--calibration", file(tmp_path, high="100 mm"), "--out", tmp_path / "a", "--json"
+        ).stdout
+    )
+    assert all(abs(c["difference"]) <= 1e-7 * abs(c["before"]["value"]) for c in told["changes"])
+
+
+def test_a_pressure_that_is_late_moves_the_dead_time_by_as_much(run, tmp_path):
+    out = ("--out", tmp_path / "a", "--json")
+    told = changed(json.loads(call("recalibrate", run, "--skew", "pressure=4 ms", *out).stdout))
+    assert told["t_d", False]["difference"] == pytest.approx(-0.004, abs=1e-9)
+    assert told["X", True]["difference"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "says"),
+    [
+        ((), 2, "give --calibration FILE or --skew CHANNEL=TIME"),
+        (("--calibration", {"quantity": "pressure", "low": "0 kPa", "high": "1 kPa", "uncertainty": "1 Pa"}), 2,
+         "say CHANNEL=FILE: channels that measure pressure: pressure, supply"),
+        (("--calibration", {"raw": "V"}), 3, "displacement gives readings in count, the calibration is of V"),
+        (("--calibration", {"quantity": "angle", "low": "0 deg", "high": "1 deg", "uncertainty": "1 deg"}), 2,
+         "channels that measure angle: none"),
+        (("--skew", "pressure"), 2, "is not CHANNEL=TIME"),
+        (("--skew", "pressure=2 min"), 2, "more than 60 s"),
+        (("--skew", "pressure=2"), 2, "is no time with a unit"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_told_and_leaves_nothing_behind(run, tmp_path, options, code, says):
+    asked = [file(tmp_path, **option) if isinstance(option, dict) else option for option in options]
+    assert says in call("recalibrate", run, *asked, "--out", tmp_path / "out", code=code).output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_loop_that_acted_on_the_old_values_is_not_recalibrated(tmp_path):
+    loop = closed(tmp_path, kind="ultimate-gain")
+    asked = file(tmp_path)
+    assert "its loop acted on the old values" in call("recalibrate", loop, "--calibration", asked, code=3).output
+
+
+def test_what_a_search_found_moves_with_its_channel_and_a_zero_stays_zero(tmp_path):
+    path = closed(tmp_path)
+    was = open_run(path)
+    old = was.channels["pressure"]
+    new = NewScale("pressure", "count", 1.1 * old.slope, 500.0, {"id": "P-9"})
+    now = open_run(path, anew=Recalibration({"pressure": new}))
+    raw = (was.trials[0].channels["pressure"] - old.offset) / old.slope
+    assert now.trials[0].channels["pressure"] == pytest.approx(raw * 1.1 * old.slope + 500.0, rel=1e-12)
+    lift = was.trials[0].found["lift"]["pressure"]
+    found = now.trials[0].found["lift"]["pressure"]
+    assert found == pytest.approx((lift - old.offset) * 1.1 + 500.0, rel=1e-12)
+    assert now.trials[0].found["lift"]["found"] is True
+    assert now.channels["pressure"].calibration == "P-9"
+
+    column = {"name": "pressure", "quantity": "pressure", "raw_unit": "count", "scale": {"slope": 2.0, "offset": -30.0}}
+    about, lines = Recalibration({"pressure": new}).columns({"columns": [column | {"zero": 7.0}]}, "run")
+    slope, offset = (about["columns"][0]["scale"][key] for key in ("slope", "offset"))
+    assert slope * 15.0 + offset == pytest.approx(0.0)  # 15 counts read 0 before, by the session's zero
+    assert refound(was.trials, lines)[0].found["lift"]["pressure"] == pytest.approx(lift * new.slope / 2.0)
+    with pytest.raises(InvalidFile, match="gives readings in nothing that is told"):
+        Recalibration({"pressure": new}).columns({"columns": [column | {"raw_unit": ""}]}, "run")
