@@ -17,7 +17,9 @@
 - isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`, with `driven_motion`;
   recorded-sine: `recorded_sines`; what imports say beside their samples: `imported`
 - a library model fitted to a table (`model fit`): `model_fit`, made of `model_problem`, `identifiability`
-- two analyses coefficient by coefficient (`compare`): `comparison`
+- two analyses coefficient by coefficient (`compare`): `comparison`; a specimen over its runs (`history`): `life`,
+  `control_chart`
+- what speaks for a result beside its residual: `checks`, `contraction_checks`; limits of a protocol: `acceptance`
 - many runs at once: `many`; the same on a Dask cluster: `cluster`
 - shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
   `calibration` (what the channels' uncertainties do to a result)

@@ -90,7 +90,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped=dropped,
         findings=findings,
         traces=_traces(estimates, curve, given),
-        facts={"options": dict(options or {}), "trials": len(members), "cells": len(cells)},
+        facts={
+            "options": dict(options or {}),
+            "trials": len(members),
+            "cells": len(cells),
+            "leak": max((m.stroke.lost / (m.stroke.before + given.gas.atmosphere) for m in members), key=abs),
+        },
     )
 
 

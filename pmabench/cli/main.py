@@ -34,6 +34,7 @@ COMMANDS = {
     "report": ("report", "Write the characterisation report as one HTML file."),
     "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON or a python-control model."),
     "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient, with E_n numbers."),
+    "history": ("history", "One specimen over its life: coefficients, cycles and time at pressure."),
     "tune": ("tune", "Controller settings from an ultimate gain and period."),
     "model": ("model", "Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate, fit."),
     "cascade": ("cascade", "Muscles end to end with pressures of their own: simulate, draw, play again."),

@@ -1,0 +1,248 @@
+"""`pmabench history`: one specimen over its life, from its runs and the analyses beside them; computes no fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import InvalidFile, UsageError, invalid
+from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.life import Past, References, Series, Use
+    from pmabench.analysis.results import Analysis, Finding
+    from pmabench.store.catalogue import Row
+
+ANALYSES = ("*/analysis.json", "*/*/analysis.json")
+"""Where analyses lie below a folder of them."""
+
+
+@click.command(name="history")
+@click.argument("specimen")
+@click.argument("folder", default="runs", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write figures and tables (HTML)."
+)
+@common
+def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | None:
+    """One SPECIMEN over its life: coefficients, cycles and time at pressure from its runs in FOLDER.
+
+    SPECIMEN is a specimen file, the name of a shipped one, or a serial number as runs tell it. Coefficients come from
+    the analyses beside the runs (`process` makes them); simulated runs are never mixed with real ones.
+    """
+    from pmabench.analysis.life import chosen, findings, references_of, series_of
+
+    if not folder.is_dir():
+        raise invalid(folder, "there is no such folder; give the folder that holds the runs")
+    if output is not None and output.is_fifo():
+        raise UsageError(f"{output} is a pipe; give the name of a file")
+    rows, notes = _of_specimen(specimen, folder)
+    life = _life(ui, folder, rows)
+    series = series_of(_analyses(ui, folder, {past.run for past in life}), life)
+    references = references_of(_with_references(ui, folder, rows), life)
+    told = [*findings(life, chosen(series), references), *notes]
+    processed = {moment.run for one in series for moment in one.moments}
+    if not processed:
+        told.append(_note("no analysis of these runs lies beside them: pmabench process makes them"))
+    title = next(row.specimen for row in rows)
+    data = _json(title, life, series, references, told)
+    if output is not None:
+        from pmabench.report.history_page import write_history
+
+        data["path"] = str(write_history(title, life, series, references, told, output))
+    ui.result(data, lambda: _print(ui, life, series, told, data.get("path")))
+    return None
+
+
+def _note(text: str) -> Finding:
+    from pmabench.analysis.results import Finding
+
+    return Finding("note", text)
+
+
+def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
+    """The runs of the specimen, sessions and calibrations too, and what was left out; InvalidFile for none."""
+    from pmabench.store.catalogue import catalogue
+
+    rows = catalogue(folder)
+    names = _names(text)
+    mine = [row for row in rows if any(row.specimen == name or row.specimen.endswith(f" {name}") for name in names)]
+    several = sorted({row.specimen for row in mine})
+    if len(several) > 1:
+        raise UsageError(f'"{text}" could be {" or ".join(several)}; give type and serial')
+    if not mine:
+        known = ", ".join(sorted({row.specimen for row in rows if row.specimen})) or "none"
+        raise invalid(folder, f'holds no run of "{text}"; the specimens of its runs: {known}')
+    real = [row for row in mine if not row.simulated]
+    left_out = len(mine) - len(real)
+    if real and left_out:
+        return real, [_note(f"{left_out} simulated runs of this specimen are left out")]
+    return mine, []
+
+
+def _names(text: str) -> set[str]:
+    """What a run may call the specimen: the text itself, or type and serial of the file that it names."""
+    from pmabench.bench.files import SpecimenFile
+    from pmabench.files.document import read_document, validate
+    from pmabench.files.shipped import find_file
+
+    try:
+        path = find_file("specimen", text)
+    except InvalidFile:
+        return {text}
+    if not path.is_file():
+        return {text}
+    told = validate(SpecimenFile, read_document(path))
+    return {f"{told.type} {told.serial}"}
+
+
+def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> list[Past]:
+    """The runs in order of time, with what each did to the specimen; one that cannot be read is told and left out."""
+    from pmabench.analysis.life import pasts
+
+    told: list[tuple[str, str, str, str, str, bool, int, Use]] = []
+    for row in rows:
+        try:
+            before, use = _used(folder / row.folder)
+        except InvalidFile as error:
+            ui.note(f"{error}; its cycles are not counted")
+            continue
+        told.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use))
+    if not told:
+        raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify tells more")
+    return pasts(told)
+
+
+def _used(run: Path) -> tuple[int, Use]:
+    """Cycles before by the specimen file, and what the run did."""
+    from pmabench.analysis.life import use_of
+    from pmabench.store.reader import RunFiles, events_of
+
+    files = RunFiles(run)
+    specimen = files.manifest.get("specimen")
+    before = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
+    known = int(before) if isinstance(before, int) and not isinstance(before, bool) else 0
+    return known, use_of(events_of(files.journal()))
+
+
+def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
+    """The analyses of these runs that lie where `process` leaves them."""
+    from pmabench.report.analysis_folder import read_analysis
+
+    parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
+    for pattern in ANALYSES:
+        for path in sorted((parent / "analyses").glob(pattern)):
+            try:
+                if _tells(path, runs):
+                    yield read_analysis(path.parent)
+            except InvalidFile as error:
+                ui.note(f"{error}; left out")
+
+
+def _tells(path: Path, runs: set[str]) -> bool:
+    """Whether the analysis is of one of these runs; its figures' numbers are read for no other. True where damaged."""
+    try:
+        told = json.loads(path.read_bytes())["runs"]
+        return any(run in runs for run in told)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return True
+
+
+def _with_references(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[Any]:
+    """The runs that have reference trials, loaded."""
+    from pmabench.store.reader import RunFiles, events_of, open_run
+
+    for row in rows:
+        run = folder / row.folder
+        try:
+            events = events_of(RunFiles(run).journal())
+            if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
+                yield open_run(run)
+        except InvalidFile as error:
+            ui.note(f"{error}; its reference trials are left out")
+
+
+def _json(
+    title: str,
+    life: Sequence[Past],
+    series: Sequence[Series],
+    references: Sequence[References],
+    told: Sequence[Finding],
+) -> dict[str, Any]:
+    return {
+        "schema": "pmabench.history/1",
+        "specimen": title,
+        "simulated": any(past.simulated for past in life),
+        "runs": [
+            {
+                "run": past.run,
+                "date": past.date,
+                "kind": past.kind,
+                "bench": past.bench,
+                "status": past.status,
+                "cycles_before": past.before,
+                "cycles": past.use.cycles,
+                "strokes": past.use.strokes,
+                "time_at_pressure": past.use.at_pressure,
+                "highest_pressure": past.use.highest,
+            }
+            for past in life
+        ],
+        "series": [
+            {
+                "kind": one.kind,
+                "symbol": one.first.symbol,
+                "at": dict(one.first.at),
+                "unit": one.first.unit,
+                "method": one.first.method,
+                "values": [
+                    {
+                        "date": moment.date,
+                        "cycles": moment.cycles,
+                        "run": moment.run,
+                        "value": moment.estimate.value,
+                        "half_width": moment.estimate.parts.combined,
+                    }
+                    for moment in one.moments
+                ],
+            }
+            for one in series
+        ],
+        "references": [_reference(one) for one in references],
+        "findings": [{"level": f.level, "text": f.text} for f in told],
+    }
+
+
+def _reference(one: References) -> dict[str, Any]:
+    limits = one.chart
+    return {
+        "point": dict(one.point),
+        "strokes": [
+            {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
+            for date, cycles, stroke, trial in one.moments
+        ],
+        "limits": None if limits is None else {"centre": limits.centre, "low": limits.low, "high": limits.high},
+        "beyond": [] if limits is None else list(limits.beyond),
+        "shifted": None if limits is None else limits.shifted,
+    }
+
+
+def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
+    from pmabench.report.history_tables import run_rows, value_rows
+    from pmabench.report.terminal import print_grid
+
+    console = ui.console(columns=160)
+    if any(past.simulated for past in life):
+        console.print("SIMULATED")
+    for heads, rows in (run_rows(life), value_rows(life, series)):
+        if rows:
+            print_grid(console, heads, rows, ("date", "kind", "status", "bench"), 1)
+            console.print()
+    for finding in told:
+        console.print(f"{finding.level}: {finding.text}")
+    if path is not None:
+        click.echo(path)

@@ -1,0 +1,106 @@
+"""Cycles and time at pressure counted by hand, control limits by hand, coefficients against cycles."""
+
+from __future__ import annotations
+
+import pytest
+
+from pmabench.analysis.control_chart import chart
+from pmabench.analysis.life import Past, References, Use, chosen, findings, pasts, series_of, use_of
+from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.store.records import Event
+
+
+def events(*told):
+    """(t, kPa) commands, (t, "vent"), or (t, {data})."""
+    made = []
+    for seq, (t, what) in enumerate(told):
+        if what in ("vent", "end", "prompt"):
+            made.append(Event(seq, t, what, {}))
+        else:
+            data = what if isinstance(what, dict) else {"output": "pressure", "type": "set", "value": 1e3 * what}
+            made.append(Event(seq, t, "command", data))
+    return made
+
+
+def test_a_cycle_is_a_rise_from_low_to_high_pressure():
+    steps_down = events((1.0, 400.0), (11.0, 300.0), (15.0, 200.0), (19.0, 0.0), (30.0, "end"))
+    assert use_of(steps_down) == Use(1, 0.0, 18.0, 4e5)
+    up_and_down = events((0.0, 400.0), (1.0, 100.0), (2.0, 400.0), (3.0, 50.0), (4.0, 99.0), (5.0, 100.0), (6.0, 0.0))
+    assert use_of(up_and_down) == Use(2, 0.0, 5.0, 4e5)  # 3 s above 50 kPa, then 1 s at 99 and 1 s at 100
+
+
+def test_a_vent_ends_the_time_at_pressure_and_a_dead_run_counts_to_its_last_event():
+    assert use_of(events((1.0, 300.0), (4.0, "vent"), (9.0, "end"))).at_pressure == 3.0
+    assert use_of(events((1.0, 300.0), (7.5, "prompt"))).at_pressure == 6.5
+    assert use_of([]) == Use()
+
+
+def test_strokes_of_a_driven_end_are_counted_apart():
+    driven = {"output": "displacement", "value": 0.01}
+    told = events(
+        (0.0, 300.0), (1.0, {**driven, "type": "sine", "cycles": 4}), (2.0, {**driven, "type": "ramp"}),
+        (3.0, {**driven, "type": "ramp"}), (4.0, {**driven, "type": "set"}), (5.0, 0.0),
+    )  # fmt: skip
+    assert use_of(told) == Use(1, 5.0, 5.0, 3e5)
+    odd = {"output": "pressure", "type": "set", "value": "x"}
+    assert use_of(events((0.0, odd), (1.0, {**driven, "type": "sine", "cycles": None}))) == Use()
+
+
+def row(run, date, before=0, cycles=10):
+    return (run, date, "contraction-relaxation", "bench", "finished", False, before, Use(cycles, 0.0, 60.0, 4e5))
+
+
+def test_cycles_add_up_in_order_of_time_and_a_specimen_file_may_know_of_more():
+    life = pasts([row("c", "2026-03-01", 100), row("a", "2026-01-01", 5), row("b", "2026-02-01", 5)])
+    assert [(past.run, past.before) for past in life] == [("a", 5), ("b", 15), ("c", 100)]
+
+
+def test_limits_are_the_mean_and_the_moving_range():
+    """Mean 10.5, moving range 1: limits 10.5 +- 2.66; 13.2 is beyond, 13.1 is not."""
+    base = [10.0, 11.0] * 6
+    told = chart([*base, 13.1, 13.2])
+    assert (told.centre, told.low, told.high) == (10.5, pytest.approx(7.84), pytest.approx(13.16))
+    assert told.beyond == (13,)
+    assert told.shifted is None
+    assert told.first_alarm == 13
+    assert chart(base[:4]) is None
+    drifted = chart([*base, *[10.9] * 7])
+    assert (drifted.beyond, drifted.shifted) == ((), 18)  # the last of the base lies above the centre, too
+    assert chart([1.0] * 6).first_alarm is None
+
+
+def analysis(run, K, half=20.0, kind="contraction-relaxation"):
+    at = [{"pressure": P} for P in (2e5, 3e5, 4e5)]
+    values = [Estimate("K", K, "N/m", "stiffness", "m", one, Parts(half)) for one in at]
+    beside = [Estimate("K", 1.0, "N/m", "stiffness", "other", at[0], Parts(half))]
+    rare = [Estimate("t_d", 0.04, "s", "time", "m"), Estimate("K", None, "N/m", "stiffness", "m", {"pressure": 5e5})]
+    return Analysis(kind, (run,), False, (*values, *beside, *rare), facts={"leak": 0.01})
+
+
+def test_values_are_followed_by_the_first_method_and_one_place_is_shown():
+    life = pasts([row("a", "2026-01-01"), row("b", "2026-02-01"), row("c", "2026-03-01")])
+    told = [analysis("c", 6600.0), analysis("a", 6900.0), analysis("a", 7000.0), analysis("x", 1.0)]
+    series = series_of(told, life)
+    assert [(one.first.symbol, one.first.method, len(one.moments)) for one in series] == [
+        ("K", "m", 2), ("K", "m", 2), ("K", "m", 2), ("leak", "contraction-relaxation", 2),
+    ]  # fmt: skip
+    K, _leak = chosen(series)
+    assert K.first.at == {"pressure": 3e5}
+    assert [(m.run, m.cycles, m.estimate.value) for m in K.moments] == [("a", 0, 7000.0), ("c", 20, 6600.0)]
+    assert (K.change.value, K.change.half) == (-400.0, pytest.approx(20 * 2**0.5))
+    texts = [finding.text for finding in findings(life, [K], [])]
+    assert texts[0].startswith("3 runs from 2026-01-01 to 2026-03-01: 30 pressure cycles, 3 min 00 s at pressure")
+    assert texts[1].startswith("K at 300 kPa: -5.7 % over 20 cycles, 2 values, last against first more than their")
+
+
+def test_reference_trials_that_leave_their_limits_are_doubted_with_the_date():
+    strokes = [10e-3, 10.1e-3] * 6 + [9e-3]
+    moments = tuple((f"2026-01-{i + 1:02}", 10 * i, stroke, f"r/{i}") for i, stroke in enumerate(strokes))
+    life = [Past("r", "2026-01-01", "k", "b", "finished", False, Use(), 0)]
+    one = References((("load", 255.06), ("pressure", 3e5)), moments)
+    *_, told = findings(life, [], [one])
+    assert told.level == "doubt"
+    assert "reference trial at load 255.1 N, pressure 300 kPa: 13 times" in told.text
+    assert "1 beyond the control limits, first on 2026-01-13 after 120 cycles (r/12)" in told.text
+    *_, quiet = findings(life, [], [References(one.point, moments[:12])])
+    assert (quiet.level, "all within" in quiet.text) == ("note", True)
