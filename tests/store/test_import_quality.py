@@ -174,3 +174,51 @@ def test_swapped_columns_and_wrong_units_are_recognised():
     assert "swap" in {finding.kind for finding in found[3]}
     found = compare([*good, summary(100 / 9.80665)], {"force": 0.3})
     assert "kilograms for newtons" in found[3][0].text
+
+
+def test_a_lone_sample_far_from_its_neighbours_is_a_spike():
+    t, raw = clean()
+    raw[[60, 61, 62, 300]] += [1.9, 2.0, 1.9, -1.5]
+    flags, found = look(t, raw)
+    assert flagged(flags, Flag.SUSPECT) == [60, 61, 62, 300]
+    finding = found["spike"]
+    assert (finding.index, finding.count, finding.t) == (60, 4, pytest.approx(0.6))
+    assert flagged(look(t, raw, spike=150e3)[0], Flag.SUSPECT) == []
+
+
+def test_a_zero_in_a_command_that_rests_is_a_spike_and_its_steps_are_none():
+    t = np.arange(500) * 0.01
+    raw = np.where((t > 1.0) & (t < 3.0), 12.0, 8.0)
+    assert not look(t, raw)[0].any()
+    raw[[0, 250]] = 4.0
+    assert flagged(look(t, raw)[0], Flag.SUSPECT) == [0, 250]
+
+
+def test_what_a_muscle_really_does_is_no_spike():
+    t = np.arange(1000) * 0.01
+    rng = np.random.default_rng(3)
+    ringing = np.where(t > 5, 1 - np.exp(-(t - 5) * 4) * np.cos((t - 5) * 50), 0.0)
+    for raw in (
+        8 + 4 * (t > 5) + rng.normal(0, 0.003, len(t)),
+        8 + 4 * ringing + rng.normal(0, 0.003, len(t)),
+        8 + 4 * np.sin(2 * np.pi * 5 * t) + rng.normal(0, 0.003, len(t)),
+        8 + t + rng.normal(0, 0.05, len(t)),
+        np.round(rng.normal(0, 0.4, len(t))) + 8,
+        8 + np.floor(t / 0.09) * 0.01,
+    ):
+        assert not look(t, raw)[0].any()
+
+
+def test_numbers_that_no_device_gives_are_a_fault():
+    t, raw = clean()
+    raw[20:40] = 1.8e-307
+    raw[60] = 1e200
+    flags, found = look(t, raw)
+    assert flagged(flags, Flag.SUSPECT) == [*range(20, 40), 60]
+    assert found["absurd"].level == "fault"
+
+
+def test_infinite_readings_are_no_readings():
+    t, raw = clean()
+    raw[[5, 9]] = [np.inf, -np.inf]
+    assert flagged(look(t, raw)[0], Flag.DROPOUT) == [5, 9]

@@ -173,7 +173,8 @@ def _checked(table: Table, rule: ColumnRule) -> Checked:
     )
     if rule.whole and bool(np.all(quality.whole_counts(raw))) and float(np.abs(raw).max()) < 2**31 - 1:
         raw = np.round(raw)
-    return Checked(rule, raw, raw * rule.slope + rule.offset)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Checked(rule, raw, raw * rule.slope + rule.offset)
 
 
 def _named(path: Path, rules: ImportMap, started: datetime | None) -> _Named:

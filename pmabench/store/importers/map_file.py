@@ -120,6 +120,8 @@ class ColumnFile(Strict):
     blip: Reading | None = None
     """Nonsense where a single sample between two others reads so."""
     stale_after: Time | None = None
+    spike: Reading | None = None
+    """How far a lone sample may stand from its neighbours; otherwise that is told from the scatter of the channel."""
     late_by: tuple[Time, Time] = (0.0, 0.0)
     """How much older a value may be than its time stamp, least and most."""
     expanded_uncertainty: Reading | None = None
@@ -142,7 +144,16 @@ class ColumnFile(Strict):
             raise ValueError('"is: phase" and "marks" belong together')
         if self.contraction is not None and self.is_ != "displacement":
             raise ValueError('"contraction" stands with "is: displacement" only')
-        given = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip"} & self.model_fields_set
+        given = {
+            "points",
+            "line",
+            "recorded_with",
+            "contraction",
+            "range",
+            "dropout",
+            "blip",
+            "spike",
+        } & self.model_fields_set
         if not measured and given:
             raise ValueError(f'"{self.is_}" takes no "{min(given)}"')
         if self.late_by[0] > self.late_by[1]:

@@ -48,6 +48,8 @@ class ColumnRule:
     """Raw reading of a cut wire."""
     blip: float | None = None
     stale_after: float | None = None
+    spike: float | None = None
+    """Distance of a lone sample from its neighbours [SI]; None: from the scatter of the channel."""
     late_by: tuple[float, float] = (0.0, 0.0)
     optional: bool = False
     marks: Mapping[float, str] = field(default_factory=dict)
@@ -232,6 +234,7 @@ class _Rules:
             dropout=None if file.dropout is None else self.raw(file.dropout, file.unit, (*at, "dropout")),
             blip=None if file.blip is None else self.raw(file.blip, file.unit, (*at, "blip")),
             stale_after=file.stale_after,
+            spike=None if file.spike is None else self.distance(file.spike, file.unit, quantity, slope, (*at, "spike")),
             late_by=file.late_by,
             optional=file.optional,
             calibration={
@@ -297,6 +300,10 @@ class _Rules:
         if reading[1] == unit:
             return slope * reading[0] + offset
         return self.si(reading, quantity, at)
+
+    def distance(self, reading: tuple[float, str], unit: str, quantity: str, slope: float, at: Location) -> float:
+        """A difference [SI], given in the raw unit or in a unit of the quantity."""
+        return abs(slope) * reading[0] if reading[1] == unit else self.si(reading, quantity, at)
 
     def name_rule(self) -> NameRule | None:
         file = self.file.name_tells

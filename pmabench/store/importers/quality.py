@@ -23,6 +23,20 @@ WHOLE_SHARE = 0.01
 """Share of such readings above which the file was not recorded with the scale that the map says."""
 SLOW = 4.0
 """A channel that changes only every so many samples is told."""
+AROUND = 12
+"""Neighbours on either side that a spike is held against ..."""
+ALONE = 3
+"""... without those nearer than this, since a spike may be three samples long."""
+SPIKE = 4.0
+"""A spike lies so many times further out than all but the most scattered samples."""
+SMALLEST = 0.02
+"""Share of the span of a channel below which nothing is a spike."""
+SCATTERED = 0.005
+"""Share of the samples that are the most scattered; at least six."""
+FEW = 50
+"""With fewer samples scatter cannot be told from spikes."""
+LARGEST = 1e30
+"""No device gives a reading beyond this, or one that is smaller than its inverse and not 0."""
 OPPOSITE = -0.5
 """Correlation below which a channel seems to have the wrong sign."""
 
@@ -146,9 +160,13 @@ def _twice(report: _Report, channels: Sequence[Checked]) -> None:
 
 def _channel(report: _Report, channel: Checked) -> None:
     rule, raw, name = channel.rule, channel.raw, channel.rule.role
-    nothing = np.isnan(raw)
+    nothing = ~np.isfinite(raw) | ~np.isfinite(channel.si)
     report.mark(nothing, Flag.DROPOUT, "note", "missing", "no value in the file", name)
-    out = nothing
+    with np.errstate(invalid="ignore"):
+        absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
+    text = f"reads below {1 / LARGEST:.0e} or above {LARGEST:.0e}, as no device does: the file is damaged here"
+    report.mark(absurd, Flag.SUSPECT, "fault", "absurd", text, name)
+    out = nothing | absurd
     if rule.dropout is not None:
         cut = _equals(raw, rule.dropout)
         text = f"reads {rule.dropout:g} {rule.raw_unit}, as a cut wire does"
@@ -173,6 +191,62 @@ def _channel(report: _Report, channel: Checked) -> None:
     report.mark(beyond, Flag.OVERRANGE, "note", "out-of-range", f"is at or beyond its range, {bounds}", name)
     if rule.stale_after is not None:
         _stale(report, channel, rule.stale_after)
+    _spikes(report, channel, ~(out | beyond))
+
+
+def _spikes(report: _Report, channel: Checked, looked_at: Bools) -> None:
+    """Up to three samples in a row that stand out from their neighbours as nothing else in the channel does."""
+    rule = channel.rule
+    si = channel.si[looked_at]
+    if len(si) < FEW:
+        return
+    apart = beyond_neighbours(si)
+    limit = rule.spike if rule.spike is not None else spike_limit(si, apart)
+    where = np.zeros(len(channel.si), dtype=bool)
+    where[looked_at] = apart > limit
+    text = f"lies beyond all its neighbours by more than {show(limit, rule.quantity, 3)}, alone"
+    report.mark(where, Flag.SUSPECT, "doubt", "spike", text, rule.role)
+
+
+def beyond_neighbours(values: Array) -> Array:
+    """How far each value stands out alone, shape (n,): the least of three distances, none below 0.
+
+    Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
+    a row do not move; both without the difference of the levels before and after, since what swings over after a step
+    is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours stand on one side only, so much is
+    taken off as these move.
+    """
+    padded = np.pad(values, AROUND, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
+    away = np.abs(np.arange(-AROUND, AROUND + 1)) >= ALONE
+    near = slice(AROUND - ALONE, AROUND + ALONE + 1)
+    out = np.empty(len(values))
+    for begin in range(0, len(values), 100_000):
+        part = slice(begin, begin + 100_000)
+        here, around = values[part], windows[part]
+        low, high = np.nanmin(around[:, away], axis=1), np.nanmax(around[:, away], axis=1)
+        beyond = np.maximum(here - high, low - here)
+        apart = np.abs(here - np.nanmedian(around[:, near], axis=1))
+        before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
+        after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
+        step = np.where(np.isnan(before - after), high - low, np.abs(before - after))
+        out[part] = np.minimum(beyond, apart) - step
+    return np.maximum(out, 0.0)
+
+
+def _level(around: Array) -> Array:
+    """The middle of three neighbours; NaN where one is beyond the end."""
+    return np.asarray(np.sort(around, axis=1)[:, 1] + 0.0 * around.sum(axis=1))
+
+
+def spike_limit(values: Array, apart: Array) -> float:
+    """From which distance on a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span."""
+    count = max(6, int(SCATTERED * len(apart)))
+    scatter = float(np.partition(apart, -count)[-count])
+    marks = np.unique(values)
+    resolution = float(np.diff(marks).min()) if len(marks) > 20 else 0.0
+    low, high = (float(end) for end in np.quantile(values, [SCATTERED, 1.0 - SCATTERED]))
+    return max(SPIKE * scatter, SPIKE * resolution, SMALLEST * (high - low)) + 1e-9 * float(np.abs(marks).max())
 
 
 def _equals(raw: Array, value: float) -> Bools:
@@ -216,7 +290,7 @@ def _stale(report: _Report, channel: Checked, longest: float) -> None:
 
 def against_sign(flags: Flags, values: Mapping[str, Array], channel: str) -> Found | None:
     """A doubt where `channel` falls while pressure rises; both of shape (n,), SI."""
-    good = (flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
+    good = (flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP | Flag.SUSPECT)) == 0
     pressure, other = values["pressure"][good], values[channel][good]
     if len(pressure) < 10 or np.ptp(pressure) == 0 or np.ptp(other) == 0:
         return None

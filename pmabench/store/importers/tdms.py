@@ -26,14 +26,36 @@ def read_tdms(path: str, content: bytes, only: Collection[str] | None) -> Record
         raise invalid(path, f'is no TDMS file: it does not begin with "{MAGIC.decode()}"')
     from nptdms import TdmsFile
 
+    ends = _end(content)
     with damaged(path, "TDMS"), TdmsFile.open(io.BytesIO(content)) as file:
         recorded = Recorded([])
         if getattr(file.file_status, "incomplete_final_segment", False):
             recorded.cut_end = True
             recorded.doubts.append("the last segment is incomplete: the recording was cut off")
+        if ends is not None and ends != len(content):
+            recorded.doubts.append(
+                f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
+            )
         for group in file.groups():
             _group(recorded, group, only)
         return recorded
+
+
+def _end(content: bytes) -> int | None:
+    """Where the last segment ends by the lengths in the segments' heads; None where the last length was never written.
+
+    A head is 28 bytes: TDSm, mask, version, length of what follows, length of the description.
+    """
+    at = 0
+    while at + 28 <= len(content):
+        if content[at : at + 4] != MAGIC:
+            return at
+        order: Any = "big" if content[at + 4] & 0x40 else "little"
+        length = int.from_bytes(content[at + 12 : at + 20], order)
+        if length == 2**64 - 1:
+            return None
+        at += 28 + length
+    return at
 
 
 def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None:
