@@ -1,8 +1,9 @@
 """Damaged files, thousands of each format: refused in a sentence or taken, and no changed number is taken in silence.
 
 What is told of a number that damage changed: its row is flagged, or a new doubt or fault names its channel or the file.
-Without either it may differ only by what the map and the channel leave open: it lies among its neighbours (spikes), its
-time between those of its neighbours (`gap`) or within the rate that the map allows.
+Without either it may differ only by what the map and the channel leave open: it lies within the range of its thirty
+neighbours on either side, widened by the limit of spikes and, but for a command, by that range; its time lies between
+those of its neighbours (`gap`) or within the rate that the map allows.
 """
 
 import random
@@ -87,11 +88,12 @@ def silent(found, whole, rules):
         name = channel.rule.role
         if any(each == name for _, each in new):
             continue
-        limit = quality.spike_limit(before.si, quality.beyond_neighbours(before.si))
+        apart = quality.beyond_neighbours(before.si, swings=not name.endswith("command"))
+        limit = quality.spike_limit(before.si, apart)
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(before.si, 30, mode="edge"), 61)
-        room = limit + np.ptp(windows, axis=1)[row]
-        middle = np.median(windows, axis=1)[row]
-        if (good & (np.abs(channel.si - middle) > room)).any():
+        low, high = windows.min(axis=1)[row], windows.max(axis=1)[row]
+        room = limit + (0.0 if name.endswith("command") else high - low)
+        if (good & ((channel.si > high + room) | (channel.si < low - room))).any():
             wrong.append(name)
     return wrong
 

@@ -200,7 +200,7 @@ def _spikes(report: _Report, channel: Checked, looked_at: Bools) -> None:
     si = channel.si[looked_at]
     if len(si) < FEW:
         return
-    apart = beyond_neighbours(si)
+    apart = beyond_neighbours(si, swings=not rule.role.endswith("command"))
     limit = rule.spike if rule.spike is not None else spike_limit(si, apart)
     where = np.zeros(len(channel.si), dtype=bool)
     where[looked_at] = apart > limit
@@ -208,13 +208,13 @@ def _spikes(report: _Report, channel: Checked, looked_at: Bools) -> None:
     report.mark(where, Flag.SUSPECT, "doubt", "spike", text, rule.role)
 
 
-def beyond_neighbours(values: Array) -> Array:
-    """How far each value stands out alone, shape (n,): the least of three distances, none below 0.
+def beyond_neighbours(values: Array, swings: bool = True) -> Array:
+    """How far each value stands out alone, shape (n,): the lesser of two distances, none below 0.
 
     Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
-    a row do not move; both without the difference of the levels before and after, since what swings over after a step
-    is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours stand on one side only, so much is
-    taken off as these move.
+    a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
+    since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
+    stand on one side only, so much is taken off as these move.
     """
     padded = np.pad(values, AROUND, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
@@ -230,7 +230,7 @@ def beyond_neighbours(values: Array) -> Array:
         before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
         after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
         step = np.where(np.isnan(before - after), high - low, np.abs(before - after))
-        out[part] = np.minimum(beyond, apart) - step
+        out[part] = np.minimum(beyond, apart) - (step if swings else np.where(np.isnan(before - after), step, 0.0))
     return np.maximum(out, 0.0)
 
 
