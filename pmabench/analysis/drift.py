@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmabench.analysis.pooled import Fit, solve
+from pmabench.analysis.pooled import Solved
 from pmabench.analysis.reference import compared
 from pmabench.analysis.segments import Segments
 from pmabench.store.records import Array, RunData, TrialData
@@ -31,13 +31,13 @@ class Cause:
 
 
 def causes(
-    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Fit,
+    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
     noise: float,
 ) -> tuple[Cause, ...]:  # fmt: skip
-    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `solve`."""
+    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`."""
 
     def change(other: Segments) -> Array:
-        return np.asarray(solve(other, fit.knots, noise).theta - fit.theta)
+        return np.asarray(fit.again(other, noise).theta - fit.theta)
 
     found = []
     off = _specimen(runs, trials)

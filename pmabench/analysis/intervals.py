@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from pmabench.analysis import student
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.drift import Cause
-from pmabench.analysis.pooled import SYMBOLS, Fit, expected_noise, rms_of, solve
+from pmabench.analysis.pooled import SYMBOLS, Fit, Solved, expected_noise, rms_of
+from pmabench.analysis.replay import Stretches
 from pmabench.analysis.results import Parts, Source
 from pmabench.analysis.segments import Noise, Segments
 from pmabench.store.records import Array
@@ -29,8 +30,6 @@ CHANNELS = ("pressure", "displacement", "force")
 NO_NOISE = Noise()
 SCATTER = "noise, and scatter between trials"
 UNTOLD = "the record tells no uncertainty"
-FEWEST_KNOTS = 3
-"""A fit on half as many knots has at least so many."""
 FEW = 10
 """With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
 
@@ -116,6 +115,10 @@ class Pooled:
     noise: Array
     """Of each segment [N], that the channels explain; shape (n,)."""
     trust: Trust
+    trust_of: Callable[[Solved, NDArray[np.bool_]], Trust]
+    """How far another fit to some rows of the segments can be trusted."""
+    work: Stretches
+    """The strokes that were replayed."""
 
     @property
     def expected(self) -> float:
@@ -125,7 +128,7 @@ class Pooled:
 
 def assess(
     segments: Segments,
-    fit: Fit,
+    fit: Solved,
     noise: Array,
     cells: NDArray[np.intp],
     replays: Sequence[Array],
@@ -143,7 +146,7 @@ def assess(
     cells
         Cell number of each trial number in `segments.trial`.
     replays
-        `Fit.theta` of fits to replays of `fit`.
+        Theta of fits to replays of `fit`.
     scales
         How well the channels are known.
     skews, drifts
@@ -164,7 +167,9 @@ def assess(
     stretch = student.ppf(0.975, freedom) / NORMAL
     ratio = between / np.maximum(seen, 1e-300)
     excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
-    pooled = np.append(np.repeat([excess[symbol] for symbol in SYMBOLS], len(fit.knots)), excess["F_c"])
+    pooled = np.ones(len(fit.theta))
+    for symbol, ratio_of in excess.items():
+        pooled[fit.columns(symbol)] = ratio_of
     widen = np.maximum(1.0, 0.5 * (pooled + ratio))
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
@@ -178,7 +183,7 @@ def assess(
             if size > 0
         },
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
-        form=_form(segments, fit, expected),
+        form=fit.bends(segments, expected),
         shifts=_calibration(segments, fit, expected, scales),
         untold=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
         skews=skews,
@@ -188,33 +193,19 @@ def assess(
     )
 
 
-def _covariance(fit: Fit, noise: Array) -> Array:
+def _covariance(fit: Solved, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
     uneven = _scores(fit, noise) - even * (fit.design.T @ fit.design)
     return even * fit.inverse + fit.inverse @ uneven @ fit.inverse
 
 
-def _scores(fit: Fit, noise: Array) -> Array:
+def _scores(fit: Solved, noise: Array) -> Array:
     """A' diag(noise^2) A, shape (p, p)."""
     return np.asarray((fit.design * noise[:, None] ** 2).T @ fit.design)
 
 
-def _form(segments: Segments, fit: Fit, expected: float) -> Array:
-    """What polygons on the knots leave of a bend: a third of what every other knot less changes (Richardson).
-
-    The error of straight lines through a smooth curve goes with the square of their length.
-    """
-    k = len(fit.knots)
-    if k < 2 * FEWEST_KNOTS:
-        return np.zeros(len(fit.theta))
-    kept = np.unique(np.append(np.arange(0, k, 2), k - 1))
-    coarse = solve(segments, fit.knots[kept], expected)
-    values = [coarse.values(symbol, fit.knots) for symbol in SYMBOLS]
-    return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - fit.theta) / 3.0)
-
-
-def _replayed(fit: Fit, replays: Sequence[Array]) -> tuple[Array, Array]:
+def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
     """Mean and standard deviation of what replays come back with, less what went in."""
     if not replays:
         return np.zeros(len(fit.theta)), np.zeros(len(fit.theta))
@@ -222,7 +213,7 @@ def _replayed(fit: Fit, replays: Sequence[Array]) -> tuple[Array, Array]:
     return off.mean(axis=0), off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
 
 
-def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
+def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
     """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether within cells.
 
     The bootstrap over trials (resampling their normal equations) in its limit of many draws: the variance of
@@ -251,29 +242,28 @@ def _between(segments: Segments, fit: Fit, cells: NDArray[np.intp]) -> tuple[Arr
     return np.sum((off @ fit.inverse) ** 2, axis=0), np.maximum(1.0, effective * freedom / total), within
 
 
-def _pooled(fit: Fit, symbol: str, ratio: Array, segments: Segments) -> float:
+def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float:
     """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
+    columns = fit.columns(symbol)
     if symbol == "F_c":
-        return float(ratio[-1]) if fit.friction else 1.0
-    k = len(fit.knots)
-    columns = slice(fit.index(symbol), fit.index(symbol) + k)
+        return float(ratio[columns][0]) if fit.friction else 1.0
     weight = np.sum(fit.design[:, columns] ** 2, axis=0)
     solid = weight > 0.05 * weight.max()
     return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
 
 
-def _calibration(segments: Segments, fit: Fit, expected: float, scales: Scales) -> dict[str, Array]:
+def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scales) -> dict[str, Array]:
     """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty."""
     shifts = {}
     for channel in CHANNELS:
         offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
         for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
             if any(by):
-                again = solve(segments.shifted(channel, *by), fit.knots, expected)
+                again = fit.again(segments.shifted(channel, *by), expected)
                 shifts[f"{channel}, {name}"] = again.theta - fit.theta
     return shifts
 
 
-def replay_fits(replay: Callable[[int], Segments], fit: Fit, expected: float, count: int) -> list[Array]:
-    """`Fit.theta` of fits on the same knots to `count` replays; `replay(seed)` gives the segments of one."""
-    return [solve(replay(seed), fit.knots, expected).theta for seed in range(count)]
+def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:
+    """Theta of the same fit to `count` replays; `replay(seed)` gives the segments of one."""
+    return [fit.again(replay(seed), expected).theta for seed in range(count)]

@@ -8,6 +8,7 @@ lines between. Linear in all of them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +28,8 @@ GAIN = 0.03
 """Least relative fall of the sum of squares for which one more knot is kept."""
 CHANCE = 8.0
 """The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
+FEWEST_KNOTS = 3
+"""A fit on half as many knots has at least so many."""
 MOST_KNOTS = 8
 """Most knots that are added."""
 PLACES = 5
@@ -36,10 +39,12 @@ FLOOR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A solved fit. `theta` (p,) holds F_ce [N], K [N/m], B_c, B_r [N.s/m] at the `knots` [Pa], then F_c [N]."""
+class Solved(ABC):
+    """A solved least squares of segments, whatever forms its coefficients have over pressure.
 
-    knots: Array
+    `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N] and what else there is.
+    """
+
     theta: Array
     inverse: Array
     """Inverse of the normal matrix, shape (p, p); times the squared noise it is the covariance."""
@@ -49,32 +54,86 @@ class Fit:
     friction: bool
     """False: all segments go one way, and F_c cannot be told from F_ce."""
 
-    def index(self, symbol: str, knot: int = 0) -> int:
-        """Place of a coefficient in `theta`."""
-        return SYMBOLS.index(symbol) * len(self.knots) + knot if symbol in SYMBOLS else len(self.theta) - 1
+    @abstractmethod
+    def columns(self, symbol: str) -> slice:
+        """Places of the unknowns of one of `SYMBOLS` or F_c in `theta`."""
 
-    def at(self, P: float) -> int:
-        """Number of the knot at pressure P [Pa]."""
-        return int(np.argmin(np.abs(self.knots - P)))
+    @abstractmethod
+    def row(self, symbol: str, P: float) -> Array:
+        """What theta is to be multiplied by for a coefficient at P [Pa], shape (p,)."""
 
+    @abstractmethod
     def values(self, symbol: str, P: Array) -> Array:
         """A coefficient [SI] at pressures P [Pa] of any shape."""
-        k = len(self.knots)
-        start = self.index(symbol)
-        left, share = place(P, self.knots)
-        values = self.theta[start : start + k]
-        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+
+    @abstractmethod
+    def again(self, segments: Segments, noise: float) -> Solved:
+        """The same fit to other segments, whose residual should be `noise` [N]."""
+
+    @abstractmethod
+    def bends(self, segments: Segments, noise: float) -> Array:
+        """What the forms leave of a bend in each unknown, shape (p,)."""
 
     @property
     def coulomb(self) -> float:
         """Coulomb friction [N], 0 where it cannot be told."""
-        return float(self.theta[-1]) if self.friction else 0.0
+        return float(self.theta[self.columns("F_c")][0]) if self.friction else 0.0
 
     @cached_property
     def rms(self) -> float:
         """Root mean square residual [N], with the degrees of freedom that the fit took."""
         free = max(1.0, len(self.residual) - float(np.sum(self.design @ self.inverse * self.design)))
         return float(np.sqrt(self.residual @ self.residual / free))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Solved):
+    """Every coefficient a polygon: `theta` holds their values at the `knots` [Pa], then F_c [N]."""
+
+    knots: Array
+
+    def index(self, symbol: str, knot: int = 0) -> int:
+        """Place of a coefficient in `theta`."""
+        return SYMBOLS.index(symbol) * len(self.knots) + knot if symbol in SYMBOLS else len(self.theta) - 1
+
+    def columns(self, symbol: str) -> slice:
+        """See `Solved`."""
+        start = self.index(symbol)
+        return slice(start, start + (len(self.knots) if symbol in SYMBOLS else 1))
+
+    def row(self, symbol: str, P: float) -> Array:
+        """See `Solved`."""
+        found = np.zeros(len(self.theta))
+        if symbol not in SYMBOLS:
+            found[-1] = 1.0
+            return found
+        left, share = place(np.array([P]), self.knots)
+        start = self.index(symbol, int(left[0]))
+        found[start : start + 2] = 1 - share[0], share[0]
+        return found
+
+    def at(self, P: float) -> int:
+        """Number of the knot at pressure P [Pa]."""
+        return int(np.argmin(np.abs(self.knots - P)))
+
+    def values(self, symbol: str, P: Array) -> Array:
+        """See `Solved`."""
+        left, share = place(P, self.knots)
+        values = self.theta[self.columns(symbol)]
+        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+
+    def again(self, segments: Segments, noise: float) -> Fit:
+        """See `Solved`."""
+        return solve(segments, self.knots, noise)
+
+    def bends(self, segments: Segments, noise: float) -> Array:
+        """A third of what every other knot less changes (Richardson): an error of straight lines goes with length^2."""
+        k = len(self.knots)
+        if k < 2 * FEWEST_KNOTS:
+            return np.zeros(len(self.theta))
+        coarse = solve(segments, self.knots[np.unique(np.append(np.arange(0, k, 2), k - 1))], noise)
+        values = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
+        return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - self.theta) / 3.0)
 
 
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
@@ -120,27 +179,40 @@ def solve(segments: Segments, knots: Array, noise: float) -> Fit:
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(knots, theta, inverse, design, segments.force - design @ theta, friction)
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots)
 
 
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
     k, p = len(knots), design.shape[1]
-    force = float(np.sqrt(np.mean(segments.force**2))) or 1.0
-    noise = max(noise, FLOOR * force)
-    x, v = (float(np.sqrt(np.mean(values**2))) for values in (segments.x, segments.v))
-    sizes = (force, force / x, force / v, force / v)
-    rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * force)])]
+    sizes = sizes_of(segments)
+    noise = max(noise, FLOOR * sizes[0])
+    rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * sizes[0])])]
     for number, size in enumerate(sizes):
         bend = np.zeros((k - 2, p))
-        for j in range(1, k - 1):
-            share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
-            bend[j - 1, number * k + j - 1 : number * k + j + 2] = share - 1, 1, -share
-        rows.append(bend * (noise / (BEND * size)))
+        bend[:, number * k : (number + 1) * k] = bent(knots) * (noise / (BEND * size))
+        rows.append(bend)
     return np.vstack(rows)
 
 
-def expected_noise(segments: Segments, fit: Fit, noise: Noise) -> Array:
+def bent(knots: Array) -> Array:
+    """Rows that tell how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
+    k = len(knots)
+    rows = np.zeros((k - 2, k))
+    for j in range(1, k - 1):
+        share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
+        rows[j - 1, j - 1 : j + 2] = share - 1, 1, -share
+    return rows
+
+
+def sizes_of(segments: Segments) -> tuple[float, float, float, float]:
+    """Typical sizes of F_ce [N], K [N/m], B_c and B_r [N.s/m]: of the forces, by displacement and by speed."""
+    force = rms_of(segments.force) or 1.0
+    x, v = rms_of(segments.x), rms_of(segments.v)
+    return force, force / x, force / v, force / v
+
+
+def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
     """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,).
 
     Force noise, or displacement noise in M x'' where no cell measures; pressure noise times the slope of F_ce - K x;

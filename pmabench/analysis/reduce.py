@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import Any
 
 from pmabench.analysis.acceptance import not_accepted
 from pmabench.analysis.agreement import KIND as AGREEMENT
@@ -49,10 +50,11 @@ def reduction_of(run: RunData) -> str:
     return f"{run.kind}-{asked.get('method')}" if isinstance(asked, Mapping) else run.kind
 
 
-def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
+def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
     """One analysis for each kind of run of each specimen, and what these say about each other.
 
-    Real and simulated runs are never mixed, nor are specimens. Raises InvalidFile for an unknown kind.
+    Real and simulated runs are never mixed, nor are specimens. `options`: kind -> those of its reduction. Raises
+    InvalidFile for an unknown kind.
     """
     specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
     for run in runs:
@@ -64,7 +66,9 @@ def reduce_runs(runs: Sequence[RunData]) -> list[Analysis]:
     found: list[Analysis] = []
     for kinds in specimens.values():
         analyses = [
-            with_checks(import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group), group)
+            with_checks(
+                import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group, (options or {}).get(kind)), group
+            )
             for kind, group in kinds.items()
         ]
         compared = agreement(analyses)

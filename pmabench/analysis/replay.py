@@ -122,7 +122,7 @@ def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> 
         still = samples.x[before][samples.ok[before]]
         start[column] = max(0.0, float(np.mean(still))) if len(still) else 0.0
         t, ok = dt * np.arange(size), samples.ok[rows]
-        source.append(replace(samples, t=t, P=P[:size, column], x=t, force=None, ok=ok))
+        source.append(replace(samples, t=t, P=P[:size, column], x=samples.x[rows], force=None, ok=ok))
     load = np.array([samples.load for samples, _ in pieces])
     mass = np.array([samples.mass for samples, _ in pieces])
     return Stretches(tuple(source), P, load, mass, start, dt)

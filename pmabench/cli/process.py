@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +25,23 @@ if TYPE_CHECKING:
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
 @click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")
+@click.option(
+    "--form",
+    "forms",
+    multiple=True,
+    metavar="SYMBOL=FORM",
+    help="Contraction runs: F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit"
+    " beside the straight lines between pressures.",
+)
 @common
 def command(
-    ui: Ui, runs: tuple[Path, ...], out: Path | None, each: bool, jobs: int | None, cluster: str | None
+    ui: Ui,
+    runs: tuple[Path, ...],
+    out: Path | None,
+    each: bool,
+    jobs: int | None,
+    cluster: str | None,
+    forms: tuple[str, ...],
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
 
@@ -39,8 +53,11 @@ def command(
     """
     from pmabench.store.below import holds_runs
 
+    joint = _joint(forms)
     below = [path for path in runs if holds_runs(path)]
     if each or below:
+        if joint:
+            raise UsageError("--form is for runs that are fitted together: name them one by one")
         if jobs is not None and cluster is not None:
             raise UsageError("--jobs is for this machine and --cluster for others: give one of the two")
         from pmabench.cli.process_many import process_folders
@@ -56,7 +73,9 @@ def command(
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
-    analyses = analyse(loaded)
+    if joint and all(run.kind != JOINT for run in loaded):
+        raise UsageError(f"--form is for runs of kind {JOINT}, and none of these is one")
+    analyses = analyse(loaded, {JOINT: joint})
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
     folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
@@ -75,9 +94,11 @@ def command(
     }
 
     def human() -> None:
+        from pmabench.report.wording import clean
+
         print_analyses(ui, analyses)
         for entry in data["excluded"]:
-            click.echo("{run}: trial {trial} is left out by {operator}: {because}".format(**entry))
+            click.echo(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**entry)))
         for verdict in failed:
             click.echo(f"NOT ACCEPTED: {verdict}")
         click.echo("\n".join(str(path) for path in folders))
@@ -91,6 +112,18 @@ def beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
+def _joint(forms: tuple[str, ...]) -> dict[str, Any]:
+    """Options of a joint fit, empty where none is asked for; UsageError for a form that is none."""
+    if not forms:
+        return {}
+    from pmabench.analysis.forms import asked
+
+    asked(forms)
+    return {"forms": list(forms)}
+
+
+JOINT = "contraction-relaxation"
+"""The kind of runs that --form is for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 
@@ -133,11 +166,11 @@ def load_runs(paths: Sequence[Path]) -> list[RunData]:
     return open_chains(paths)
 
 
-def analyse(runs: Sequence[RunData]) -> list[Analysis]:
-    """One analysis for each kind of run, in the order in which the kinds come."""
+def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
+    """One analysis for each kind of run, in the order in which the kinds come; `options` by kind."""
     from pmabench.analysis.reduce import reduce_runs
 
-    return reduce_runs(runs)
+    return reduce_runs(runs, options)
 
 
 def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
@@ -157,6 +190,7 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
     from pmabench.report.terminal_coefficients import print_coefficients
+    from pmabench.report.wording import clean
 
     console = ui.console()
     print_coefficients(analyses, console)
@@ -166,4 +200,4 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
                 f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
             )
         for finding in analysis.findings:
-            console.print(f"{finding.level}: {finding.text}")
+            console.print(clean(f"{finding.level}: {finding.text}"))

@@ -26,7 +26,7 @@ VALUES = {
 def fitted(F_c: float) -> Fit:
     theta = np.concatenate([*VALUES.values(), [F_c]])
     empty = np.empty(0)
-    return Fit(KNOTS, theta, np.eye(len(theta)), np.empty((0, len(theta))), empty, friction=True)
+    return Fit(theta, np.eye(len(theta)), np.empty((0, len(theta))), empty, True, KNOTS)
 
 
 @pytest.mark.parametrize(("mass", "F_c"), [(0.5, 0.0), (0.05, 6.0), (40.0, 6.0)])
