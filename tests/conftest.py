@@ -26,8 +26,12 @@ def _own_state(tmp_path, monkeypatch):
 DRIVERS = (
     "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
 )  # fmt: skip
-RIGS = (*(f"tests/drivers/{name}/" for name in DRIVERS), "tests/session/test_realtime.py")
-"""Where tests over a wire, and a whole session, wait in real time."""
+RIGS = (
+    *(f"tests/drivers/{name}/" for name in DRIVERS),
+    "tests/session/test_realtime.py",
+    "tests/benchmarks/test_cluster.py",
+)
+"""Where tests over a wire, a whole session, and a cluster, wait in real time."""
 
 
 def _rig_of_this_commit():
