@@ -7,6 +7,7 @@ the pooled fit come from `contraction_checks`.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import sqrt
@@ -30,6 +31,8 @@ LEAST = 0.05
 """Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
 FEWEST = 3
 """Fewest cells for a first-repeat effect and fewest trials beyond the number of cells for a drift."""
+
+Point = tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True)
@@ -115,26 +118,28 @@ def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
     if kind not in VALUES:
         return []
     what, value_of = VALUES[kind]
-    rows: list[tuple[tuple[tuple[str, float], ...], int, float, float]] = []
-    begun = 0.0
+    begun, told = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:
-            if trial.status != "finished" or trial.again or not len(trial.t):
-                continue
-            value = value_of(run, trial)
-            if value is not None and np.isfinite(value) and value > 0:
-                point = tuple(sorted((name, float(f"{at:.6g}")) for name, at in trial.point.items()))
-                rows.append((point, -1 if trial.reference else trial.repeat, begun + float(trial.t[0]), value))
+            if trial.status == "finished" and not trial.again and len(trial.t):
+                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
+                told.append((point, run, trial, begun + float(trial.t[0])))
         begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
+    times = Counter(point for point, *_ in told)
+    rows: list[tuple[Point, int, float, float]] = []
+    for point, run, trial, t in told:
+        value = value_of(run, trial) if times[point] > 1 else None
+        if value is not None and np.isfinite(value) and value > 0:
+            rows.append((point, -1 if trial.reference else trial.repeat, t, value))
     largest = max((row[3] for row in rows), default=0.0)
     rows = [row for row in rows if row[3] > LEAST * largest]
     if len(rows) < 2:
         return []
     numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
     cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
-    repeats, times, values = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
-    told = Repeats(what, cell, repeats, times, values)
-    return [check for check in (spread(told), first_repeat(told), drift(told)) if check is not None]
+    columns = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
+    repeats = Repeats(what, cell, *columns)
+    return [check for check in (spread(repeats), first_repeat(repeats), drift(repeats)) if check is not None]
 
 
 def spread(r: Repeats) -> Check | None:
@@ -211,15 +216,55 @@ def _sine(run: RunData, trial: TrialData) -> float | None:
     from pmabench.analysis.sine_loop import NotUsable, measure
 
     try:
-        settings: Mapping[str, Any] = run.plan.get("settings") or {}
-        return measure(run, trial, float(settings.get("discard", 1))).stiffness
+        return measure(run, trial, float(_settings(run).get("discard", 1))).stiffness
     except NotUsable:
         return None
+
+
+def _ramp(run: RunData, trial: TrialData) -> float | None:
+    """Slope of the mean curve of a slow ramp [N/m]."""
+    from pmabench.analysis.ramp_loop import measure_as_planned
+    from pmabench.analysis.sine_loop import NotUsable
+
+    try:
+        loop = measure_as_planned(run, trial, {})
+    except NotUsable:
+        return None
+    return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])
+
+
+def _rest(run: RunData, trial: TrialData) -> float | None:
+    """Contraction at rest without load [m]."""
+    from pmabench.analysis.free_contraction import NotUsable, measure
+
+    try:
+        return measure(run, trial).x
+    except NotUsable:
+        return None
+
+
+def _step(run: RunData, trial: TrialData) -> float | None:
+    """Stiffness of the relaxed forces of steps away from the start [N/m]."""
+    from pmabench.analysis.sine_loop import NotUsable
+    from pmabench.analysis.step_relaxation import measure
+
+    try:
+        return float(np.mean([step.static for step in measure(run, trial, {}).there]))
+    except NotUsable:
+        return None
+
+
+def _settings(run: RunData) -> Mapping[str, Any]:
+    told = run.plan.get("settings")
+    return told if isinstance(told, Mapping) else {}
 
 
 VALUES: dict[str, tuple[str, Callable[[RunData, TrialData], float | None]]] = {
     "contraction-relaxation": ("stroke", _stroke),
     "static-load": ("pressure at which the load is lifted", _mean_pressure),
     "sinusoidal-displacement": ("stiffness", _sine),
+    "isobaric-ramp": ("stiffness", _ramp),
+    "free-contraction": ("contraction", _rest),
+    "step-displacement": ("stiffness", _step),
 }
 """Kind of test -> the value of a trial that tells repeats apart, in words, and where it comes from; None: unusable."""

@@ -49,6 +49,7 @@ def command(
     FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
     """
     from pmabench.analysis.comparison import Comparison, compare, not_accepted
+    from pmabench.report.wording import clean
 
     limits = [_limit(text) for text in accepted]
     pressures = [_quantity("--at", text, "pressure") for text in places]
@@ -72,7 +73,7 @@ def command(
         from pmabench.report.comparison_page import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
-    told = [f"NOT ACCEPTED: {text}" for text in failed]
+    told = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
     ui.result(data, lambda: _print(ui, left, right, found, curves, [*told, *([data["path"]] if output else [])]), told)
     return 6 if failed else None
 
@@ -242,6 +243,6 @@ def _print(
             print_grid(console, heads, rows, ("symbol", "quantity", "over"), 2)
     console.print()
     for finding in found.findings:
-        console.print(f"{finding.level}: {finding.text}")
+        console.print(f"{finding.level}: {clean(finding.text)}")
     for line in last:
-        click.echo(line)
+        click.echo(clean(line))

@@ -234,6 +234,7 @@ def _reference(one: References) -> dict[str, Any]:
 def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
     from pmabench.report.history_tables import run_rows, value_rows
     from pmabench.report.terminal import print_grid
+    from pmabench.report.wording import clean
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):
@@ -243,6 +244,6 @@ def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequenc
             print_grid(console, heads, rows, ("date", "kind", "status", "bench"), 1)
             console.print()
     for finding in told:
-        console.print(f"{finding.level}: {finding.text}")
+        console.print(f"{finding.level}: {clean(finding.text)}")
     if path is not None:
         click.echo(path)

@@ -9,6 +9,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import PressureRate, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
 from pmabench.protocol.sweep import PressureAxis, Sweep, expand
@@ -44,6 +45,7 @@ class FreeContraction(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
     gives: ClassVar[tuple[str, ...]] = ("L",)
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["free-contraction"]
     sweep: Sweep[FreeAxes]
     trial: FreeTrial

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import arrive, bearable, leave, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Step, TrialRecord
@@ -53,6 +54,7 @@ class IsobaricRamp(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     gives: ClassVar[tuple[str, ...]] = ("F_ce", "K", "B", "F_c")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["isobaric-ramp"]
     sweep: Sweep[RampAxes]
     trial: RampTrial

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Speed, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import arrive, bearable, leave, not_too_fast
 from pmabench.protocol.driven_air import not_pushed_together
@@ -48,6 +49,7 @@ class StepDisplacement(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     gives: ClassVar[tuple[str, ...]] = ("K",)
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["step-displacement"]
     sweep: Sweep[StepAxes]
     trial: StepTrial

@@ -12,7 +12,9 @@ from pmabench.analysis.campaign import gather
 from pmabench.analysis.checks import Check, Repeats, checks_of, drift, first_repeat, spread, trial_checks, with_checks
 from pmabench.analysis.contraction_checks import checks
 from pmabench.analysis.results import Analysis
+from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
+from tests.analysis.sine_rig import Muscle51
 
 CELLS = [(load, P) for load in (58.86, 156.96, 255.06) for P in (3e5, 4e5, 5e5)]
 
@@ -69,6 +71,19 @@ def test_reference_trials_tell_drift_and_are_no_first_repeats():
     names = {check.name for check in trial_checks("contraction-relaxation", [replace(run, trials=tuple(trials))])}
     assert names == {"repeat_spread", "drift"}
     assert trial_checks("ultimate-gain", [run]) == []
+
+
+def test_sines_that_stiffen_from_repeat_to_repeat():
+    """K 1 % below, at and above: s = 1 %, and 0.01 in 400 s is 0.0275 over the 1100 s of twelve trials."""
+    trials = [Muscle51(K=K).trials(3)[i] for i, K in enumerate(np.repeat([0.99, 1.0, 1.01], 4) * 6773.0)]
+    run = as_run("sinusoidal-displacement", trials)
+    found = {check.name: check for check in trial_checks("sinusoidal-displacement", [run])}
+    assert found["repeat_spread"].value == pytest.approx(0.01, rel=1e-3)
+    assert found["drift"].value == pytest.approx(0.0275, rel=1e-3)
+    assert found["first_repeat"].value == pytest.approx(0.99 / 1.005 - 1, rel=1e-3)
+    assert {found[name].level for name in ("drift", "first_repeat")} == {"doubt"}
+    once = as_run("sinusoidal-displacement", trials[:4])
+    assert trial_checks("sinusoidal-displacement", [once]) == []
 
 
 def fitted(change=lambda trial: trial, kind="bench"):

@@ -1,6 +1,7 @@
 """`compare` from folders and tables to sentences, JSON and a page; exit 6 beyond a limit; bad input in a sentence."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
@@ -79,6 +80,18 @@ def test_the_page_shows_both_and_nothing_on_it_is_active(folders, tmp_path):
     again = tmp_path / "d.html"
     call("compare", folders[0], f"{table}:{EVIL}", "-o", again)
     assert again.read_text() == text
+
+
+def test_names_from_a_file_that_anybody_wrote_are_harmless(tmp_path):
+    odd = Estimate(EVIL, 1.0, EVIL, EVIL, EVIL, {EVIL: 2.0, "pressure": 3e5}, Parts(0.1), 4, coordinate=EVIL)
+    at = [replace(odd, at={EVIL: 2.0, "pressure": P}, value=P) for P in (2e5, 3e5)]
+    folders = [
+        write_analysis(Analysis(EVIL, (name,), False, tuple(at)), tmp_path / name / "odd") for name in ("one", "two")
+    ]
+    page = tmp_path / "c.html"
+    result = call("compare", *folders, "-o", page, "--accept", "difference<=1 %")
+    assert "\x1b" not in result.output + page.read_text()
+    assert "<script" not in page.read_text()
 
 
 @pytest.mark.parametrize(
