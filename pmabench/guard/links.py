@@ -66,6 +66,8 @@ class Links:
         self._owner = Owner if threads else Direct
         self._owners: dict[str, Direct | Owner] = {}
         self._fed: dict[str, Call] = {}
+        self._able: dict[tuple[str, type[Any]], Any] = {}
+        """What each device was found to be able to do: asking takes longer than most commands."""
         self.sampling: set[str] = set()
         """Which devices were told to sample."""
 
@@ -117,9 +119,12 @@ class Links:
     def need(self, name: str, capability: type[Capability], lacks: str, channel: str = "") -> Capability:
         """The device, as one that can do this; raises DeviceError with what it `lacks`."""
         device = self.devices.get(name)
-        if not isinstance(device, capability):
-            raise DeviceError(name, lacks, channel)
-        return device
+        if self._able.get((name, capability), self) is not device:
+            if not isinstance(device, capability):
+                raise DeviceError(name, lacks, channel)
+            self._able[name, capability] = device
+        able: Capability = self._able[name, capability]
+        return able
 
     # -- calls that command something, ready to be made -----------------------------------------------------------
 

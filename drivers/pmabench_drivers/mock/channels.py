@@ -13,6 +13,7 @@ from pmabench.model.sensors import NoiseSource
 from pmabench_drivers.mock.options import INPUTS, SENSORS, Faults, SensorError
 
 GAP = 0.02
+NO_FAULTS = Faults()
 Column = list[float] | NDArray[Any]
 
 
@@ -51,7 +52,7 @@ class Channel:
     def _given(self, raw: Any) -> NDArray[Any]:
         if not self.counts:
             return np.asarray(raw, dtype=np.float64)
-        return np.asarray(np.clip(np.rint(raw), self.low, self.high), dtype=np.int32)
+        return np.asarray(np.minimum(np.maximum(np.rint(raw), self.low), self.high), dtype=np.int32)
 
 
 class Damage:
@@ -64,10 +65,13 @@ class Damage:
         self._channels = channels
         self._by_input = {channel.record.input: channel for channel in channels}
         self.stuck: float | None = None
+        self._seen, self._none = NO_FAULTS, True
 
     def done(self, block: Block, faults: Faults, errors: Mapping[str, SensorError]) -> Block:
         """The block as it arrives; `faults` and `errors` are those of this moment."""
-        if faults == NO_FAULTS and not errors:
+        if faults is not self._seen:
+            self._seen, self._none = faults, faults == NO_FAULTS
+        if self._none and not errors:
             return block
         time = np.asarray(block.time, dtype=np.int64)
         columns = {name: np.array(column) for name, column in block.columns.items()}
@@ -101,9 +105,6 @@ class Damage:
             columns[channel.record.name] = np.where(
                 seconds >= error.at, channel.wrong(raw, error), own[channel.record.name]
             )
-
-
-NO_FAULTS = Faults()
 
 
 def as_block(time: Any, columns: Mapping[str, Any]) -> Block:

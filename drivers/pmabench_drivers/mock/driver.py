@@ -150,7 +150,7 @@ class MockBench:
             raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or VALVES)}')
 
     def _now(self) -> float:
-        return round(self._clock.now(), 9)
+        return round(self._clock.now() * 1e9) / 1e9  # as `to_nanosecond`, which would import numpy
 
     def _simulation(self) -> Simulation:
         """The simulation, brought to the clock's time."""

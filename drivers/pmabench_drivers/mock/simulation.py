@@ -321,7 +321,8 @@ class Simulation:
             return
         for number in range(first, last):
             self._one(number)
-        self._plant.advance(until)
+        if until > self._plant.time:
+            self._plant.advance(until)
 
     def _time_ns(self, number: int) -> int:
         return self._start_ns + round(number * 1e9 / self._rate)
