@@ -1,4 +1,4 @@
-"""`pmabench report`: runs or analyses to one self-contained HTML file."""
+"""`pmabench report`: runs or analyses to one self-contained HTML file, and to a PDF and a workbook."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ from pmabench.cli.common import Ui, common
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN-OR-ANALYSIS...")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
 @click.option(
+    "--pdf", type=click.Path(path_type=Path, dir_okay=False), help="Also as a tagged PDF; needs the extra pdf."
+)
+@click.option(
+    "--xlsx", type=click.Path(path_type=Path, dir_okay=False), help="Also as a workbook; needs the extra xlsx."
+)
+@click.option(
     "--overlay", "overlays", multiple=True, metavar="FILE.csv[:LABEL]", help="Published points for the figures."
 )
 @click.option("--title", help="Title of the report.")
@@ -26,6 +32,8 @@ def command(
     ui: Ui,
     sources: tuple[Path, ...],
     output: Path,
+    pdf: Path | None,
+    xlsx: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
     **told: str,
@@ -35,10 +43,11 @@ def command(
     from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.analysis_folder import read_analysis, runs_of
     from pmabench.report.checklist import Issuer
-    from pmabench.report.html import write_report
+    from pmabench.report.content import content_of
+    from pmabench.report.html import write_page
 
-    if output.is_fifo():
-        raise UsageError(f"{output} is a pipe; give the name of a file")
+    for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
+        raise UsageError(f"{path} is a pipe; give the name of a file")
     published = read_overlays(overlays)
     folders = [source for source in sources if (source / "analysis.json").is_file()]
     others = [source for source in sources if source not in folders]
@@ -47,6 +56,15 @@ def command(
     for folder in folders:
         runs += load_runs(runs_of(folder))
     analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
-    path = write_report(analyses, runs, output, title=title, published=published, issuer=Issuer(**told))
-    ui.result({"schema": "pmabench.report/1", "path": str(path)}, lambda: click.echo(str(path)))
+    content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**told))
+    written = {"path": str(write_page(content, output))}
+    if pdf is not None:
+        from pmabench.report.pdf import write_pdf
+
+        written["pdf"] = str(write_pdf(content, pdf))
+    if xlsx is not None:
+        from pmabench.report.workbook import write_workbook
+
+        written["xlsx"] = str(write_workbook(content, analyses, xlsx))
+    ui.result({"schema": "pmabench.report/1", **written}, lambda: click.echo("\n".join(written.values())))
     return None

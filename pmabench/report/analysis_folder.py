@@ -18,6 +18,7 @@ import numpy as np
 from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
 from pmabench.report.csv_files import TABLES, write_tables
+from pmabench.report.wording import clean
 from pmabench.store.folder import plain
 
 ANALYSIS = "analysis.json"
@@ -157,7 +158,7 @@ def _told(path: Path) -> Iterator[None]:
 def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise TypeError(f"text was expected, not {str(value)[:40]}")
-    return value
+    return clean(value, LONGEST)
 
 
 def _flag(value: Any) -> bool:

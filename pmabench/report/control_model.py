@@ -148,7 +148,8 @@ def simulated(t: Array, P: Array, load: float, params: dict[str, Any], x: float 
 def control_text(model: ControlModel, analysis: Analysis) -> str:
     """The model as a Python file that needs numpy and python-control; the same bytes for the same analysis."""
     lines = ['"""A pneumatic muscle as fitted, for python-control.', ""]
-    lines += [f"{'SIMULATED. ' if analysis.simulated else ''}Method {model.method}, pmabench {__version__}; runs:"]
+    mark = "SIMULATED. " if analysis.simulated else ""
+    lines += [f"{mark}Method {_inside(model.method)}, pmabench {__version__}; runs:"]
     lines += [f"- {_inside(run)}" for run in analysis.runs]
     if model.deviation is None:
         lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]

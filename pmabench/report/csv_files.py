@@ -17,6 +17,10 @@ from pmabench.report.wording import POINTS, clean, in_order, plain_unit, point_s
 TABLES = ("coefficients", "estimates", "curves", "dropped", "findings")
 
 
+FORMULA = tuple("=+-@＝＋－＠")
+"""A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""
+
+
 def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     """CSV files in display units, the same bytes for the same analysis.
 
@@ -69,7 +73,7 @@ def inert(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     told = clean(value, 100_000)
-    return f"'{told}" if told.lstrip()[:1] in ("=", "+", "-", "@") else told
+    return f"'{told}" if told.lstrip()[:1] in FORMULA else told
 
 
 def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:

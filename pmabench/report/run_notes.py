@@ -64,7 +64,7 @@ def _picture(path: Path, most: int) -> str:
         if path.is_symlink() or path.stat().st_size > most:
             return ""
         raw = path.read_bytes()
-    except OSError:
+    except (OSError, ValueError):
         return ""
     kind = next((kind for begin, kind in KINDS.items() if raw.startswith(begin)), "")
     return f"data:{kind};base64,{base64.b64encode(raw).decode()}" if kind else ""

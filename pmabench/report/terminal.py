@@ -23,11 +23,12 @@ def print_grid(
 ) -> None:
     """Print `rows` under `heads`; columns in `texts` are left-justified and may be wrapped, the others hold numbers.
 
-    The first `keys` columns stand in every part of a table that must be parted.
+    The first `keys` columns stand in every part of a table that must be parted. Signs that a terminal would obey become
+    blanks.
     """
     from rich.text import Text
 
-    columns = [[head, *(row[index] for row in rows)] for index, head in enumerate(heads)]
+    columns = [[_plain(head), *(_plain(row[index]) for row in rows)] for index, head in enumerate(heads)]
     least = [_least(cells, text=head in texts) for head, cells in zip(heads, columns, strict=True)]
     whole = [max(map(len, cells)) for cells in columns]
     for number, part in enumerate(_parts(least, min(keys, len(heads)), console.width)):
@@ -44,6 +45,11 @@ def print_grid(
                 padded = (text.ljust(width) for text, width in zip(texts_of_line, widths, strict=True))
                 style = "bold" if line == 0 else ""
                 console.print(Text(GAP.join(padded).rstrip(), style=style), soft_wrap=True)
+
+
+def _plain(text: str) -> str:
+    """One line of signs that a terminal prints."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
 def _least(cells: Sequence[str], *, text: bool) -> int:

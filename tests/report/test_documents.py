@@ -1,0 +1,99 @@
+"""PDF and workbook: the same content as the page, read back by other programs; each figure is described."""
+
+import io
+import sys
+from dataclasses import replace
+
+import openpyxl
+import pypdf
+import pytest
+
+from pmabench.analysis.results import Parts, Source
+from pmabench.base.errors import UsageError
+from pmabench.report.content import content_of
+from pmabench.report.pdf import pdf_bytes, write_pdf
+from pmabench.report.workbook import workbook_bytes, write_workbook
+
+from . import samples
+
+
+@pytest.fixture(scope="module")
+def content():
+    return content_of(samples.all_analyses(), samples.all_runs(), title="Characterisation of a muscle 筋")
+
+
+@pytest.fixture(scope="module")
+def pdf(content):
+    return pdf_bytes(content)
+
+
+def alternatives(element, seen: set) -> list[str]:
+    """Alternative texts of figures in the structure tree of a PDF."""
+    element = element.get_object()
+    if id(element) in seen or not isinstance(element, dict):
+        return []
+    seen.add(id(element))
+    found = [str(element["/Alt"])] if element.get("/S") == "/Figure" and "/Alt" in element else []
+    children = element.get("/K", [])
+    for child in children if isinstance(children, list) else [children]:
+        if hasattr(child, "get_object"):
+            found += alternatives(child, seen)
+    return found
+
+
+def test_the_pdf_is_tagged_and_describes_every_figure(content, pdf):
+    reader = pypdf.PdfReader(io.BytesIO(pdf))
+    root = reader.root_object
+    assert root["/MarkInfo"]["/Marked"]
+    assert root["/Lang"] == "en"
+    assert reader.metadata.title == content.title
+    assert b"pdfuaid" in reader.xmp_metadata.stream.get_data()
+    told = alternatives(root["/StructTreeRoot"], set())
+    pictures = [item.picture for item in [*content.front, *(f for s in content.sections for f in s.figures)]]
+    assert set(told) >= {picture.alt for picture in pictures}
+    assert len(pictures) >= 10
+
+
+def test_the_pdf_says_what_the_page_says(content, pdf):
+    reader = pypdf.PdfReader(io.BytesIO(pdf))
+    first = " ".join(reader.pages[0].extract_text().split())
+    for words in (content.verdict.word, "SIMULATED", content.report_id, "Figure 4", content.tiles[0].value):
+        assert words in first
+    assert 4 < len(reader.pages) < 40
+    assert len(pdf) < 2_000_000
+
+
+def test_the_same_report_gives_the_same_bytes(content, pdf):
+    assert pdf_bytes(content) == pdf
+    analyses = samples.all_analyses()
+    assert workbook_bytes(content, analyses) == workbook_bytes(content, analyses)
+
+
+def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
+    steps = samples.contraction()
+    K = next(e for e in steps.estimates if e.symbol == "K" and e.at["pressure"] == 400e3)
+    line = Source("calibration of pressure, offset", "calibration", "B", 0.5 * K.parts.combined)
+    told = replace(K, budget=(line,), parts=Parts(repeats=0.0, calibration=line.half))
+    steps = replace(steps, estimates=(told, *(e for e in steps.estimates if e is not K)))
+    path = write_workbook(content, [steps], tmp_path / "sub" / "r.xlsx")
+    book = openpyxl.load_workbook(path)
+    sheet = book["Contraction and relaxation"]
+    assert sheet["A2"].value == "SIMULATED"
+    heads = [cell.value for cell in sheet[4]]
+    rows = [dict(zip(heads, (c.value for c in row), strict=True)) for row in sheet.iter_rows(min_row=5)]
+    row = next(row for row in rows if row["method"] == "measured-pressure" and row["P [kPa]"] == 400)
+    assert row["K [N/mm]"] == pytest.approx(K.value / 1e3)
+    budget = [[cell.value for cell in row] for row in book["Budgets"].iter_rows(min_row=4)]
+    assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
+    assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)
+    summary = {row[0].value: row[1].value for row in book["Summary"].iter_rows(min_row=4)}
+    assert summary["Verdict"].startswith(content.verdict.word)
+    assert [cell.value for cell in book["Checklist"][4]] == ["clause", "asked for", "here", "where, or what to do"]
+
+
+@pytest.mark.parametrize(("module", "extra"), [("typst", "pmabench[pdf]"), ("xlsxwriter", "pmabench[xlsx]")])
+def test_without_the_extra_a_sentence_says_which(content, monkeypatch, tmp_path, module, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(UsageError) as told:
+        write_pdf(content, tmp_path / "x") if module == "typst" else write_workbook(content, [], tmp_path / "x")
+    assert extra in str(told.value)
