@@ -100,12 +100,12 @@ class Repeats:
     @property
     def off(self) -> Array:
         """Each value's relative distance from the mean of its operating point."""
-        return self.value / self._means - 1.0
+        return self.value / self.means(self.value) - 1.0
 
-    @property
-    def _means(self) -> Array:
-        total, count = np.bincount(self.cell.astype(int), self.value), np.bincount(self.cell.astype(int))
-        return np.asarray((total / np.maximum(count, 1))[self.cell.astype(int)])
+    def means(self, of: Array) -> Array:
+        """The mean over its operating point at each trial, shape (n,)."""
+        cell = self.cell.astype(np.intp)
+        return np.asarray((np.bincount(cell, of) / np.maximum(np.bincount(cell), 1))[cell])
 
     @property
     def free(self) -> int:
@@ -183,7 +183,7 @@ def drift(r: Repeats) -> Check | None:
 
     The slope is that of least squares within operating points (each has a mean of its own); None with too few repeats.
     """
-    within = r.t - np.array([r.t[r.cell == number].mean() for number in r.cell])
+    within = r.t - r.means(r.t)
     lever = float(within @ within)
     left = r.free - 1
     length = float(r.t.max() - r.t.min())

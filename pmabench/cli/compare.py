@@ -67,7 +67,12 @@ def command(
         right = _side("B", b)[0]
     chosen = None if not methods else (methods[0], None if right.published else methods[-1])
     found = compare(left, right, chosen, pressures) if right.analyses else Comparison((), ())
+    if limits and not found.differences and any(measure == "E_n" for measure, _ in limits):
+        raise UsageError(
+            f'--accept "E_n...": {right.name} has no coefficient, and curves have no E_n; limit the difference'
+        )
     failed = [text for measure, limit in limits for text in not_accepted(found.differences, measure, limit)]
+    failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
         from pmabench.report.comparison_page import write_comparison
@@ -76,6 +81,14 @@ def command(
     told = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
     ui.result(data, lambda: _print(ui, left, right, found, curves, [*told, *([data["path"]] if output else [])]), told)
     return 6 if failed else None
+
+
+def _curves_beyond(curves: Sequence[Published], limit: float) -> Iterator[str]:
+    """A sentence for each curve that is further from its published points, in the mean of the sizes."""
+    for one in curves:
+        if one.size is None or not one.size <= limit:
+            size = "no point of one's own range" if one.size is None else f"mean size {100 * one.size:.2g} %"
+            yield f"{one.name} over {one.over}: {size}, accepted {100 * limit:g} %"
 
 
 def _limit(text: str) -> tuple[str, float]:

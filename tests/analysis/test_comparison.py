@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from pmabench.analysis import contraction
 from pmabench.analysis.comparison import Side, compare, named, not_accepted
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts
 from pmabench.base.errors import UsageError
+from pmabench.cli.report_overlays import read_overlays
+from pmabench.report.overlays import beside
 from tests.analysis.simulate import contraction_run, rig
 
+ROOT = Path(__file__).resolve().parents[2]
 SAME = frozenset({("calibrations/F.yaml", "00")})
 
 
@@ -133,6 +137,19 @@ def test_what_is_beyond_the_limit_is_not_accepted():
     assert not_accepted([far], "difference", 0.02) == ["K at 300 kPa: difference +100 %, accepted 2 %"]
     bare = one(side(K(12.0, None)), side(K(6.0, None), name="B", run="r2"))
     assert not_accepted([bare], "E_n", 1.0) == ["K at 300 kPa: no E_n: there is no interval, accepted 1"]
+
+
+def test_the_simulated_muscle_of_serres_lies_on_the_published_lines():
+    """Pressures at a break of a published line are none of these: K breaks at 314 kPa, B_r at 372."""
+    (table,) = read_overlays([f"{ROOT / 'fixtures' / 'tables' / 'serres2009.csv'}:Serres 2009"])
+    cells = [(load, P) for load in (100.0, 300.0, 500.0) for P in (2e5, 2.5e5, 4.5e5, 5e5)]
+    own = contraction.reduce([contraction_run(rig("serres2009", "ideal"), cells)], {"replays": 2})
+    _, (published,), _ = beside([own], [table], None)
+    found = compare(Side("A", (own,)), Side("Serres", (published,), published=True), pressures=[2e5, 4.5e5]).differences
+    assert sorted(named(d) for d in found if d.a.symbol != "B_r") == sorted(
+        f"{symbol} at {P} kPa" for symbol in ("F_ce", "K", "B_c") for P in (200, 450)
+    )
+    assert [named(d) for d in found if abs(d.relative) > 0.005] == []
 
 
 @pytest.fixture(scope="module")

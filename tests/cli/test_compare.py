@@ -3,10 +3,11 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
 from pmabench.cli.main import main
 from pmabench.report.analysis_folder import write_analysis
 
@@ -65,6 +66,23 @@ def test_a_published_table_is_the_reference(folders, tmp_path):
     assert told[3.5e5]["between_points"] == "a"
     assert data["b"]["name"] == "Somebody 2009"
     assert any("K has no value in A at 900 kPa" in f["text"] for f in data["findings"])
+
+
+def test_a_catalogue_of_forces_is_compared_with_curves(tmp_path):
+    trace = Trace(
+        "i", "isometric", "10 mm", {"pressure": np.array([0.0, 2e5, 4e5]), "force": np.array([0.0, 200.0, 400.0])},
+        {"pressure": "pressure", "force": "force"}, {"contraction": 0.01},
+    )  # fmt: skip
+    folder = write_analysis(Analysis("isometric-pressurisation", ("r1",), False, tuple(estimates((1.0, 2.0, 3.0), (1, 2, 3))),
+                                     traces=(trace,)), tmp_path / "a")  # fmt: skip
+    table = tmp_path / "catalogue.csv"
+    table.write_text("pressure [bar],contraction [mm],force [N]\n1,10,110\n3,10,270\n")
+    (curve,) = json.loads(call("compare", folder, table, "--json").output)["curves"]
+    assert curve["size"] == pytest.approx((10 / 110 + 30 / 270) / 2)
+    told = call("compare", folder, table, "--accept", "difference<=5 %", code=6).output
+    assert "NOT ACCEPTED: force over pressure at contraction 10 mm: mean size 10 %, accepted 5 %" in told
+    call("compare", folder, table, "--accept", "difference<=12 %")
+    assert "curves have no E_n" in call("compare", folder, table, "--accept", "E_n<=1", code=2).output
 
 
 def test_the_page_shows_both_and_nothing_on_it_is_active(folders, tmp_path):
