@@ -47,11 +47,11 @@ def command(
 
     RUNS named one by one are taken together: one analysis for each kind of test of each specimen.
 
-    Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each, and
-    one table over all of them beside the analyses (all-runs.csv, .parquet, .json). Runs that did not change since the
-    last time are not computed again; a run that cannot be used is told at the end and stops no other.
+    Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each in
+    analyses/each, and one table over all of them beside those (all-runs.csv, .parquet, .json). Runs that did not change
+    since the last time are not computed again; a run that cannot be used is told at the end and stops no other.
     """
-    from pmabench.store.below import holds_runs
+    from pmabench.store.below import ANALYSES, holds_runs
 
     joint = _joint(forms)
     below = [path for path in runs if holds_runs(path)]
@@ -63,7 +63,7 @@ def command(
         from pmabench.cli.process_many import process_folders
 
         start = runs[0].resolve()
-        place = out or beside(start if runs[0] in below else start.parent) / "analyses"
+        place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
         return process_folders(ui, wanted, place, jobs or 1, cluster)
     if jobs is not None or cluster is not None:
@@ -154,9 +154,13 @@ def _nothing_to_process(path: Path) -> str:
 
 
 def _holds_analyses(path: Path) -> bool:
+    from pmabench.store.below import ANALYSES
+
     if not path.is_dir() or (path / "manifest.json").exists():
         return False
-    return any(next(path.glob(pattern), None) for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json"))
+    return path.resolve().name == ANALYSES or any(
+        next(path.glob(pattern), None) for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json")
+    )
 
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:

@@ -57,7 +57,7 @@ def lab(archive, tmp_path):
 def test_each_run_is_its_own_analysis_and_the_table_has_what_is_behind_each(archive):
     lab, told = archive
     assert (told["computed"], told["unchanged"], told["failed"]) == (RUNS, 0, [])
-    with (lab / "analyses" / "all-runs.csv").open(newline="") as file:
+    with (lab / "analyses" / "each" / "all-runs.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["K [N/mm]"]]
     assert len(rows) == RUNS
     for row in rows:
@@ -66,11 +66,11 @@ def test_each_run_is_its_own_analysis_and_the_table_has_what_is_behind_each(arch
         assert float(row["K [N/mm]"]) == pytest.approx(K / 1e3, rel=0.15)  # the record is late by 0 to 30 ms or not
         assert float(row["B [N.s/mm]"]) == pytest.approx(B / 1e3, rel=0.3)
         assert (row["P before [kPa]"], row["P [kPa]"], row["specimen"]) == ("100.0", "300.0", f"MAS-20 A{number:03d}")
-        assert (lab / "analyses" / row["analysis"] / "analysis.json").is_file()
-    table = pq.read_table(lab / "analyses" / "all-runs.parquet")
+        assert (lab / "analyses" / "each" / row["analysis"] / "analysis.json").is_file()
+    table = pq.read_table(lab / "analyses" / "each" / "all-runs.parquet")
     assert table.schema.field("K [N/mm]").metadata == {b"quantity": b"stiffness", b"unit": b"N/mm"}
     assert [k for k in table.column("K [N/mm]").to_pylist() if k] == [float(row["K [N/mm]"]) for row in rows]
-    kept = json.loads((lab / "analyses" / "all-runs.json").read_text())
+    kept = json.loads((lab / "analyses" / "each" / "all-runs.json").read_text())
     assert kept["runs"] == told["runs"]
 
 
@@ -79,7 +79,7 @@ def test_one_run_named_alone_gives_the_same_analysis(archive, tmp_path):
     run = next((lab / "runs" / "2018").iterdir())
     call("process", run, "--out", tmp_path / "alone")
     alone = (tmp_path / "alone" / "recorded-step" / "analysis.json").read_bytes()
-    assert alone == (lab / "analyses" / "2018" / run.name / "recorded-step" / "analysis.json").read_bytes()
+    assert alone == (lab / "analyses" / "each" / "2018" / run.name / "recorded-step" / "analysis.json").read_bytes()
 
 
 def test_two_processes_give_the_same_bytes_and_one_bad_run_stops_no_other(archive, lab):
@@ -88,8 +88,8 @@ def test_two_processes_give_the_same_bytes_and_one_bad_run_stops_no_other(archiv
     told = call("process", lab / "runs", "--jobs", "2", code=3).output
     assert "1 run could not be processed:" in told
     assert "manifest.json  is damaged or was changed" in told
-    assert str(lab / "analyses" / "all-runs.csv") in told
-    whole, here = files_of(archive[0] / "analyses"), files_of(lab / "analyses")
+    assert str(lab / "analyses" / "each" / "all-runs.csv") in told
+    whole, here = files_of(archive[0] / "analyses" / "each"), files_of(lab / "analyses" / "each")
     analyses = {name: content for name, content in whole.items() if "/" in name and bad.name not in name}
     assert {name: content for name, content in here.items() if "/" in name} == analyses
     assert here["all-runs.csv"].count(b"\n") == whole["all-runs.csv"].count(b"\n") * (RUNS - 1) // RUNS + 1
@@ -110,11 +110,11 @@ def counted(monkeypatch):
 def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert "had not changed" not in call("process", lab / "runs").output
     worked = counted(monkeypatch)
-    before = files_of(lab / "analyses")
+    before = files_of(lab / "analyses" / "each")
     told = call("process", lab / "runs").output
     assert f"{RUNS} had not changed and were not computed again" in told
     assert worked == []
-    assert files_of(lab / "analyses") == before
+    assert files_of(lab / "analyses" / "each") == before
 
     run = sorted((lab / "runs" / "2019").iterdir())[0]
     place = f"2019/{run.name}"
@@ -126,7 +126,7 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert "nothing came out" in entry["verdicts"][0]
 
     worked.clear()
-    (lab / "analyses" / place / "recorded-step" / "analysis.json").write_text("{}")
+    (lab / "analyses" / "each" / place / "recorded-step" / "analysis.json").write_text("{}")
     call("process", lab / "runs", code=6)
     assert worked == [place]
 
