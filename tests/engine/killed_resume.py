@@ -1,7 +1,8 @@
 """Runs of 20 trials in virtual time that are killed (SIGKILL, by themselves, at a write) and gone on with until done.
 
-`python -m tests.engine.killed_resume FOLDER KILLS SEED` prints the last run folder of each chain, whether that
-was killed after its last trial (then nothing is left to do), and how many writes a whole run has. The program imports once and forks a child for each run.
+`python -m tests.engine.killed_resume FOLDER KILLS SEED [KIND]` prints the last run folder of each chain, whether that
+was killed after its last trial (then nothing is left to do), and how many writes a whole run has. The program imports
+once and forks a child for each run.
 """
 
 from __future__ import annotations
@@ -25,26 +26,66 @@ SETTINGS = (
 )
 
 
+_FEW = (("prepare.precondition.cycles", "1"), ("sample_rate", "50 Hz"))
+KINDS = {
+    "contraction-relaxation": ("mock", "mas-20-250-paper0", SETTINGS),
+    "ultimate-gain-relay": (
+        "mock-linear",
+        "mas-20-250-paper0",
+        (_FEW[0], ("sweep.repeat.count", "5"), ("trial.relay.periods", "8"), ("trial.relay.settle", "1 s")),
+    ),
+    "closed-volume": (
+        "mock-daerden-closed",
+        "daerden-20-200",
+        (*_FEW, ("trial.speed", "12 mm/s"), ("trial.settle", "1 s"), ("sweep.repeat.count", "5")),
+    ),
+    "free-contraction": (
+        "mock-contractor-free",
+        "contractor-30",
+        (
+            *_FEW,
+            ("sweep.repeat.count", "1"),
+            ("sweep.matrix.pressure", "[0 bar, 1 bar, 2 bar, 3 bar, 5 bar]"),
+            ("trial.hold", "1 s"),
+            ("trial.rest", "1 s"),
+        ),
+    ),
+    "arm-angle": (
+        "mock-arm",
+        "arm-30",
+        (*_FEW, ("sweep.repeat.count", "2"), ("trial.pressures", "[1 bar, 3 bar]"), ("trial.hold", "1 s")),
+    ),
+}
+"""Protocol -> bench, specimen, and what makes it short."""
+
+
 def main() -> None:
     """Make chains of killed runs."""
     from pmabench.cli.prepare import prepare
 
     out, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     out.mkdir(parents=True)
-    prepared = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", SETTINGS)
+    kind = sys.argv[4] if len(sys.argv) > 4 else "contraction-relaxation"
+    prepared = prepare(kind, *KINDS[kind])
     random, done, chains = Random(seed), 0, []
     writes = int(_child(prepared, out / "whole", None, None)["writes"])
     while done < kills:
         place, before = out / str(len(chains)), None
         while True:
-            at = random.randrange(1, writes // 3)
+            at = random.randrange(1, writes // 3 if kind == "contraction-relaxation" else 2 * writes // 3)
             told = _child(prepared, place, before, at)
             if told.get("folder"):
                 before = told["folder"]
             if told["code"] is not None:
                 break
             done += 1
-        chains.append({"last": before, "killed_at_the_end": told.get("nothing_left", False)})
+        chains.append(
+            {
+                "last": before,
+                "killed_at_the_end": told.get("nothing_left", False),
+                "end": [told["code"], told.get("why", "")],
+            }
+        )
     sys.stdout.write(json.dumps({"chains": chains, "kills": done, "writes": writes}) + "\n")
 
 
@@ -94,13 +135,13 @@ def _run(prepared: Any, out: Path, before: str | None, at: int | None, tell: int
         try:
             continues = continue_run(Path(before), prepared.plan, prepared.mounted, prepared.protocol_text)
         except InvalidFile as error:
-            say(nothing_left="nothing is left to do" in str(error))
+            say(nothing_left="nothing is left to do" in str(error), why=str(error))
             return 0
     outcome = run_plan(
         prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=out, protocol_text=prepared.protocol_text,
         continues=continues, begun=lambda folder: say(folder=str(folder)),
     )  # fmt: skip
-    say(writes=count)
+    say(writes=count, why=outcome.why)
     return outcome.exit_code
 
 

@@ -13,7 +13,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.prepare import prepare
 from pmabench.engine.resume import continue_run
 from pmabench.store.chain import open_chain
-from tests.engine.killed_resume import SETTINGS
+from tests.engine.killed_resume import KINDS, SETTINGS
 from tests.reliability.cases import cases
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,8 +23,11 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def chains(tmp_path_factory):
-    out = tmp_path_factory.mktemp("killed") / "runs"
-    command = [sys.executable, "-m", "tests.engine.killed_resume", str(out), str(cases(KILLS)), "7"]
+    return killed(tmp_path_factory.mktemp("killed"), cases(KILLS), "contraction-relaxation")
+
+
+def killed(folder, kills, kind):
+    command = [sys.executable, "-m", "tests.engine.killed_resume", str(folder / "runs"), str(kills), "7", kind]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -34,6 +37,7 @@ def test_each_trial_is_finished_once_and_in_order(chains, record_property):
     record_property("cases", chains["kills"])
     assert chains["kills"] >= KILLS
     for told in chains["chains"]:
+        assert told["end"][0] == 0, told["end"]
         chain = open_chain(Path(told["last"]))
         end = "interrupted" if told["killed_at_the_end"] else "finished"
         assert [run.status for run in chain] == ["interrupted"] * (len(chain) - 1) + [end]
@@ -44,6 +48,18 @@ def test_each_trial_is_finished_once_and_in_order(chains, record_property):
         assert names
         for name in names:
             assert len({run.manifest["snapshots"][name] for run in chain}) == 1, f"{name} is mixed"
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "contraction-relaxation"])
+def test_each_trial_of_other_kinds_is_finished_once_and_in_order(kind, tmp_path):
+    told = killed(tmp_path, 4, kind)
+    assert told["kills"] >= 4
+    trials = len(prepare(kind, *KINDS[kind]).plan.trials)
+    for one in told["chains"]:
+        assert one["end"][0] == 0, one["end"]
+        chain = open_chain(Path(one["last"]))
+        finished = [trial.index for run in chain for trial in run.trials if trial.status == "finished"]
+        assert finished == list(range(trials)), f"{len(chain)} runs: {finished}, {one['end']}"
 
 
 def test_the_kills_lie_everywhere(chains):

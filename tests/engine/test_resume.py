@@ -8,19 +8,39 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.resume import remaining, sources
-from pmabench.protocol.plan import Ask, Ramp, Record
+from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
 from pmabench.session import ensure
 from tests.engine.benches import mounted
 
-DRIVEN = ("sinusoidal-displacement", "isobaric-ramp")
-PLANS = {
-    kind: prepare(kind, "mock-actuator" if kind in DRIVEN else "mock", "mas-20-250-paper0").plan
-    for kind in ("contraction-relaxation", "static-load", "ultimate-gain", "positioning-pi", *DRIVEN)
+BENCHES = {
+    "contraction-relaxation": ("mock", "mas-20-250-paper0"),
+    "static-load": ("mock", "mas-20-250-paper0"),
+    "ultimate-gain": ("mock", "mas-20-250-paper0"),
+    "ultimate-gain-relay": ("mock", "mas-20-250-paper0"),
+    "positioning-pi": ("mock", "mas-20-250-paper0"),
+    "sinusoidal-displacement": ("mock-actuator", "mas-20-250-paper0"),
+    "isobaric-ramp": ("mock-actuator", "mas-20-250-paper0"),
+    "closed-volume": ("mock-daerden-closed", "daerden-20-200"),
+    "isometric-pressurisation": ("mock-contractor", "contractor-30"),
+    "free-contraction": ("mock-contractor-free", "contractor-30"),
+    "arm-angle": ("mock-arm", "arm-30"),
 }
+PLANS = {kind: prepare(kind, *bench).plan for kind, bench in BENCHES.items()}
 
 
 def begun(steps):
     return [step.trial for step in steps if isinstance(step, Record) and step.on and step.trial is not None]
+
+
+def ended(steps):
+    """The trials whose end is reached."""
+    found, inside = [], None
+    for step in steps:
+        if isinstance(step, Record):
+            if not step.on and inside is not None:
+                found.append(inside)
+            inside = step.trial if step.on else None
+    return found
 
 
 @pytest.mark.parametrize("kind", PLANS)
@@ -30,6 +50,19 @@ def test_each_trial_that_is_left_stands_once_in_order(kind, data):
     indices = begun(plan.steps)
     done = data.draw(st.sets(st.sampled_from(indices)))
     assert begun(remaining(plan, done)) == [index for index in indices if index not in done]
+
+
+@pytest.mark.parametrize("kind", PLANS)
+@given(data=st.data())
+def test_cut_anywhere_and_gone_on_with_until_done_each_trial_is_finished_once_in_order(kind, data):
+    plan = PLANS[kind]
+    finished: list[int] = []
+    steps = plan.steps
+    for cut in [*data.draw(st.lists(st.floats(0.0, 1.0), max_size=6)), 1.0]:
+        finished += ended(steps[: round(cut * len(steps))])
+        steps = remaining(plan, set(finished))
+    assert finished == begun(plan.steps)
+    assert begun(steps) == []
 
 
 @pytest.mark.parametrize("kind", PLANS)
@@ -67,12 +100,18 @@ def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind,
         assert sum(step.phase == "precondition" for step in before) == sum(
             step.phase == "precondition" for step in plan.steps
         )
-    if kind in DRIVEN:
-        where = 0.0
-        for step in steps:
-            if isinstance(step, Ramp) and step.output == "displacement":
-                assert step.origin == pytest.approx(where)
-                where = step.to
+    where: dict[str, float | None] = {"displacement": 0.0, "pressure": 0.0}
+    for step in steps:
+        if isinstance(step, Ramp):
+            known = where[step.output]
+            assert known is None or step.origin == pytest.approx(known), f"{step} where it stands at {known}"
+            where[step.output] = step.to
+        elif isinstance(step, Set):
+            where[step.output] = step.value
+        elif isinstance(step, Seek):
+            where[step.output] = None
+        elif isinstance(step, Follow):
+            where[step.output] = step.mean
 
 
 def test_a_session_is_told_to_be_none_to_go_on_with(tmp_path):
