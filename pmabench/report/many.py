@@ -77,6 +77,8 @@ def process_many(tasks: Sequence[Task], out: Path, pool: Pool | None = None, tol
         {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place} for number in left
     ]
     fresh: dict[str, tuple[str, str]] = {}
+    if told is not None:
+        told(unchanged, len(tasks), unchanged)
     try:
         for index, entry in share(things, process_batch, lost, pool):
             number = left[index]
