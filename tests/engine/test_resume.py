@@ -1,7 +1,7 @@
 """A run that goes on does each trial that is left, in order, once, with what it needs before it (R7)."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile
@@ -25,6 +25,7 @@ BENCHES = {
     "free-contraction": ("mock-contractor-free", "contractor-30"),
     "arm-angle": ("mock-arm", "arm-30"),
 }
+EXAMPLES = settings(max_examples=30)
 PLANS = {kind: prepare(kind, *bench).plan for kind, bench in BENCHES.items()}
 
 
@@ -44,6 +45,7 @@ def ended(steps):
 
 
 @pytest.mark.parametrize("kind", PLANS)
+@EXAMPLES
 @given(data=st.data())
 def test_each_trial_that_is_left_stands_once_in_order(kind, data):
     plan = PLANS[kind]
@@ -53,6 +55,7 @@ def test_each_trial_that_is_left_stands_once_in_order(kind, data):
 
 
 @pytest.mark.parametrize("kind", PLANS)
+@EXAMPLES
 @given(data=st.data())
 def test_cut_anywhere_and_gone_on_with_until_done_each_trial_is_finished_once_in_order(kind, data):
     plan = PLANS[kind]
@@ -71,6 +74,7 @@ def test_nothing_done_is_the_whole_plan(kind):
 
 
 @pytest.mark.parametrize("kind", PLANS)
+@EXAMPLES
 @given(data=st.data())
 def test_each_trial_has_the_load_that_it_has_in_the_plan(kind, data):
     plan = PLANS[kind]
@@ -90,6 +94,7 @@ def test_each_trial_has_the_load_that_it_has_in_the_plan(kind, data):
 
 
 @pytest.mark.parametrize("kind", PLANS)
+@EXAMPLES
 @given(data=st.data())
 def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind, data):
     plan = PLANS[kind]
