@@ -89,6 +89,11 @@ class Step:
         """`run/index`."""
         return self.trial.name
 
+    @property
+    def found(self) -> bool:
+        """Found in the measured pressure, since no command was recorded."""
+        return any(command.data.get("found") for command in self.trial.commands)
+
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, where they can be told, K [N/m] and B [N.s/m] of recorded steps.
@@ -107,12 +112,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for run, step in steps:
         point = step.trial.point
         groups.setdefault((round(point["from"], -2), round(point["pressure"], -2)), []).append((run, step))
-    estimates: list[Estimate] = [_dead_time([step for _, step in steps])] if steps else []
+    commanded = [step for _, step in steps if not step.found]
+    estimates: list[Estimate] = [_dead_time(commanded)] if commanded else []
     findings: list[Finding] = []
     for (before, after), group in sorted(groups.items()):
         at = {"from": before, "pressure": after}
         estimates += _at(at, group, options)
         findings += _sentences(at, [step for _, step in group])
+    if len(commanded) < len(steps):
+        text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
+        findings.append(Finding("note", text))
     if steps and not told:
         findings.append(Finding("doubt", "nothing is known of the time between the channels: K and B assume none"))
     if any(e.symbol == "K" and e.value is not None for e in estimates):
@@ -233,7 +242,13 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
 
     seconds, slopes = ("s", "time"), [step.size / step.stroke if step.stroke else inf for step in steps]
     return [
-        estimate("t_d", seconds, [s.dead for s in steps], max(s.dead_half for s in steps), note="to pressure"),
+        *(
+            []
+            if any(s.found for s in steps)
+            else [
+                estimate("t_d", seconds, [s.dead for s in steps], max(s.dead_half for s in steps), note="to pressure")
+            ]
+        ),
         estimate("tau_P", seconds, [s.rise for s in steps], max(s.rise_half for s in steps), note="63 %"),
         estimate("X", ("m", "length"), [step.stroke for step in steps], None, ("displacement",)),
         estimate("dP/dx", ("Pa/m", "gain"), slopes, None, ("pressure", "displacement"), "at rest, includes friction"),

@@ -157,7 +157,7 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
         values["phase"] = table.columns[phase.column]
     parts = segments(t, values, flags, rules, named.point)
     if not parts:
-        found.append(Found("fault", "no-trial", "no trial was found: the command has no step of the size in the map"))
+        found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     return _Prepared(table, named, t, checked, flags, tuple(found), tuple(parts), _notes(path, rules.notes))
 
 

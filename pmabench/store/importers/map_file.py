@@ -193,10 +193,12 @@ class Sampling(Strict):
 class Trials(Strict):
     """How a file is cut into trials."""
 
-    by: Literal["file", "step", "gap"]
-    """The whole file, every step of the command, or between gaps in time."""
+    by: Literal["file", "step", "ramp", "sine", "gap"]
+    """The whole file; every step, or sine, of the command (of the measured pressure where none was recorded); every
+    rise of the measured pressure with the fall after it; or between gaps in time.
+    """
     smallest: Pressure | None = None
-    """Smallest change of the commanded pressure that is a step."""
+    """Smallest change of pressure that is a step or a ramp; smallest sine, from peak to peak."""
     lead: Time = 0.0
     """A trial begins so long before its step."""
     longer_than: Time | None = None
@@ -207,8 +209,8 @@ class Trials(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> Trials:
-        if self.by == "step" and self.smallest is None:
-            raise ValueError('"by: step" needs "smallest", for instance "10 kPa"')
+        if self.by in {"step", "ramp", "sine"} and not self.smallest:
+            raise ValueError(f'"by: {self.by}" needs "smallest", for instance "10 kPa"')
         if (self.by == "gap") != (self.longer_than is not None):
             raise ValueError('"by: gap" and "longer_than" belong together')
         return self
@@ -267,6 +269,4 @@ class MapFile(Strict):
         for role in ("time", "pressure"):
             if role not in roles:
                 raise ValueError(f'no column is "{role}"')
-        if self.trials.by == "step" and "pressure_command" not in roles:
-            raise ValueError('"by: step" needs a column that is "pressure_command"')
         return self

@@ -153,6 +153,7 @@ class _Rules:
                     self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
         columns = [self.column(name, c) for name, c in file.columns.items() if c.is_ != "ignore"]
         phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
+        phases |= {"fill", "exhaust"} if file.trials.by == "ramp" else set()
         for index, phase in enumerate(file.analysis.phases):
             if phase not in phases:
                 self.fault(("analysis", "phases", index), f'no phase is called "{phase}"{did_you_mean(phase, phases)}')

@@ -1,4 +1,4 @@
-"""Cuts an old file into trials: steps of its command, gaps in its time, or the whole; pure functions of arrays."""
+"""Cuts an old file into trials: steps, ramps or sines, gaps in its time, or the whole; pure functions of arrays."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.store.importers import motion
 from pmabench.store.importers.map_rules import ImportMap
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
@@ -31,9 +32,11 @@ class _Step:
     value: float
     within: float
     """The step happened in this time before `t` [s]."""
+    found: bool = False
+    """It was found in the measured pressure; nobody recorded the command."""
 
     def command(self) -> dict[str, Any]:
-        return {
+        told = {
             "t": self.t,
             "output": "pressure",
             "type": "set",
@@ -42,6 +45,11 @@ class _Step:
             "phase": "step",
             "within": self.within,
         }
+        return {**told, "found": 1.0} if self.found else told
+
+
+_Span = tuple[float, float, dict[str, float], list[Mapping[str, Any]], list[tuple[float, str]]]
+"""Begin and end [s], point, commands, phases of its own."""
 
 
 def segments(
@@ -49,37 +57,119 @@ def segments(
 ) -> list[Segment]:
     """The trials of one file; `t` [s], `values` [SI] by channel (and `phase`) and `flags` have shape (n,).
 
-    Steps and phases are looked for among samples that are neither dropouts nor out of time.
+    Steps, ramps, sines and phases are looked for among samples that are neither dropouts nor spikes nor out of time.
     """
-    good = (flags & np.uint16(Flag.DROPOUT | Flag.TIME_JUMP)) == 0
+    good = _good(t, flags)
     phases = _phases(t, values, good, rules)
-    command = values.get("pressure_command")
-    smallest = rules.trials.smallest
-    steps = [] if command is None or smallest is None else _steps(t[good], command[good], smallest)
-    spans: list[tuple[float, float, dict[str, float], list[Mapping[str, Any]]]] = []
-    if rules.trials.by == "step":
-        lead = rules.trials.lead
-        ends = [step.t - lead - 1e-5 for step in steps[1:]] + [float(t.max())]
-        for step, end in zip(steps, ends, strict=False):
-            here = {**point, "from": step.before, "pressure": step.value}
-            spans.append((max(step.t - lead, float(t.min())), end, here, [step.command()]))
-    elif rules.trials.by == "gap":
-        cuts = np.flatnonzero(np.diff(t) > (rules.trials.longer_than or np.inf)) + 1
-        for rows in np.split(np.arange(len(t)), cuts):
-            begin, end = float(t[rows].min()), float(t[rows].max())
-            measured = _measured(values, flags, rows)
-            inside: list[Mapping[str, Any]] = [step.command() for step in steps if begin < step.t <= end]
-            spans.append((begin, end, {**point, **measured}, inside))
-    else:
-        commands = [step.command() for step in steps] or _sine(t[good], command, good, point)
-        spans.append((float(t.min()), float(t.max()), dict(point), list(commands)))
+    cut = {"step": _by_step, "ramp": _by_ramp, "sine": _by_sine, "gap": _by_gap, "file": _by_file}[rules.trials.by]
     return [
-        Segment(begin, end, here, tuple(commands), tuple(p for p in phases if begin <= p[0] <= end))
-        for begin, end, here, commands in spans
+        Segment(begin, end, here, tuple(commands), tuple(own or (p for p in phases if begin <= p[0] <= end)))
+        for begin, end, here, commands, own in cut(t, values, flags, good, rules, point)
     ]
 
 
-def _steps(t: Array, command: Array, smallest: float) -> list[_Step]:
+def _good(t: Array, flags: Flags) -> Any:
+    """Samples that tell what happened, in the order of time; a file of which most is suspect is taken as it is."""
+    wrong = Flag.DROPOUT | Flag.TIME_JUMP
+    suspect = (flags & np.uint16(Flag.SUSPECT)) != 0
+    if suspect.mean() < 0.5:
+        wrong |= Flag.SUSPECT
+    return (flags & np.uint16(wrong)) == 0
+
+
+def _by_step(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    steps, lead = _steps(t, values, good, rules.trials.smallest), rules.trials.lead
+    ends = [step.t - lead - 1e-5 for step in steps[1:]] + [float(t.max())]
+    return [
+        (
+            max(step.t - lead, float(t.min())),
+            end,
+            {**point, "from": step.before, "pressure": step.value},
+            [step.command()],
+            [],
+        )
+        for step, end in zip(steps, ends, strict=False)
+    ]
+
+
+def _by_ramp(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`."""
+    rises = good & ((flags & np.uint16(Flag.OVERRANGE)) == 0) & _later(t)
+    spans: list[_Span] = []
+    for cycle in motion.cycles(t[rises], values["pressure"][rises], rules.trials.smallest or 0.0):
+        own = [(cycle.begin, "fill"), *([(cycle.turn, "exhaust")] if cycle.end > cycle.turn else [])]
+        marked = rules.column("phase") is not None and "phase" in values
+        spans.append((cycle.begin, cycle.end, dict(point), [], [] if marked or rules.trials.phases else own))
+    return spans
+
+
+def _by_sine(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    """Stretches of one frequency, which is the point; of the command, else of the measured pressure."""
+    channel = "pressure_command" if "pressure_command" in values else "pressure"
+    rises = good & _later(t)
+    spans: list[_Span] = []
+    for wave in motion.waves(t[rises], values[channel][rises], rules.trials.smallest or 0.0):
+        command = {
+            "t": wave.begin,
+            "output": "pressure",
+            "type": "sine",
+            "value": wave.mean,
+            "before": wave.mean,
+            "phase": "sine",
+            "amplitude": wave.amplitude,
+            "frequency": wave.frequency,
+            "cycles": (wave.end - wave.begin) * wave.frequency,
+        }
+        spans.append((wave.begin, wave.end, {**point, "frequency": float(f"{wave.frequency:.4g}")}, [command], []))
+    return spans
+
+
+def _by_gap(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    steps = _steps(t, values, good, rules.trials.smallest) if "pressure_command" in values else []
+    cuts = np.flatnonzero(np.diff(t) > (rules.trials.longer_than or np.inf)) + 1
+    spans: list[_Span] = []
+    for rows in np.split(np.arange(len(t)), cuts):
+        begin, end = float(t[rows].min()), float(t[rows].max())
+        inside: list[Mapping[str, Any]] = [step.command() for step in steps if begin < step.t <= end]
+        spans.append((begin, end, {**point, **_measured(values, flags, rows)}, inside, []))
+    return spans
+
+
+def _by_file(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    steps = _steps(t, values, good, rules.trials.smallest) if "pressure_command" in values else []
+    told: list[Mapping[str, Any]] = [step.command() for step in steps]
+    commands = told or list(_sine(t[good], values.get("pressure_command"), good, point))
+    return [(float(t.min()), float(t.max()), dict(point), commands, [])]
+
+
+def _later(t: Array) -> Any:
+    """Samples that lie later than all before them."""
+    return np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+
+
+def _steps(t: Array, values: Mapping[str, Array], good: Any, smallest: float | None) -> list[_Step]:
+    """Steps of the command; where none was recorded those of the measured pressure, to a fourth of `smallest`."""
+    if smallest is None:
+        return []
+    command = values.get("pressure_command")
+    if command is None:
+        rises = good & _later(t)
+        grid = smallest / 4
+        return [
+            _Step(each.t, round(each.before / grid) * grid, round(each.value / grid) * grid, each.within, found=True)
+            for each in motion.levels(t[rises], values["pressure"][rises], smallest)
+        ]
+    t, command = t[good], command[good]
     at = np.flatnonzero(np.abs(np.diff(command)) >= smallest) + 1
     return [_Step(float(t[i]), float(command[i - 1]), float(command[i]), float(t[i] - t[i - 1])) for i in at]
 

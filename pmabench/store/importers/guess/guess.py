@@ -12,6 +12,7 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
+from pmabench.store.importers import motion
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.map_file import BinaryLayout, TextLayout
@@ -45,6 +46,8 @@ class Guess:
     kind: str = "isometric"
     trials: dict[str, str] = field(default_factory=dict)
     """Lines of `trials`, as text."""
+    smallest_of: str = "pressure_command"
+    """Role whose unit `smallest` of `trials` has."""
     forms: list[str] = field(default_factory=list)
     form_of: str = "file"
     form_units: dict[str, str] = field(default_factory=dict)
@@ -205,16 +208,58 @@ def _kind(guess: Guess) -> None:
     if displacement is None:
         guess.kind, guess.trials = "isometric", {"by": "file"}
         told.append("no displacement: force over pressure at one contraction in each file")
+        cycles = _found(guess, "ramp")
+        if cycles > 1:
+            guess.trials, guess.smallest_of = (
+                {"by": "ramp", "smallest": f"{5 * _share(guess, 'pressure'):.3g}"},
+                "pressure",
+            )
+            told.append(f"the pressure rises and falls {cycles} times: each is a trial")
     elif sine:
         guess.kind, guess.trials = "recorded-sine", {"by": "file"}
         told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
     elif command is not None and (edge := _edge(command.values)) > 0:
-        guess.kind = "recorded-step"
+        guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
         guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
         told.append("the command goes in steps: each is a trial")
+    elif (waves := _found(guess, "sine")) > 0:
+        guess.kind, guess.smallest_of = "recorded-sine", "pressure_command" if command is not None else "pressure"
+        guess.trials = {"by": "sine", "smallest": f"{_share(guess, guess.smallest_of):.3g}"}
+        told.append(f"{waves} stretches of one frequency each, found in the {guess.smallest_of.replace('_', ' ')}")
+    elif command is None and (steps := _found(guess, "step")) > 0:
+        guess.kind, guess.smallest_of = "recorded-step", "pressure"
+        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": "200 ms"}
+        told.append(
+            f"no command was recorded; the measured pressure makes {steps} steps: each is a trial, without dead time"
+        )
     else:
         guess.kind, guess.trials = "recorded-step", {"by": "file"}
-        told.append("no command with steps: the file is one trial")
+        told.append("neither steps nor sines were found: the file is one trial")
+
+
+def _share(guess: Guess, role: str) -> float:
+    """A tenth of the span of a channel, in its own unit."""
+    column = guess.role(role)
+    if column is None or not len(column.good):
+        return 0.0
+    return 0.1 * float(np.ptp(np.quantile(column.good, [0.005, 0.995])))
+
+
+def _found(guess: Guess, what: str) -> int:
+    """How many steps, ramps or sines the pressure makes (sines: its command, where there is one)."""
+    command = guess.role("pressure_command") if what == "sine" else None
+    column, t = command or guess.role("pressure"), guess.seconds
+    if column is None or t is None or len(t) < 50:
+        return 0
+    good = np.isfinite(column.values) & np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    good &= (column.values != 0) | (column.unit != "mA")
+    smallest = _share(guess, column.role)
+    if smallest <= 0 or good.sum() < 50:
+        return 0
+    t, values = t[good], column.values[good]
+    if what == "ramp":
+        return len(motion.cycles(t, values, 5 * smallest))
+    return len(motion.waves(t, values, smallest) if what == "sine" else motion.levels(t, values, smallest))
 
 
 def sine_of(t: Array, values: Array) -> float:

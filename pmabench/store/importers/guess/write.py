@@ -252,9 +252,9 @@ def _name_tells(guess: Guess) -> list[str]:
 
 def _trials(guess: Guess, spans: Mapping[str, Span]) -> str:
     trials = dict(guess.trials)
-    command = guess.role("pressure_command")
-    if "smallest" in trials and command is not None:
-        trials["smallest"] = _smallest(float(trials["smallest"]), command, spans.get("pressure_command"))
+    channel = guess.role(guess.smallest_of)
+    if "smallest" in trials and channel is not None:
+        trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
     return f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"
 
 

@@ -1,0 +1,203 @@
+"""Finds steps, ramps and sines in a signal that nobody marked; pure functions of arrays.
+
+All look at one channel, shape (n,), at times `t` [s] that rise; what is smaller than `smallest` is no event.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pmabench.store.records import Array
+
+FLAT = 0.1
+"""A level is held where the signal stays within half the smallest step for so long [s] ..."""
+FLAT_SAMPLES = 5
+"""... and for at least so many samples."""
+HELD = 5
+"""A level is the median of its last so many times that many samples."""
+SETTLED = 3.0
+"""A change that takes longer [s] from level to level is a ramp, no step."""
+LEAVING = 0.05
+"""A change begins where the signal has left its level by this share of it."""
+SAME_PERIOD, SAME_SIZE = 0.15, 0.25
+"""Half cycles of one sine differ by no more than these shares."""
+HALF_CYCLES = 4
+"""Fewer are no sine."""
+SAMPLES = 8
+"""A sine has at least so many in a cycle."""
+IMPURE = 0.3
+"""Rms beyond the fitted sine, as a share of the signal's, above which it is none (a square: 0.43, a triangle: 0.12)."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A change from one level to another: when it begins [s], within which time before, and the levels."""
+
+    t: float
+    within: float
+    before: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """A rise and the fall after it: begin, turn and end [s]; `turn` is `end` where it only rises."""
+
+    begin: float
+    turn: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A stretch of one sine: begin and end [s], frequency [Hz], mean and amplitude."""
+
+    begin: float
+    end: float
+    frequency: float
+    mean: float
+    amplitude: float
+
+
+def levels(t: Array, values: Array, smallest: float) -> list[Level]:
+    """Changes between levels that are held; what drifts or is reached only slowly is none."""
+    n = len(t)
+    if n < 3 * FLAT_SAMPLES:
+        return []
+    period = float(np.median(np.diff(t)))
+    width = max(FLAT_SAMPLES, int(FLAT / period) if period > 0 else FLAT_SAMPLES)
+    if n < 2 * width:
+        return []
+    windows = np.lib.stride_tricks.sliding_window_view(values, width)
+    quiet = windows.max(axis=1) - windows.min(axis=1) <= 0.5 * smallest
+    flat = np.zeros(n, dtype=bool)
+    for k in np.flatnonzero(quiet):
+        flat[k : k + width] = True
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(int)))
+    runs = list(zip(edges[::2], edges[1::2], strict=True))
+    found = []
+    for (begun, leave), (arrive, end) in pairwise(runs):
+        before = float(np.median(values[max(begun, leave - HELD * width) : leave]))
+        after = float(np.median(values[max(arrive, end - HELD * width) : end]))
+        size = after - before
+        if abs(size) < smallest or t[arrive] - t[leave - 1] > SETTLED:
+            continue
+        near = np.arange(max(0, leave - width), arrive + 1)
+        moved = (values[near] - before) * np.sign(size)
+        scatter = float(np.std(values[max(0, leave - 2 * width) : max(1, leave - width // 2)]))
+        gone = near[moved > max(LEAVING * abs(size), 4 * scatter)]
+        first = int(gone[0]) if len(gone) else int(leave)
+        while (
+            first > near[0] and first - 1 in near and moved[first - 1 - near[0]] > max(LEAVING * abs(size), 4 * scatter)
+        ):
+            first -= 1
+        begin = max(first, 1)
+        found.append(Level(float(t[begin]), float(t[begin] - t[begin - 1]), before, after))
+    return found
+
+
+def turns(values: Array, smallest: float) -> list[int]:
+    """Indices of lowest and highest values in turn, each at least `smallest` from the last; the first extreme first."""
+    found: list[int] = []
+    low = high = 0
+    rising: bool | None = None
+    for k, value in enumerate(values.tolist()):
+        if value > values[high]:
+            high = k
+        if value < values[low]:
+            low = k
+        if rising is not True and value - values[low] >= smallest:
+            found.append(low)
+            rising, high = True, k
+        elif rising is not False and values[high] - value >= smallest:
+            found.append(high)
+            rising, low = False, k
+        if rising is True and value >= values[high]:
+            high = k
+        if rising is False and value <= values[low]:
+            low = k
+    if rising is not None:
+        found.append(high if rising else low)
+    return found
+
+
+def cycles(t: Array, values: Array, smallest: float) -> list[Cycle]:
+    """Each rise with the fall that follows it; rests at the ends belong to no cycle, one at the top to the rise."""
+    marks = turns(values, smallest)
+    found = []
+    for place, low in enumerate(marks[:-1]):
+        high = marks[place + 1]
+        if values[high] <= values[low]:
+            continue
+        size = float(values[high] - values[low])
+        end = marks[place + 2] if place + 2 < len(marks) else high
+        begin = low + int(np.flatnonzero(values[low : high + 1] <= values[low] + LEAVING * size)[-1])
+        turn = high
+        if end > high:
+            fall = float(values[high] - values[end])
+            turn = high + int(np.flatnonzero(values[high : end + 1] >= values[high] - LEAVING * fall)[-1])
+            end = high + int(np.flatnonzero(values[high : end + 1] >= values[end] + LEAVING * fall)[-1]) + 1
+        found.append(Cycle(float(t[begin]), float(t[turn]), float(t[min(end, len(t) - 1)])))
+    return found
+
+
+def waves(t: Array, values: Array, smallest: float) -> list[Wave]:
+    """Stretches in which the signal is one sine of at least two cycles, `smallest` being its least peak to peak."""
+    marks = turns(values, smallest)
+    found: list[Wave] = []
+    start = 1  # the way from the first sample to the first turn may be anything
+    while start + HALF_CYCLES < len(marks):
+        stop = start + 1
+        while stop < len(marks) and _alike(t, values, marks, start, stop):
+            stop += 1
+        if stop - 1 - start >= HALF_CYCLES:
+            wave = _fitted(t, values, marks[start], marks[stop - 1], stop - 1 - start)
+            if wave is not None:
+                found.append(wave)
+            start = stop - 1
+        else:
+            start += 1
+    return found
+
+
+def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> bool:
+    """The half cycle that ends at `stop` is like those since `start`."""
+    at = np.array(marks[start : stop + 1])
+    periods, sizes = np.diff(t[at]), np.abs(np.diff(values[at]))
+    if len(periods) < 2:
+        return True
+    period, size = float(np.median(periods[:-1])), float(np.median(sizes[:-1]))
+    step = float(np.median(np.diff(t[at[0] : at[-1] + 1])))
+    return bool(
+        abs(periods[-1] - period) <= SAME_PERIOD * period + 2 * step and abs(sizes[-1] - size) <= SAME_SIZE * size
+    )
+
+
+def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> Wave | None:
+    """The sine of a stretch: its frequency from its turns, then from the drift of its phase."""
+    times, part = t[begin : end + 1], values[begin : end + 1]
+    frequency = halves / 2 / float(times[-1] - times[0])
+    for _ in range(2):
+        count = halves // 2
+        number = np.minimum(((times - times[0]) * frequency).astype(int), count - 1)
+        each = [_amplitude(times[number == k], part[number == k], frequency)[1] for k in range(count)]
+        phase = np.unwrap(np.angle(np.array(each)))
+        if count > 1:
+            frequency *= 1.0 + float(np.polyfit(np.arange(count), phase, 1)[0]) / (2 * np.pi)
+    mean, amplitude = _amplitude(times, part, frequency)
+    model = mean + np.real(amplitude * np.exp(2j * np.pi * frequency * times))
+    if not 0 < frequency * SAMPLES * float(np.median(np.diff(times))) <= 1.0 or float(
+        np.std(part - model)
+    ) > IMPURE * float(np.std(part)):
+        return None
+    return Wave(float(times[0]), float(times[-1]), frequency, mean, abs(amplitude))
+
+
+def _amplitude(t: Array, values: Array, frequency: float) -> tuple[float, complex]:
+    angle = 2 * np.pi * frequency * t
+    table = np.column_stack([np.ones(len(t)), np.cos(angle), np.sin(angle)])
+    mean, cosine, sine = np.linalg.lstsq(table, values, rcond=None)[0]
+    return float(mean), complex(cosine, -sine)

@@ -1,0 +1,166 @@
+"""Trials are found in signals that nobody marked: steps, ramps and sines with the levels, times and frequencies made."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pmabench.analysis.isometric import reduce as isometric
+from pmabench.analysis.recorded_sines import reduce as sines
+from pmabench.analysis.recorded_steps import reduce as steps
+from pmabench.store.importers import motion, warm
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text
+from pmabench.store.importers.importing import import_files
+from pmabench.store.reader import open_run
+
+MAP = """\
+schema: pmabench.map/1
+name: a bench
+source: nobody
+kind: {kind}
+file: {{delimiter: comma, header: first line}}
+columns:
+  t: {{is: time, unit: s}}
+  p: {{is: pressure, unit: kPa}}
+  {other}
+sampling: {{rate: [95 Hz, 105 Hz], gap: 50 ms}}
+trials: {trials}
+specimen: {{type: muscle}}
+"""
+DISPLACEMENT = "x: {is: displacement, unit: mm}"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_child_stays():
+    yield
+    warm.close_readers()
+
+
+def noise(n, size, seed=1):
+    return np.random.default_rng(seed).normal(0, size, n)
+
+
+def imported(tmp_path, columns, kind, trials, other=DISPLACEMENT):
+    names = list(columns)
+    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True))
+    (tmp_path / "old.csv").write_text(",".join(names) + "\n" + rows + "\n", encoding="utf-8")
+    (tmp_path / "map.yaml").write_text(MAP.format(kind=kind, trials=trials, other=other), encoding="utf-8")
+    (run,) = import_files([tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs")
+    return open_run(run.path)
+
+
+def lagged(t, command, tau):
+    out = np.full(len(t), command[0], dtype=float)
+    for k in range(1, len(t)):
+        out[k] = out[k - 1] + (command[k - 1] - out[k - 1]) * (1 - np.exp(-(t[k] - t[k - 1]) / tau))
+    return out
+
+
+def test_steps_of_the_measured_pressure_where_no_command_was_recorded(tmp_path):
+    t = np.arange(0, 16, 0.01)
+    command = np.where((t >= 3) & (t < 8), 300.0, np.where((t >= 8) & (t < 12), 200.0, 100.0))
+    P = lagged(t, command, 0.06) + noise(len(t), 0.3)
+    data = imported(tmp_path, {"t": t, "p": P, "x": P / 20}, "recorded-step", "{by: step, smallest: 20 kPa, lead: 1 s}")
+    told = [(trial.point["from"], trial.point["pressure"]) for trial in data.trials]
+    assert told == [(100e3, 300e3), (300e3, 200e3), (200e3, 100e3)]
+    assert [trial.commands[0].t for trial in data.trials] == pytest.approx([3.0, 8.0, 12.0], abs=0.04)
+    assert all(trial.commands[0].data["found"] for trial in data.trials)
+    reduced = steps([data])
+    assert {estimate.symbol for estimate in reduced.estimates} >= {"tau_P", "X"}
+    assert "t_d" not in {estimate.symbol for estimate in reduced.estimates}
+    assert any("tell no dead time" in finding.text for finding in reduced.findings)
+    stroke = {e.at["pressure"]: e.value for e in reduced.estimates if e.symbol == "X"}
+    assert stroke[300e3] == pytest.approx(10e-3, rel=0.01)
+
+
+def test_ramps_are_found_with_their_two_branches(tmp_path):
+    t = np.arange(0, 40, 0.01)
+    P = 500 * np.interp(t, [0, 2, 9, 11, 18, 22, 29, 31, 38, 40], [0, 0, 1, 1, 0, 0, 1, 1, 0, 0])
+    branch = np.where(((t > 2) & (t < 10)) | ((t > 22) & (t < 30)), -5.0, 5.0)
+    F = 0.6 * P - 20 + branch
+    columns = {"t": t, "p": P + noise(len(t), 0.4), "f": F + noise(len(t), 0.5, 2)}
+    trials = "{by: ramp, smallest: 50 kPa, point: {contraction: 4 mm}}\nanalysis: {phases: [fill, exhaust], force_above: 20 N}"
+    data = imported(tmp_path, columns, "isometric", trials, "f: {is: force, unit: N}")
+    assert len(data.trials) == 2
+    for trial, (begin, turn, end) in zip(data.trials, ((2, 11, 18), (22, 31, 38)), strict=True):
+        phases = {e.data["name"]: e.t for e in data.events if e.kind == "phase" and e.data["trial"] == trial.index}
+        assert phases["fill"] == pytest.approx(begin, abs=0.5)
+        assert phases["exhaust"] == pytest.approx(turn, abs=0.5)
+        assert trial.t[-1] == pytest.approx(end, abs=0.5)
+    slopes = [e.value for e in isometric([data]).estimates if e.symbol == "m"]
+    assert slopes
+    assert all(slope == pytest.approx(0.6e-3, rel=0.02) for slope in slopes)
+
+
+def test_sines_of_several_frequencies_in_one_file(tmp_path):
+    t = np.arange(0, 30, 0.01)
+    made = ((1.0, 9.0, 1.0, 80.0), (11.0, 19.0, 2.5, 60.0), (21.0, 29.0, 5.0, 40.0))
+    P = np.full(len(t), 300.0)
+    for begin, end, frequency, amplitude in made:
+        P += np.where((t >= begin) & (t < end), amplitude * np.sin(2 * np.pi * frequency * (t - begin)), 0.0)
+    data = imported(
+        tmp_path, {"t": t, "p": P + noise(len(t), 0.3), "x": P / 20}, "recorded-sine", "{by: sine, smallest: 30 kPa}"
+    )
+    assert [trial.point["frequency"] for trial in data.trials] == pytest.approx([1.0, 2.5, 5.0], rel=2e-3)
+    for trial, (_, _, _, amplitude) in zip(data.trials, made, strict=True):
+        assert trial.commands[0].data["amplitude"] == pytest.approx(amplitude * 1e3, rel=0.02)
+    sizes = [e.value for e in sines([data]).estimates if e.symbol == "P"]
+    assert sizes == pytest.approx([80e3, 60e3, 40e3], rel=0.02)
+
+
+def test_drift_ramps_and_noise_are_no_steps():
+    t = np.arange(0, 20, 0.01)
+    for values in (1e5 + 1e4 * t + noise(len(t), 300), 1e5 + noise(len(t), 300), np.full(len(t), 1e5)):
+        assert not motion.levels(t, values, 20e3)
+    assert not motion.levels(t[:5], np.zeros(5), 1.0)
+
+
+def test_squares_and_noise_are_no_sines():
+    t = np.arange(0, 20, 0.01)
+    assert not motion.waves(t, np.sign(np.sin(2 * np.pi * t)), 0.5)
+    assert not motion.waves(t, noise(len(t), 1.0), 0.5)
+    assert not motion.waves(t, np.zeros(len(t)), 0.5)
+
+
+def test_a_spike_in_the_command_makes_no_step(tmp_path):
+    t = np.arange(0, 8, 0.01)
+    command = np.where(t >= 3, 300.0, 100.0)
+    P = lagged(t, command, 0.06)
+    command[600] = 0.0
+    columns = {"t": t, "p": P, "c": command, "x": P / 20}
+    other = DISPLACEMENT + "\n  c: {is: pressure_command, unit: kPa}"
+    data = imported(tmp_path, columns, "recorded-step", "{by: step, smallest: 20 kPa, lead: 1 s}", other)
+    assert [trial.point["pressure"] for trial in data.trials] == [300e3]
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60),
+    st.floats(1e-3, 1e6),
+)
+def test_turns_alternate_and_are_as_far_apart_as_was_asked(values, smallest):
+    values = np.array(values)
+    marks = motion.turns(values, smallest)
+    steps = np.diff(values[marks])
+    assert sorted(set(marks)) == marks
+    assert (np.abs(steps) >= smallest * (1 - 1e-12)).all()
+    assert (np.sign(steps[1:]) == -np.sign(steps[:-1])).all()
+
+
+@pytest.mark.parametrize("kind", ["step", "ramp", "sine"])
+def test_a_guess_cuts_files_without_command_as_they_are(tmp_path, kind):
+    t = np.arange(0, 40, 0.01)
+    P = {
+        "step": lagged(t, np.where((t % 20) < 10, 100.0, 300.0), 0.06),
+        "ramp": 250 * (1 - np.cos(2 * np.pi * t / 13)),
+        "sine": 300 + 50 * np.where(t < 20, np.sin(2 * np.pi * t), np.sin(4 * np.pi * t)),
+    }[kind]
+    other = "F (N)" if kind == "ramp" else "x (mm)"
+    rows = "\n".join(f"{a:.2f},{b:.3f},{b / 20:.4f}" for a, b in zip(t, P + noise(len(t), 0.3), strict=True))
+    (tmp_path / "old.csv").write_text(f"t (s),p (kPa),{other}\n{rows}\n", encoding="utf-8")
+    guess = guess_files([tmp_path / "old.csv"])
+    assert guess.trials["by"] == kind
+    (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
+    (run,) = import_files([tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs")
+    assert run.trials == {"step": 3, "ramp": 3, "sine": 2}[kind]
