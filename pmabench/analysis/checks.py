@@ -254,6 +254,22 @@ def _step(run: RunData, trial: TrialData) -> float | None:
         return None
 
 
+def _top(run: RunData, trial: TrialData) -> float | None:
+    """Largest force of a muscle held at one length [N]."""
+    from pmabench.analysis.isometric_curve import PHASES
+    from pmabench.analysis.isometric_lines import as_test
+
+    test, _ = as_test(run, trial, PHASES)
+    return float(test.F.max()) if test is not None and len(test.F) else None
+
+
+def _window(run: RunData, trial: TrialData) -> float | None:
+    """Mean contraction in the window of a validation [m]."""
+    from pmabench.analysis.validation import inside_window, unusable
+
+    return None if unusable(run, trial) else float(trial.channels["displacement"][inside_window(run, trial)].mean())
+
+
 def _settings(run: RunData) -> Mapping[str, Any]:
     told = run.plan.get("settings")
     return told if isinstance(told, Mapping) else {}
@@ -265,6 +281,8 @@ VALUES: dict[str, tuple[str, Callable[[RunData, TrialData], float | None]]] = {
     "sinusoidal-displacement": ("stiffness", _sine),
     "isobaric-ramp": ("stiffness", _ramp),
     "free-contraction": ("contraction", _rest),
+    "isometric-pressurisation": ("largest force", _top),
+    "validation": ("contraction", _window),
     "step-displacement": ("stiffness", _step),
 }
 """Kind of test -> the value of a trial that tells repeats apart, in words, and where it comes from; None: unusable."""

@@ -75,9 +75,13 @@ def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], chec
     """Note what cannot be judged: what the kind of test does not give, and limits that do not fit."""
     kind = c.document.data.get("kind")
     for name, limits in accept.items():
-        able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if checks else ()))
+        able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if gives and checks else ()))
         if not able:
-            c.fault(("accept", name), f'"{kind}" has no checks; it gives {", ".join(gives)}', key=True)
+            c.fault(
+                ("accept", name),
+                f'"{kind}" gives nothing of the kind; it gives {", ".join(gives) or ", ".join(checks)}',
+                key=True,
+            )
             continue
         if name not in able:
             c.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(able)}', key=True)

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Time, parse_quantity
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
@@ -95,6 +96,7 @@ class IsometricPressurisation(ProtocolHead):
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
     gives: ClassVar[tuple[str, ...]] = ("F_ce", "K")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["isometric-pressurisation"]
     sweep: Sweep[IsometricAxes]
     trial: IsometricTrial

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Time
+from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.reference_model import ReferenceModel, described
@@ -36,6 +37,7 @@ class Validation(ProtocolHead):
     """Protocol of kind validation."""
 
     cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
     kind: Literal["validation"]
     sweep: Sweep[ValidationAxes]
     trial: ValidationTrial

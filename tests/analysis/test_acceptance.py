@@ -36,6 +36,12 @@ def test_a_coefficient_is_held_against_the_specimen_file(expected, told):
     assert judged({"expected": expected}) == ([f"K at pressure 300 kPa: {told}"] if told else [])
 
 
+def test_a_value_without_an_interval_is_judged_too():
+    K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5})
+    (told,) = judged({"expected": [[3e5, 6080.0]]}, Analysis("contraction-relaxation", (), True, (K,)))
+    assert told.endswith("the specimen file's 6.08 N/mm, accepted +-5 % (cr.yaml:7)")
+
+
 def test_a_check_is_held_against_its_limit_and_must_be_known():
     entry = {"what": "repeat_spread", "measure": "at_most", "limit": 0.03}
     (unknown,) = judged(entry)

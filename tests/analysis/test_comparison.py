@@ -45,6 +45,8 @@ def test_the_same_calibration_drops_out_and_another_does_not():
     a, b = K(10.0, 3.0, calibration=12.0), K(6.0, 4.0, calibration=12.0)
     same = side(a, calibrations=SAME), side(b, name="B", run="r2", calibrations=SAME)
     assert one(*same).half == pytest.approx(5.0)
+    larger = side(replace(b, parts=Parts(4.0, calibration=24.0)), name="B", run="r2", calibrations=SAME)
+    assert one(same[0], larger).half == pytest.approx(13.0)  # 3, 4 and 24 - 12
     other = replace(same[1], calibrations=frozenset({("calibrations/F.yaml", "11")}))
     assert one(same[0], other).half == pytest.approx((25.0 + 288.0) ** 0.5)
     unknown = replace(same[0], calibrations=frozenset()), replace(same[1], calibrations=frozenset())

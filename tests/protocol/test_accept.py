@@ -58,5 +58,5 @@ def test_a_kind_without_checks_says_so(tmp_path):
     text = (ROOT / "protocols" / "ultimate-gain.yaml").read_text()
     from tests.protocol.test_compile import BENCH_OF
 
-    with pytest.raises(InvalidFile, match="has no checks; it gives K_u, T_u"):
+    with pytest.raises(InvalidFile, match="gives nothing of the kind; it gives K_u, T_u"):
         plan(tmp_path, "  drift: {at_most: 1 %}", text, mounted(BENCH_OF["ultimate-gain"]))
