@@ -109,23 +109,25 @@ class Chamber:
         g = (u + air.atmosphere) * size
         before = np.concatenate((np.arange(len(grid) - 1), nodes - first))
         after = np.concatenate((np.arange(1, len(grid)), np.arange(len(grid), len(moments))))
-        gap = np.maximum(moments[after] - moments[before], 0.0)
+        slowness = np.maximum(moments[after] - moments[before], 0.0) / room
         keep, gain = [], []
         for flow in (air.vent, air.fill):
             pace = 0.0 if self.shut else air.polytropic * air.rT * flow
             total = pace + self._leak
             share = pace / total if total else 1.0
             towards = g if share == 1 else (share * u + air.atmosphere) * size
-            z = total * gap / room
-            fade = np.exp(-z)
-            mean = np.where(z > 0, -np.expm1(-z) / np.where(z > 0, z, 1.0), 1.0)
+            z = total * slowness
+            gone = np.expm1(-z)
+            mean = np.divide(-gone, z, out=np.ones(z.shape), where=z > 0)
+            fade = 1.0 + gone
             keep.append(fade)
-            gain.append((mean - fade) * towards[before] + (1 - mean) * towards[after])
-        w, steps, course = self._w, len(grid) - 1, [self._w]
+            gain.append((mean - fade) * towards[before] + (1.0 - mean) * towards[after])
+        w, steps = self._w, len(grid) - 1
         columns = (g[:steps], keep[0][:steps], gain[0][:steps], keep[1][:steps], gain[1][:steps])
-        for aim, keep_v, gain_v, keep_f, gain_f in zip(*(column.tolist() for column in columns), strict=True):
-            w = keep_f * w + gain_f if aim > w else keep_v * w + gain_v
-            course.append(w)
+        course = [w] + [
+            w := keep_f * w + gain_f if aim > w else keep_v * w + gain_v
+            for aim, keep_v, gain_v, keep_f, gain_f in zip(*(column.tolist() for column in columns), strict=True)
+        ]
         self._node, self._w = int(nodes[-1]), w
         known = np.array(course)[nodes - first]
         fills = g[nodes - first] > known
