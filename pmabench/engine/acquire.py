@@ -91,6 +91,12 @@ class Acquisition:
             if isinstance(opened, Stream) and device.channels:
                 self._sources.append(Source(device.name, opened, device.channels, record))
 
+    def switched(self, name: str, *, safe: bool) -> None:
+        """Note in the record where a valve stands from now on: as in the safe state, or the other way."""
+        at_rest = next(valve.safe for valve in self._bench.valves if valve.name == name)
+        position = at_rest if safe else "closed" if at_rest == "open" else "open"
+        self._recorder.event("valve", self.clock.now(), valve=name, position=position, text=f"{name} {position}")
+
     def start(self) -> None:
         """Begin to sample every stream."""
         for source in self._sources:

@@ -77,6 +77,7 @@ class Moves:
     def valve(self, name: str, *, safe: bool) -> float:
         """One valve into its safe state, or as it stands in a run; returns the bench time [s]."""
         self._guard.valve(name, safe=safe)
+        self.acquisition.switched(name, safe=safe)
         return self.clock.now()
 
     def wait(self, until: float) -> None:

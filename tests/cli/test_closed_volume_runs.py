@@ -20,6 +20,12 @@ def test_a_closed_muscle_tells_its_volume(tmp_path):
     bench = ("--bench", "mock-daerden-closed", "--specimen", "daerden-20-200")
     call("run", "closed-volume", *bench, "--yes", "--out", tmp_path / "runs", *sets)
     (run,) = (tmp_path / "runs").glob("2*")
+    events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
+    searches = [e["data"]["result"] for e in events if e["kind"] == "found"]
+    switched = [(e["data"]["valve"], e["data"]["position"], e["t"]) for e in events if e["kind"] == "valve"]
+    told = [(way, result[at]) for result in searches for way, at in (("closed", "shut"), ("open", "opened"))]
+    assert len(searches) == 2
+    assert switched == [("isolation_valve", way, pytest.approx(t, abs=1e-3)) for way, t in told]
     call("process", run)
     (found,) = (tmp_path / "analyses").rglob("analysis.json")
     told = [e for e in json.loads(found.read_text())["estimates"] if e["symbol"] == "V"]
