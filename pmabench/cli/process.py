@@ -204,4 +204,12 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
                 f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
             )
         for finding in analysis.findings:
-            console.print(clean(f"{finding.level}: {finding.text}"))
+            console.print(_wrapped(clean(f"{finding.level}: {finding.text}"), console.width), soft_wrap=True)
+
+
+def _wrapped(text: str, width: int) -> str:
+    """Lines of at most `width` where words allow it; a value and its half width stay on one line."""
+    from textwrap import fill
+
+    kept = fill(text.replace(" ± ", "\u00a0±\u00a0"), width, break_long_words=False, break_on_hyphens=False)
+    return kept.replace("\u00a0±\u00a0", " ± ")
