@@ -45,14 +45,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     options = options or {}
     campaign, dropped = gather(runs)
-    pooled = _pool(campaign, options) if campaign is not None else None
+    pooled = pool(campaign, options) if campaign is not None else None
     if campaign is None or pooled is None:
         reason = "no trial moves: there is nothing to fit"
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
         return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
-    estimates, curves = _estimates(campaign, pooled)
+    estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
@@ -82,7 +82,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
+def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     """The pooled fit with its trust; None where nothing moves."""
     gate = Gate(speed=float(options.get("speed", Gate.speed)))
     tested = np.array(campaign.tested)
@@ -156,7 +156,7 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
     return pieces
 
 
-def _estimates(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
     told = Told(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
     estimates = values(told)

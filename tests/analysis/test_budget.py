@@ -1,0 +1,181 @@
+"""The uncertainty budget against Monte Carlo: the sources are simulated, one alone and all together.
+
+Each campaign of `coverage_study` is fitted anew; what the coefficients then scatter is what the budget has to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.campaign import gather
+from pmabench.analysis.contraction import estimates_of, pool
+from pmabench.analysis.results import Estimate
+from pmabench.store.records import Event, RunData, TrialData
+from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study
+from tests.analysis.test_contraction import SERRES
+
+CHANNELS = ("pressure", "displacement", "force")
+
+
+def told(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate]:
+    """Symbol and pressure -> primary estimate."""
+    found, _ = gather([run])
+    assert found is not None
+    pooled = pool(found, {"replays": replays})
+    assert pooled is not None
+    return {(e.symbol, e.at.get("pressure", 0.0)): e for e in estimates_of(found, pooled)[0] if e.value is not None}
+
+
+def share(estimate: Estimate, *starts: str) -> float:
+    """Share of the lines whose names start so."""
+    pairs = zip(estimate.budget, estimate.shares, strict=True)
+    return sum(part or 0.0 for source, part in pairs if source.name.startswith(starts))
+
+
+@cache
+def right() -> dict[tuple[str, float], Estimate]:
+    return told(campaign(1), 4)
+
+
+def test_the_lines_add_up_to_the_interval():
+    for e in right().values():
+        halves = [source.half for source in e.budget if source.half is not None]
+        assert np.sqrt(np.sum(np.square(halves))) == pytest.approx(e.parts.combined)
+        assert sum(part for part in e.shares if part is not None) == pytest.approx(1.0)
+        assert halves == sorted(halves, reverse=True)
+        for part in ("repeats", "method", "calibration", "skew", "drift"):
+            mine = [s.half for s in e.budget if s.part == part and s.half is not None]
+            assert np.sqrt(np.sum(np.square(mine))) == pytest.approx(getattr(e.parts, part) or 0.0)
+
+
+def test_what_was_not_assessed_says_why():
+    for e in right().values():
+        none = {source.name: source.note for source in e.budget if source.half is None}
+        assert none["drift of the specimen"] == "no reference trial was done again"
+        assert none["drift of the zero of pressure"] == "the record tells no zero at the end"
+        assert all(none.values())
+
+
+def spread(seeds: range, wrong: Sequence[str], noise: float) -> dict[tuple[str, float], float]:
+    """Standard deviation of each coefficient over campaigns."""
+    runs = [told(campaign(seed, wrong, noise)) for seed in seeds]
+    return {key: float(np.std([run[key].value for run in runs if key in run], ddof=1)) for key in runs[0]}
+
+
+def bare(run: RunData, keep: str) -> RunData:
+    """The run whose record tells the uncertainty of one channel, and none of the others."""
+    infos = {n: info if n == keep else replace(info, offset_uncertainty=0.0) for n, info in run.channels.items()}
+    return replace(run, channels=infos)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
+    """Sensors of one channel err, hardly any noise: 200 campaigns; the spread of 200 is known to 5 % (one sigma)."""
+    lines = told(bare(campaign(1, (channel,), 0.02), channel))
+    scatter = spread(range(200), (channel,), 0.02)
+    watched = [("F_ce", P) for P in WATCHED] + [("K", P) for P in WATCHED if channel == "pressure"]
+    for key in watched:
+        half = next(s.half for s in lines[key].budget if s.name == f"calibration of {channel}, offset")
+        assert 0.5 * half == pytest.approx(scatter[key], rel=0.15), key
+        assert share(lines[key], f"calibration of {channel}") > 0.9, key
+
+
+@pytest.mark.slow
+def test_noise_alone_scatters_as_its_line_says():
+    """200 campaigns whose sensors are right."""
+    lines, scatter = told(campaign(1, ())), spread(range(200), (), 1.0)
+    ratios = []
+    for symbol in SERRES:
+        for P in WATCHED:
+            e = lines[symbol, P]
+            ratios.append(e.parts.repeats / 1.96 / scatter[symbol, P])
+            assert ratios[-1] == pytest.approx(1.0, abs=0.3), (symbol, P)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.slow
+def test_500_campaigns_are_covered():
+    """`pytest -s -m slow -k 500 tests/analysis/test_budget.py` prints the table; some minutes on two cores."""
+    from tests.analysis.coverage_study import table
+
+    rows = study(range(500), processes=2)
+    print("\n" + table(rows))
+    found = hits(rows)
+    assert len(found) == 12
+    pooled = sum(k for k, _ in found.values()) / sum(n for _, n in found.values())
+    assert 0.93 <= pooled <= 0.97
+    for key, (k, n) in found.items():
+        low, high = clopper_pearson(k, n)
+        assert low <= 0.97, key
+        assert high >= 0.93, key
+
+
+def test_40_campaigns_are_covered():
+    """With a true 95 % fewer than 34 of 40 come up once in 1,000 times."""
+    found = hits(judged(seed) for seed in range(1000, 1040))
+    assert len(found) == 12
+    for key, (k, n) in found.items():
+        assert n == 40
+        assert k >= 34, key
+    assert sum(k for k, _ in found.values()) >= 0.92 * 480
+
+
+# -- drift ---------------------------------------------------------------------------------------------------------
+
+
+def calm() -> RunData:
+    return campaign(1, (), 0.2)
+
+
+def shrinking(run: RunData, channel: str, by: float, offset: float) -> RunData:
+    """The run whose `channel` reads less by a share `by` and more by `offset` [SI] at its end, evenly over time."""
+    last = len(run.trials) - 1
+
+    def off(trial: TrialData) -> TrialData:
+        grown = trial.index / last
+        read = trial.channels[channel] * (1 - by * grown) + offset * grown
+        return replace(trial, channels={**trial.channels, channel: read})
+
+    return replace(run, trials=tuple(off(trial) for trial in run.trials))
+
+
+def lines_hold(drifted: RunData, name: str, symbols: tuple[str, ...]) -> None:
+    """The line of a drift is worth what the drift did, and at most three times as much."""
+    before, after = told(calm()), told(drifted)
+    for symbol in symbols:
+        for P in WATCHED:
+            (line,) = [s for s in after[symbol, P].budget if s.name == name]
+            did = abs(after[symbol, P].value - before[symbol, P].value)
+            assert 0.85 * did < line.half < 3.0 * did, (symbol, P, did, line.half)
+            assert after[symbol, P].parts.drift >= line.half
+
+
+def test_a_zero_that_drifted_is_a_line():
+    """The gauge stands at 1 kPa when vented at the end: by how much F_ce is off when it crept there."""
+    check = Event(1, 300.0, "zero-check", {"channels": {"pressure": {"reading": 1e3, "drift": 1e3}}})
+    crept = replace(shrinking(calm(), "pressure", 0.0, 1e3), events=(check,))
+    lines_hold(crept, "drift of the zero of pressure", ("F_ce",))
+
+
+def test_a_specimen_that_drifted_is_a_line():
+    """Strokes 4 % smaller at the end, told by the first trial done again: K is off by more than 2 %, for heavier loads
+    came later."""
+    run = shrinking(calm(), "displacement", 0.04, 0.0)
+    first, last = run.trials[0], run.trials[-1]
+    later = last.t[0] + 9.0 - first.t[0]
+    again = replace(
+        first,
+        index=len(run.trials),
+        t=first.t + later,
+        commands=tuple(replace(c, t=c.t + later) for c in first.commands),
+        channels={**first.channels, "displacement": 0.96 * first.channels["displacement"]},
+        reference=True,
+    )
+    run = replace(run, trials=(replace(first, reference=True), *run.trials[1:], again))
+    lines_hold(run, "drift of the specimen", ("K", "F_ce"))
