@@ -204,10 +204,13 @@ class References:
 
 
 def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[References]:
-    """The reference trials of all runs by operating point, those that were done again included."""
+    """The reference trials of all runs by operating point, those that were done again included.
+
+    One run is held at a time where `runs` loads them one by one.
+    """
     place = {past.run: past for past in life}
     found: dict[tuple[tuple[str, float], ...], list[tuple[str, int, float, str]]] = {}
-    for run in sorted(runs, key=lambda run: (place[run.id].date, run.id)):
+    for run in runs:
         past = place[run.id]
         for trial in run.trials:
             if not trial.reference or trial.status != "finished" or "displacement" not in trial.channels:
@@ -216,7 +219,7 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
             if stroke is not None:
                 point = tuple((n, float(f"{v:.6g}")) for n, v in sorted(trial.point.items()) if n != "mass")
                 found.setdefault(point, []).append((past.date, past.before, stroke, trial.name))
-    return [References(point, tuple(moments)) for point, moments in found.items()]
+    return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
 
 
 def findings(life: Sequence[Past], series: Sequence[Series], references: Sequence[References]) -> Iterator[Finding]:

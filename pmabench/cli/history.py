@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pmabench.analysis.life import Past, References, Series, Use
     from pmabench.analysis.results import Analysis, Finding
     from pmabench.store.catalogue import Row
+    from pmabench.store.records import RunData
 
 ANALYSES = ("*/analysis.json", "*/*/analysis.json")
 """Where analyses lie below a folder of them."""
@@ -41,9 +42,9 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     if output is not None and output.is_fifo():
         raise UsageError(f"{output} is a pipe; give the name of a file")
     rows, notes = _of_specimen(specimen, folder)
-    life = _life(ui, folder, rows)
+    life, referring = _life(ui, folder, rows)
     series = series_of(_analyses(ui, folder, {past.run for past in life}), life)
-    references = references_of(_with_references(ui, folder, rows), life)
+    references = references_of(_loaded(ui, folder, referring), life)
     told = [*findings(life, chosen(series), references), *notes]
     processed = {moment.run for one in series for moment in one.moments}
     if not processed:
@@ -100,33 +101,37 @@ def _names(text: str) -> set[str]:
     return {f"{told.type} {told.serial}"}
 
 
-def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> list[Past]:
-    """The runs in order of time, with what each did to the specimen; one that cannot be read is told and left out."""
-    from pmabench.analysis.life import pasts
+def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[Row]]:
+    """The runs in order of time, with what each did to the specimen, and those of them that have reference trials.
+
+    One that cannot be read is told and left out.
+    """
+    from pmabench.analysis.life import pasts, use_of
+    from pmabench.store.reader import RunFiles, events_of
 
     told: list[tuple[str, str, str, str, str, bool, int, Use]] = []
+    referring = []
     for row in rows:
         try:
-            before, use = _used(folder / row.folder)
+            files = RunFiles(folder / row.folder)
+            events = events_of(files.journal())
         except InvalidFile as error:
             ui.note(f"{error}; its cycles are not counted")
             continue
-        told.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use))
+        before = _cycles_before(files.manifest)
+        told.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use_of(events)))
+        if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
+            referring.append(row)
     if not told:
         raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify tells more")
-    return pasts(told)
+    return pasts(told), referring
 
 
-def _used(run: Path) -> tuple[int, Use]:
-    """Cycles before by the specimen file, and what the run did."""
-    from pmabench.analysis.life import use_of
-    from pmabench.store.reader import RunFiles, events_of
-
-    files = RunFiles(run)
-    specimen = files.manifest.get("specimen")
-    before = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
-    known = int(before) if isinstance(before, int) and not isinstance(before, bool) else 0
-    return known, use_of(events_of(files.journal()))
+def _cycles_before(manifest: Mapping[str, Any]) -> int:
+    """Cycles before the run by its specimen file."""
+    specimen = manifest.get("specimen")
+    told = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
+    return int(told) if isinstance(told, int) and not isinstance(told, bool) else 0
 
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
@@ -152,16 +157,13 @@ def _tells(path: Path, runs: set[str]) -> bool:
         return True
 
 
-def _with_references(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[Any]:
-    """The runs that have reference trials, loaded."""
-    from pmabench.store.reader import RunFiles, events_of, open_run
+def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:
+    """The runs with their samples; one that cannot be read is told and left out."""
+    from pmabench.store.reader import open_run
 
     for row in rows:
-        run = folder / row.folder
         try:
-            events = events_of(RunFiles(run).journal())
-            if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
-                yield open_run(run)
+            yield open_run(folder / row.folder)
         except InvalidFile as error:
             ui.note(f"{error}; its reference trials are left out")
 
