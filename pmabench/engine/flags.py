@@ -76,8 +76,8 @@ class Spacing:
         """Whether no sample is late or missing, nor waits, so that nothing is carried over; they then count as seen."""
         if self._open or self._late or not len(time_ns):
             return False
-        first = time_ns[:1] if self._last is None else (self._last,)
-        if (np.diff(time_ns, prepend=first) / self._period).max() - 1.0 > CARRIED:
+        first = 0 if self._last is None else int(time_ns[0]) - self._last
+        if (time_ns[1:] - time_ns[:-1]).max(initial=first) / self._period - 1.0 > CARRIED:
             return False
         self._last = int(time_ns[-1])
         return True

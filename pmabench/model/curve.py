@@ -130,8 +130,12 @@ def _closure(coefficients: tuple[float, ...]) -> Callable[[float], float]:
 
 def _polynomial(coefficients: tuple[float, ...], P: Array) -> Array:
     """Horner's rule; `numpy.polyval` without its checks."""
-    value = np.full(P.shape, coefficients[0])
-    for coefficient in coefficients[1:]:
+    first, *rest = coefficients
+    if not rest:
+        return np.full(P.shape, first)
+    value: Array = first * P
+    value += rest[0]
+    for coefficient in rest[1:]:
         value *= P
         value += coefficient
     return value

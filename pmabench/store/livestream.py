@@ -142,6 +142,8 @@ class LiveStream:
 
     def _exact(self, name: str, values: Any, kind: Any) -> NDArray[Any]:
         given = np.asarray(values)
+        if given.dtype == kind:
+            return given.copy()
         with np.errstate(invalid="ignore"):
             kept = given.astype(kind)
         if given.dtype != kept.dtype and kept.dtype.kind != "f" and not np.array_equal(kept, given):
