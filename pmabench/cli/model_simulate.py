@@ -13,7 +13,7 @@ from pmabench.cli.model_table import print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
     from pmabench.model.curve import Array
-    from pmabench.model.driven import DrivenPlant
+    from pmabench.model.driven import Actuator, DrivenPlant
     from pmabench.model.motion import Motion
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
@@ -59,7 +59,7 @@ CHANGES = {
 )
 @click.option("--sine", metavar="SINE", help='About the last step before it: "20 kPa, 0.5 Hz at 4 s".')
 @click.option("--load", help='"58.86 N", a force, or "6 kg", which hangs with its inertia.')
-@click.option("--drive", metavar="SINE", help='The free end driven: "20 mm +- 10 mm, 0.5 Hz".')
+@click.option("--drive", metavar="SINE", help='The free end driven: "20 mm +- 10 mm, 0.5 Hz"; below 0 mm stretched.')
 @click.option("--for", "duration", default="5 s", show_default=True, help="How long.")
 @click.option("--every", help="Time between rows; a twenty-fifth of the whole where not given.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
@@ -155,9 +155,27 @@ def _simulated(
     else:
         mean, amplitude, frequency = driven
         bench = setup.driven(Actuator(), position=mean)
+        _stays_inside(setup, bench.actuator, mean - amplitude, mean + amplitude)
         bench.move(signal.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
     bench.command(waves)
     return bench.advance(float(times[-1]), times)
+
+
+def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> None:
+    """Check that a drive from `low` to `high` [m] stays where the muscle is described; ValueError where not.
+
+    Below 0 it is stretched, and only a muscle whose law says how far may be.
+    """
+    from pmabench.base.quantities import show
+
+    least = actuator.low if hasattr(setup.muscle, "reach") else 0.0
+    if low < least - 1e-9 or high > actuator.high + 1e-9:
+        told = f"{show(low, 'length')} to {show(high, 'length')}"
+        ends = f"{show(least, 'length')} to {show(actuator.high, 'length')}"
+        below = (
+            "; its law says nothing of a muscle that is stretched beyond its nominal length" if low < least == 0 else ""
+        )
+        raise ValueError(f"--drive goes from {told}, and it is driven from {ends}{below}")
 
 
 def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:
@@ -260,8 +278,8 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
     match = DRIVE.fullmatch(text.strip())
     if match is None:
         raise ValueError(f'"{text}" is no drive; write "20 mm +- 10 mm, 0.5 Hz"')
-    mean = _quantity(match["mean"], "length", 0.0, 0.1)
-    amplitude = _quantity(match["amplitude"], "length", 0.0, mean)
+    mean = _quantity(match["mean"], "length", -0.1, 0.1)
+    amplitude = _quantity(match["amplitude"], "length", 0.0, 0.1)
     return mean, amplitude, _quantity(match["frequency"].strip(), "frequency", 1e-6, FASTEST)
 
 
