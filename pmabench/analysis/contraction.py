@@ -40,8 +40,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K, and `forms` = ["K=line", ...], as
-    `forms` has them, for a joint fit with these forms over pressure beside it.
+    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
+    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -56,6 +56,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     joint = contraction_joint.compare(campaign, pooled, options)
     beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
+    draws = int(options.get("bootstrap", 0))
+    resampled = contraction_view.resampled(campaign, pooled, estimates, draws) if draws else None
     traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
     return Analysis.of(
         KIND,
@@ -66,6 +68,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(
             *contraction_view.findings(campaign, pooled, estimates, free_run),
             *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *joint.estimates, *beside.estimates)),
+            *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
             *beside.findings,
             *reference.findings(runs),
@@ -78,6 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "free_run_rms": free_run,
             "steps": beside.table,
             **({"joint": joint.facts} if joint.facts else {}),
+            **({"bootstrap": resampled} if resampled else {}),
         },
     )
 

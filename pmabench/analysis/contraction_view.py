@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis import replay
+from pmabench.analysis.bootstrap import bootstrap
 from pmabench.analysis.calibration import Scales
 from pmabench.analysis.campaign import Campaign
 from pmabench.analysis.contraction_checks import checks
@@ -99,6 +100,36 @@ def findings(
             Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
         )
     return lines
+
+
+def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
+    """Half widths by a bootstrap of `count` draws beside the repeats part of each estimate that has a pressure."""
+    draws = bootstrap(pooled.segments, pooled.fit, campaign.cells, count, pooled.trust.within)
+    known = [e for e in estimates if e.value is not None and "pressure" in e.at]
+    return {
+        "draws": count,
+        "within_cells": draws.within,
+        "half_widths": [
+            {
+                "symbol": e.symbol,
+                "pressure": e.at["pressure"],
+                "bootstrap": draws.half(pooled.fit.row(e.symbol, e.at["pressure"])),
+                "repeats": e.parts.repeats,
+            }
+            for e in known
+        ],
+    }
+
+
+def resampled_finding(found: dict[str, Any]) -> Finding:
+    """What the bootstrap says of the repeats part, over all coefficients."""
+    ratios = [one["bootstrap"] / one["repeats"] for one in found["half_widths"] if one["repeats"]]
+    middle, (low, high) = float(np.median(ratios)), np.percentile(ratios, [10, 90])
+    text = (
+        f"bootstrap over trials, {found['draws']} draws: half widths {middle:.2g} times the repeats part"
+        f" ({low:.2g} to {high:.2g} for most coefficients)"
+    )
+    return Finding("note", text)
 
 
 def overlays(

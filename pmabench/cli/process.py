@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     help="Contraction runs: F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit"
     " beside the straight lines between pressures.",
 )
+@click.option(
+    "--bootstrap",
+    type=click.IntRange(20, 10_000),
+    metavar="N",
+    help="Contraction runs: so many draws over the trials check the intervals.",
+)
 @common
 def command(
     ui: Ui,
@@ -42,6 +48,7 @@ def command(
     jobs: int | None,
     cluster: str | None,
     forms: tuple[str, ...],
+    bootstrap: int | None,
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
 
@@ -53,11 +60,11 @@ def command(
     """
     from pmabench.store.below import ANALYSES, holds_runs
 
-    joint = _joint(forms)
+    joint = _joint(forms) | ({} if bootstrap is None else {"bootstrap": bootstrap})
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if joint:
-            raise UsageError("--form is for runs that are fitted together: name them one by one")
+            raise UsageError("--form and --bootstrap are for runs that are fitted together: name them one by one")
         if jobs is not None and cluster is not None:
             raise UsageError("--jobs is for this machine and --cluster for others: give one of the two")
         from pmabench.cli.process_many import process_folders
@@ -74,7 +81,7 @@ def command(
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
     if joint and all(run.kind != JOINT for run in loaded):
-        raise UsageError(f"--form is for runs of kind {JOINT}, and none of these is one")
+        raise UsageError(f"--form and --bootstrap are for runs of kind {JOINT}, and none of these is one")
     analyses = analyse(loaded, {JOINT: joint})
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
     folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
@@ -123,7 +130,7 @@ def _joint(forms: tuple[str, ...]) -> dict[str, Any]:
 
 
 JOINT = "contraction-relaxation"
-"""The kind of runs that --form is for."""
+"""The kind of runs that --form and --bootstrap are for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 

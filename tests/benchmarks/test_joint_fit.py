@@ -1,0 +1,114 @@
+"""How long the pooled fit of a campaign takes, beside scipy's `curve_fit` of each step on the same data, in one run.
+
+24 trials of 10,000 samples; 500 trials with 200 bootstrap draws. Times are judged by `make bench`, values always.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.campaign import Campaign, gather, strokes
+from pmabench.analysis.contraction import estimates_of, pool
+from pmabench.analysis.contraction_view import resampled
+from pmabench.store.records import RunData, TrialData
+from tests.analysis.simulate import contraction_run, rig
+from tests.analysis.test_contraction import SERRES, SMALL
+
+SAMPLES = 10_000
+
+
+def cut(run: RunData) -> RunData:
+    """The trials' first 10,000 samples."""
+
+    def short(trial: TrialData) -> TrialData:
+        channels = {name: column[:SAMPLES] for name, column in trial.channels.items()}
+        return replace(trial, t=trial.t[:SAMPLES], flags=trial.flags[:SAMPLES], channels=channels)
+
+    return replace(run, trials=tuple(short(trial) for trial in run.trials))
+
+
+def campaign(repeats: int) -> Campaign:
+    found, _ = gather([cut(contraction_run(rig("serres2009"), SMALL, repeats=repeats))])
+    assert found is not None
+    return found
+
+
+def exponentials(found: Campaign) -> dict[tuple[str, float], float]:
+    """B_c [N.s/m] by pressure: x = x_0 + A (1 - exp(-(t - t_0) / tau)) by `curve_fit` to every step, B = K tau."""
+    from scipy.optimize import curve_fit
+
+    def rise(t: Any, x_0: float, A: float, t_0: float, tau: float) -> Any:
+        return x_0 + A * (1 - np.exp(-np.maximum(0.0, t - t_0) / tau))
+
+    ends: dict[float, list[tuple[float, float, float]]] = {}
+    for samples, trial in zip(found.samples, found.trials, strict=True):
+        for number, rows in enumerate(strokes(trial)):
+            t, x = samples.t[rows] - samples.t[rows.start], samples.x[rows]
+            start = (x[0], x[-1] - x[0], 0.05, 0.2)
+            best, _ = curve_fit(rise, t, x, p0=start, bounds=([-1, -1, 0, 1e-3], [1, 1, 1, 5]))
+            if number == 0:
+                ends.setdefault(trial.point["pressure"], []).append((samples.load, best[0] + best[1], best[3]))
+    told = {}
+    for P, steps in ends.items():
+        load, x, tau = np.array(steps).T
+        told["B_c", P] = float(-1 / np.polyfit(load, x, 1)[0] * np.median(tau))
+    return told
+
+
+def best_of(times: int, call: Callable[[], Any]) -> tuple[float, Any]:
+    """Least processor time [s] of some calls, and what the last returned."""
+    took = []
+    for _ in range(times):
+        began = time.process_time()
+        found = call()
+        took.append(time.process_time() - began)
+    return min(took), found
+
+
+def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
+    found = campaign(1)
+    rounds = 1 if benchmark.disabled else 5
+    whole, pooled = best_of(rounds, lambda: pool(found, {}))
+    bare, _ = best_of(rounds, lambda: pool(found, {"replays": 0}))
+    alone, papers = best_of(rounds, lambda: exponentials(found))
+    told = {(e.symbol, e.at["pressure"]): e.value for e in estimates_of(found, pooled)[0] if e.at}
+    off = [value / SERRES["B_c"](P) - 1 for (_, P), value in papers.items()]
+    ours = [told["B_c", P] / SERRES["B_c"](P) - 1 for _, P in papers]
+    print(
+        f"\n24 trials of {SAMPLES} samples: fit {1e3 * bare:.0f} ms, with replays and intervals {1e3 * whole:.0f} ms,"
+        f" curve_fit of every step {1e3 * alone:.0f} ms; B_c off by {100 * min(off):+.0f} to {100 * max(off):+.0f} %"
+        f" by curve_fit, by {100 * min(ours):+.1f} to {100 * max(ours):+.1f} % by the fit"
+    )
+    assert min(off) > 0.2
+    assert np.abs(ours).max() < 0.02
+    if not benchmark.disabled:
+        assert whole < 0.5
+        assert alone > 2 * bare
+    benchmark.pedantic(lambda: pool(found, {"replays": 0}), rounds=rounds)
+
+
+@pytest.mark.slow
+def test_500_trials_with_200_draws(benchmark):
+    found = campaign(21)
+    assert len(found.trials) == 504
+    assert all(len(trial.t) == SAMPLES for trial in found.trials)
+
+    def all_of_it() -> dict[str, Any]:
+        pooled = pool(found, {})
+        assert pooled is not None
+        return resampled(found, pooled, estimates_of(found, pooled)[0], 200)
+
+    took, draws = best_of(1, all_of_it)
+    ratios = [one["bootstrap"] / one["repeats"] for one in draws["half_widths"]]
+    print(f"\n504 trials with 200 draws: {took:.1f} s; bootstrap by repeats part {np.median(ratios):.2f}")
+    assert draws["within_cells"]
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.15)
+    if not benchmark.disabled:
+        assert took < 60
+    benchmark.pedantic(lambda: None, rounds=1)
