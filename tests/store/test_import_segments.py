@@ -164,3 +164,27 @@ def test_a_guess_cuts_files_without_command_as_they_are(tmp_path, kind):
     (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
     (run,) = import_files([tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs")
     assert run.trials == {"step": 3, "ramp": 3, "sine": 2}[kind]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.04])
+def test_a_pressure_that_is_recorded_late_shows_at_a_step(tmp_path, late):
+    t = np.arange(0, 8, 0.01)
+    P = lagged(t, np.where(t >= 3, 300.0, 100.0), 0.06)
+    x = lagged(t, P / 20, 0.02)
+    columns = {"t": t, "p": np.interp(t - late, t, P) + noise(len(t), 0.3), "x": x + noise(len(t), 0.005, 2)}
+    data = imported(tmp_path, columns, "recorded-step", "{by: step, smallest: 20 kPa, lead: 1 s}")
+    found = [f for f in data.manifest["imported"]["findings"] if f["kind"] == "late"]
+    assert bool(found) == (late > 0)
+    for finding in found:
+        assert "displacement moves" in finding["text"]
+        assert finding["t"] == pytest.approx(3.0, abs=0.05)
+        assert finding["line"] == finding["index"] + 2
+
+
+def test_every_finding_has_its_row_and_time(tmp_path):
+    t = np.arange(0, 8, 0.02)  # half the rate that the map expects
+    P = lagged(t, np.where(t >= 3, 300.0, 100.0), 0.06)
+    data = imported(tmp_path, {"t": t, "p": P, "x": 10 - P / 20}, "recorded-step", "{by: step, smallest: 20 kPa}")
+    found = data.manifest["imported"]["findings"]
+    assert {"rate", "sign"} <= {finding["kind"] for finding in found}
+    assert all(finding["index"] is not None and finding["t"] is not None for finding in found)

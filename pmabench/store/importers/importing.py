@@ -10,7 +10,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -21,6 +21,7 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.store.importers import quality, units
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
+from pmabench.store.importers.order import pressure_late
 from pmabench.store.importers.quality import Checked, Found, Summary
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.table import Table, read_table
@@ -152,13 +153,22 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
     if follower in values and rules.trials.by != "gap":
         doubt = quality.against_sign(flags, values, follower)
         found += [doubt] if doubt else []
+    declared = rules.column("pressure")
+    if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
+        found.append(replace(late, level="note") if any(declared.late_by) else late)
     phase = rules.column("phase")
     if phase is not None and phase.column in table.columns:
         values["phase"] = table.columns[phase.column]
     parts = segments(t, values, flags, rules, named.point)
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
-    return _Prepared(table, named, t, checked, flags, tuple(found), tuple(parts), _notes(path, rules.notes))
+    told = tuple(_placed(each, t) for each in found)
+    return _Prepared(table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes))
+
+
+def _placed(found: Found, t: Array) -> Found:
+    """What is about the whole file begins with its first row."""
+    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=len(t))
 
 
 def _is_channel(column: ColumnRule, table: Table) -> bool:
@@ -238,7 +248,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
     flags = prepared.flags
     if any(found.level == "fault" for found in siblings):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *siblings)
+    findings = (*prepared.findings, *(_placed(found, prepared.t) for found in siblings))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)

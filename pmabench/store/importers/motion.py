@@ -34,12 +34,14 @@ IMPURE = 0.3
 
 @dataclass(frozen=True)
 class Level:
-    """A change from one level to another: when it begins [s], within which time before, and the levels."""
+    """A change from one level to another: when it begins [s], within which time before, the levels, and its end."""
 
     t: float
     within: float
     before: float
     value: float
+    settled: float
+    """When the new level is reached [s]."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
         ):
             first -= 1
         begin = max(first, 1)
-        found.append(Level(float(t[begin]), float(t[begin] - t[begin - 1]), before, after))
+        found.append(Level(float(t[begin]), float(t[begin] - t[begin - 1]), before, after, float(t[arrive])))
     return found
 
 
