@@ -48,8 +48,8 @@ class StepsFound:
         known = {name: value for name, value in (("regulator", self.regulator), ("muscle", self.moved)) if value}
         told: dict[str, Any] = {name: asdict(value) for name, value in known.items()}
         if self.friction is not None:
-            slip = asdict(self.friction)
-            told["friction"] = {name: slip[name] if isfinite(slip[name]) else None for name in ("gap", "coulomb")}
+            slip = {"gap": self.friction.gap, "coulomb": self.friction.balance.coulomb}
+            told["friction"] = {name: value if isfinite(value) else None for name, value in slip.items()}
         return {**told, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
 
     @property
@@ -150,8 +150,8 @@ def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str
         return ["the steps were not fitted"], []
     gap = abs(friction.gap)
     told = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
-    if isfinite(friction.coulomb):
-        told += f", dry friction takes {show(friction.coulomb, 'pressure', 2)} of the steps' "
+    if friction.balance.coulomb > 0:
+        told += f", dry friction takes {show(friction.balance.coulomb, 'pressure', 2)} of the steps' "
         told += show(found.amplitude, "pressure", 2)
     if not gap <= GAP["fault"]:
         refused.append(f"stiction: {told}")

@@ -74,16 +74,27 @@ class Moved:
 
 
 @dataclass(frozen=True)
+class Balance:
+    """Coefficients of p = p0 + x/k_g + bend x^2 + (tau v + beta a)/k_g + c sign(v), tau by direction; SI."""
+
+    gain: float
+    """k_g [m/Pa]."""
+    tau: tuple[float, float]
+    """Contracting, relaxing [s]."""
+    beta: float
+    """[s^2]."""
+    coulomb: float
+    """c [Pa]: what dry friction takes while it moves; nan where it was not asked for."""
+
+
+@dataclass(frozen=True)
 class Friction:
     """What rests and motion tell of friction."""
 
     gap: float
     """Distance between rests at the bias reached from above and from below, over the swing [1]."""
-    coulomb: float
-    """Pressure that dry friction takes while it moves [Pa]; nan where it cannot be told."""
-    gain: float
-    """k_g with the Coulomb term in the balance [m/Pa]."""
-    tau: tuple[float, float]
+    balance: Balance
+    """With the Coulomb term."""
 
 
 def fit(
@@ -94,8 +105,7 @@ def fit(
         return "the steps are not to be seen above the noise of pressure or displacement, or not sampled"
     regulator = _regulator(t, P, steps, lag)
     P = P + lag * np.gradient(P, t)
-    start = _balance(t, x, P, 0.0)
-    moved = _moved(t, x, P, steps, start)
+    moved = _moved(t, x, P, steps, balance(t, x, P, friction=False))
     if moved.gain <= 0:
         return "the muscle does not contract as the pressure rises"
     return regulator, moved, _friction(t, x, P, steps, moved)
@@ -140,11 +150,11 @@ def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Regu
     return Regulator(gain, float(found.x[0]), exp(found.x[1]), exp(found.x[2]), float(np.std(residual)))
 
 
-def _balance(t: Array, x: Array, P: Array, gate: float) -> Array:
-    """Coefficients of the balance averaged over short stretches: x0, k_g, curvature, tau up, tau down, beta, Coulomb.
+def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
+    """The balance averaged over short stretches, by least squares; linear in all, and P holds most of the noise.
 
-    mean x = x0 + k_g p + curvature p^2 - tau v - beta a - c sign(v), linear in all. Stretches slower than `gate` [m/s]
-    are left out; with a gate of 0 there is no c.
+    With `friction` the stretches slower than a share of the fastest are left out, for there the sign is not certain
+    and the muscle may stick.
     """
     period = float(t[1] - t[0])
     width = max(3, round(SEGMENT / period))
@@ -159,17 +169,24 @@ def _balance(t: Array, x: Array, P: Array, gate: float) -> Array:
         whole = np.concatenate([[0.0], np.cumsum((y[1:] + y[:-1]) / 2)])
         return np.asarray(np.diff(whole[edges]) / width)
 
-    p, y = mean(P), mean(x)
-    columns = [np.ones_like(y), p, mean(P * P), -np.maximum(v, 0.0), -np.minimum(v, 0.0), -a, -np.sign(v)]
-    rows = np.abs(v) > gate if gate > 0 else np.ones(len(v), dtype=bool)
-    design = np.column_stack(columns[: 7 if gate > 0 else 6])[rows]
+    away = x - x.mean()
+    columns = [np.ones_like(v), mean(away), mean(away**2), np.maximum(v, 0.0), np.minimum(v, 0.0), a]
+    rows = np.ones(len(v), dtype=bool)
+    if friction:
+        columns.append(np.sign(v))
+        rows = np.abs(v) > MOVING * float(np.abs(v).max())
+    design, y = np.column_stack(columns)[rows], mean(P)[rows]
     size = np.linalg.norm(design, axis=0)
     size[size == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(design / size, y[rows], rcond=None)[0] / size)
+    found = np.linalg.lstsq(design / size, y, rcond=None)[0] / size
+    slope, up, down, heavy = (float(found[i]) for i in (1, 3, 4, 5))
+    slope = slope if slope else float("nan")
+    c = float(found[6]) if friction else float("nan")
+    return Balance(1 / slope, (up / slope, down / slope), heavy / slope, c)
 
 
-def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Array) -> Moved:
-    """Least squares of a simulated displacement, driven by the measured pressure; `start` is that of `_balance`."""
+def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
+    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin."""
     period = float(t[1] - t[0])
     swing = float(np.ptp(P))
     drive, parts = _driven(t, P / swing, steps)
@@ -179,7 +196,10 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Array) ->
         linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ x), dtype=np.float64)
         return linear, (made @ linear - x) / float(np.ptp(x))
 
-    guess = [*np.clip(start[3:5], 1e-3, 20.0), float(np.clip(start[5], 10 * SLIGHT, 0.01))]
+    guess = [
+        *np.clip(np.nan_to_num(start.tau), 1e-3, 20.0),
+        float(np.clip(np.nan_to_num(start.beta), 10 * SLIGHT, 0.01)),
+    ]
     bounds = ([1e-4, 1e-4, SLIGHT / 10], [50.0, 50.0, 1.0])
 
     def misfit(p: Array) -> Array:
@@ -253,16 +273,8 @@ def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step], moved: Moved)
     rests = np.array([_rest(t, x, step.t, end) for step, end in zip(steps, ends, strict=True)])
     kinds = np.arange(len(steps)) % 4
     up, above, down, below = (float(rests[kinds == kind].mean()) for kind in range(4))
-    period = float(t[1] - t[0])
-    speed = float(np.abs(np.diff(x[:: max(1, round(SEGMENT / period))])).max()) / SEGMENT
-    found = _balance(t, x, P, MOVING * speed)
-    known = found[1] > 0 and found[6] > 0
-    return Friction(
-        (above - below) / (up - down) if up != down else float("nan"),
-        float(found[6] / found[1]) if known else float("nan"),
-        float(found[1]),
-        (float(found[3]), float(found[4])),
-    )
+    swing = up - down
+    return Friction((above - below) / swing if swing else float("nan"), balance(t, x, P, friction=True))
 
 
 def _rest(t: Array, x: Array, begin: float, end: float) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis import open_loop_gain, relay_gain, skew, student, tuning
+from pmabench.analysis import gain_ways, open_loop_gain, relay_gain, skew, student, tuning
 from pmabench.analysis.calibration import Scales, sentences
 from pmabench.analysis.gain_levels import TrialFound, examine
 from pmabench.analysis.open_loop import steps_of
@@ -34,8 +34,6 @@ LONGEST_TRACE = 1500
 USED = ("finished", "failed")
 """Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
 ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
-SCHEDULE = 1.3
-"""Ratio of K_u between set-points above which one set of gains does not do."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if K_u.value is None or T_u.value is None or any(entry["at"] == dict(K_u.at) for entry in settings):
             return
         if loop is not None:
-            lags = [complex(lag).real for lag in loop.lags]
+            lags = [lag.real if not lag.imag else [lag.real, lag.imag] for lag in map(complex, loop.lags)]
             told = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": apart}
             loops.append({"at": dict(K_u.at), **told})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
@@ -130,7 +128,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped += relay.dropped
         traces += relay_gain.traces(relay)
         settle(ways[0], ways[1], relay.loop, skew.apart(relay.runs, CHANNELS))
-    findings += [*_spread(estimates), *_schedule(estimates)]
+    findings += gain_ways.findings(estimates, loops)
     return Analysis.of(
         KIND,
         runs,
@@ -274,45 +272,6 @@ def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
             text += skew.milliseconds(cell.seen.dead_time)
         lines.append(Finding("note", text))
     return lines
-
-
-def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
-    """How far the ways to K_u and T_u at one operating point are apart."""
-    lines = []
-    for symbol in ("K_u", "T_u"):
-        points: dict[tuple[tuple[str, float], ...], list[Estimate]] = {}
-        for e in estimates:
-            if e.symbol == symbol and e.value:
-                points.setdefault(tuple(sorted(e.at.items())), []).append(e)
-        for found in points.values():
-            values = [e.value for e in found if e.value]
-            if len(values) < 2:
-                continue
-            where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
-            told = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
-            lines.append(
-                Finding("note", f"{symbol} at {where}: {told}; the ways are {max(values) / min(values) - 1:.0%} apart")
-            )
-    return lines
-
-
-def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
-    """K_u belongs to its set-point: say so where it changes much."""
-    known = [e for e in estimates if e.symbol == "K_u" and e.value and "setpoint" in e.at]
-    known = [e for e in known if e.method == known[0].method]
-    if len({e.at["setpoint"] for e in known}) < 2:
-        return []
-    low, high = min(known, key=lambda e: e.value or 0.0), max(known, key=lambda e: e.value or 0.0)
-    ratio = (high.value or 0.0) / (low.value or 1.0)
-    if ratio < SCHEDULE:
-        return []
-    return [
-        Finding(
-            "note",
-            f"K_u changes {ratio:.2g}-fold between {show(low.at['setpoint'], 'length')} and "
-            f"{show(high.at['setpoint'], 'length')}: settings hold for their own set-point only",
-        )
-    ]
 
 
 def _traces(cell: _Cell, K_u: Estimate) -> list[Trace]:

@@ -105,9 +105,7 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     loaded = load_runs(without_analyses(ui, runs))
     for run in loaded:
         if run.kind != KIND:
-            raise invalid(
-                run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"'
-            )
+            raise invalid(run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"')
     reduced = reduce(loaded)
     estimates = tuple(e for e in reduced.estimates if e.method == METHOD)
     if not estimates:
@@ -192,9 +190,12 @@ def _pairs(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
     from pmabench.model.loop import Loop
 
     loops = {
-        _point(fact["at"]): Loop(fact["gain"], fact["dead_time"], tuple(fact["lags"]))
+        _point(fact["at"]): Loop(
+            fact["gain"],
+            fact["dead_time"],
+            tuple(complex(*lag) if isinstance(lag, list) else lag for lag in fact["lags"]),
+        )
         for fact in analysis.facts.get("loops", [])
-        if all(isinstance(lag, int | float) for lag in fact["lags"])
     }
     known = [e for e in analysis.estimates if e.value is not None]
     periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}

@@ -128,8 +128,8 @@ def test_friction_gives_no_number_and_its_size(tmp_path: Path) -> None:
     friction = examine(run, run.trials[0]).friction
     assert friction is not None
     per_pascal = (paper0(P + 50)[0] - paper0(P - 50)[0] - 0.03 * (paper0(P + 50)[1] - paper0(P - 50)[1])) / 100
-    assert friction.coulomb * per_pascal == pytest.approx(6.0, rel=0.05)
-    assert friction.tau == pytest.approx([paper0(P)[2] / paper0(P)[1], paper0(P)[3] / paper0(P)[1]], rel=0.05)
+    assert friction.balance.coulomb * per_pascal == pytest.approx(6.0, rel=0.05)
+    assert friction.balance.tau == pytest.approx([paper0(P)[2] / paper0(P)[1], paper0(P)[3] / paper0(P)[1]], rel=0.05)
 
 
 @pytest.fixture(scope="module")

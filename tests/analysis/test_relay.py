@@ -56,7 +56,7 @@ def test_the_fitted_loop_gives_the_phase_equations_values(x: float, T_r: float, 
     assert loop["dead_time"] == pytest.approx(0.041, abs=5e-4)
     assert loop["lags"][0] == pytest.approx(T_r, rel=0.02)
     assert "stiction" not in texts(found, "fault")
-    assert "the ways are" in texts(found, "note")
+    assert "(relay-fit), " in texts(found, "note")
 
 
 def test_the_describing_function_is_what_its_equation_gives_for_a_linear_loop() -> None:
