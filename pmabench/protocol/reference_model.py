@@ -1,4 +1,4 @@
-"""The model that a run is held against: coefficients of the specimen file, of a preset or of an analysis folder.
+"""The model that a run is held against: of the specimen file, of a preset, of a plant file or of an analysis folder.
 
 It is put into the plan as plain numbers, so that a run does not depend on a file that changes later.
 """
@@ -43,8 +43,8 @@ class FrictionFile(Strict):
 class ReferenceModel(Strict):
     """Which model is simulated beside the measurement.
 
-    `coefficients` is `specimen` (what its file expects), the name of a preset with its kind (`paper0 ideal`), or the
-    folder of an analysis of contraction-relaxation runs.
+    `coefficients` is `specimen` (what its file expects), the name of a preset or a plant file with its kind (`paper0
+    ideal`, `muscle.yaml bench`), or the folder of an analysis of contraction-relaxation runs.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]
@@ -60,7 +60,7 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
     try:
         if name == SPECIMEN:
             table = _of_specimen(c)
-        elif name.split()[0] in _presets():
+        elif name.split()[0] in _presets() or _plant_file(name):
             return _of_preset(c, model, at)
         else:
             table = _of_analysis(c, name)
@@ -113,12 +113,20 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
 
     from pmabench.model.described import Described
     from pmabench.model.muscle import Friction, Muscle
-    from pmabench.model.presets import preset
+    from pmabench.model.plant_file import setup_of
+    from pmabench.model.presets import changed, preset
     from pmabench.model.regulator import Regulator
 
     name, _, kind = model.coefficients.partition(" ")
+    source, domain = f"preset {name} {kind.strip() or 'ideal'}", (0.0, 1e7)
     try:
-        setup = preset(name, kind.strip() or "ideal")
+        if file := _plant_file(model.coefficients):
+            name, kind = file
+            numbers = _read_plant(c, name)
+            setup = changed(setup_of(numbers), kind)
+            source, domain = f"plant file {name}, {kind}: {numbers['name']}", (0.0, float(numbers["highest_pressure"]))
+        else:
+            setup = preset(name, kind.strip() or "ideal")
         muscle, regulator = setup.muscle, setup.regulator
         if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
             raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
@@ -126,11 +134,30 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
             muscle = replace(muscle, friction=Friction(model.friction.static, model.friction.kinetic))
         if model.regulator is not None:
             regulator = Regulator(**model.regulator.model_dump())
+    except InvalidFile as error:
+        c.problems += error.problems
+        return None
     except ValueError as error:
         c.fault((*at, "coefficients"), str(error))
         return None
-    source = f"preset {name} {kind.strip() or 'ideal'}"
-    return Described(muscle, regulator, source, (0.0, 1e7)).to_dict()
+    return Described(muscle, regulator, source, domain).to_dict()
+
+
+def _plant_file(text: str) -> tuple[str, str] | None:
+    """Path and kind where a plant file is named: `muscle.yaml` or `muscle.yaml bench`."""
+    path, _, kind = text.rpartition(" ") if text.endswith((" ideal", " bench")) else (text, "", "ideal")
+    return (path.strip(), kind) if path.strip().endswith(".yaml") else None
+
+
+def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
+    """The numbers of a plant file, looked for from the current folder, then beside the protocol."""
+    from pmabench.bench.plant import read_plant
+
+    places = [Path(name), Path(str(c.document.path)).parent / name]
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        raise ValueError(f'there is no plant file "{name}" here or beside the protocol')
+    return read_plant(path).numbers
 
 
 def _of_specimen(c: Compilation) -> dict[str, Any]:
