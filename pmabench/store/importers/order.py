@@ -48,8 +48,8 @@ def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found 
         return None
     lead, row = worst
     text = (
-        f"pressure: displacement moves {lead * 1e3:.3g} ms before it at {float(t[row]):.3f} s: pressure is late, as where "
-        'channels are polled one after the other; say "late_by"'
+        f"pressure: displacement moves {lead * 1e3:.3g} ms before it at {float(t[row]):.3f} s: pressure is late, as "
+        'where channels are polled one after the other; say "late_by"'
     )
     return Found("doubt", "late", text, "pressure", 1, row, float(t[row]))
 
