@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import nan
+from math import floor, log10, nan
 
 import numpy as np
 import pandas as pd
@@ -12,11 +12,13 @@ from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
 from pmabench.report import plots
 from pmabench.report.pictures import Picture, picture
 from pmabench.report.plots import Array, Points
-from pmabench.report.tables import cell
+from pmabench.report.rounding import RAISED
+from pmabench.report.tables import cell, least
 from pmabench.report.wording import (
     GROUPS,
     POINTS,
     SYMBOLS,
+    Shown,
     clean,
     in_order,
     number,
@@ -85,7 +87,9 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
     units = {shown(e.quantity, e.unit) for e in known}
     if len(known) < 2 or len({e.at[over] for e in known}) < 2 or len(units) != 1:
         return None
-    unit, (x_label, x_unit) = units.pop(), point_shown(over)
+    if all(abs(e.value or 0.0) < least(e) * shown(e.quantity, e.unit).scale for e in known):
+        return None
+    unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
     series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
     for analysis, e in members:
         if e.value is not None:
@@ -154,6 +158,16 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         wide=False,
         simulated=simulated,
     )
+
+
+def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
+    """The unit with a power of ten before it where values would ask for an exponent at the axis."""
+    largest = max(abs(e.value or 0.0) for e in known) / unit.scale
+    if largest == 0 or 1e-3 <= largest < 1e5:
+        return unit
+    power = 3 * floor(log10(largest) / 3)
+    told = f"10{str(power).translate(RAISED)}"
+    return Shown(f"{told} {unit.unit}".rstrip(), unit.scale * 10.0**power)
 
 
 def _and(words: Sequence[str]) -> str:

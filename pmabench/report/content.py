@@ -15,6 +15,7 @@ from pmabench.analysis.acceptance import limits_of
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis
 from pmabench.report import overlays, provenance, tables, wording
+from pmabench.report.budget_tables import budget_table
 from pmabench.report.checklist import Issuer, Item, checklist
 from pmabench.report.citation import citation, methods_paragraph
 from pmabench.report.deviations import deviations
@@ -49,6 +50,7 @@ class Section:
     tables: list[Grid] = field(default_factory=list)
     figures: list[Numbered] = field(default_factory=list)
     parts: Grid | None = None
+    budget: Grid | None = None
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used)]
     parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
+    budget = budget_table(analysis)
+    section.budget = grid(budget.frame, budget.caption) if budget else None
     return section
 
 

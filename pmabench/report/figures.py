@@ -33,7 +33,7 @@ from pmabench.report.plots import Array, Panel
 from pmabench.report.position_figures import positions, validations
 from pmabench.report.section_figures import sections
 from pmabench.report.volume_figures import volumes
-from pmabench.report.wording import clean, shown
+from pmabench.report.wording import COLUMNS, clean, shown
 
 OVERLAYS, SCATTERS, GENERIC = 6, 9, 6
 """Most panels of a figure (figures, for the generic ones); of more traces an even choice is shown."""
@@ -226,20 +226,25 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
             continue
         x, rest = names[0], names[1:9]
         data = panel(trace, {name: name for name in names}, clean(trace.title, 90)).columns
-        columns = [(clean(name, 40), _axis(trace, name), data[name]) for name in rest]
+        columns = [(_word(name), _axis(trace, name, rest), data[name]) for name in rest]
         draw = bound(time_plots.lines, "", data[x], label(trace, x), columns)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
-        told = ", ".join(clean(name, 40) for name in rest)
+        told = ", ".join(_word(name) for name in rest)
         alt = f"{told} over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}."
         found.append(picture(draw, title, "", alt, numbers([("", trace)]), wide=True, simulated=simulated))
     return found
 
 
-def _axis(trace: Trace, name: str) -> str:
-    """Columns of one quantity share an axis."""
+def _word(name: str) -> str:
+    return COLUMNS.get(name) or clean(name, 40)
+
+
+def _axis(trace: Trace, name: str, names: Sequence[str]) -> str:
+    """Columns of one quantity share an axis, which has the name of the first."""
     quantity = trace.quantities.get(name, "")
-    return shown(quantity).label(clean(quantity or name, 30))
+    first = next(other for other in names if trace.quantities.get(other, "") == quantity)
+    return shown(quantity).label(_word(first) if quantity else _word(name))
 
 
 DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Picture]]], ...] = (

@@ -143,6 +143,7 @@ class _Data:
             "paragraph": symbol_parts(c.paragraph),
             "cite": list(c.cite),
             "parts": [self.grid(s.parts, f"{s.title}: half widths by cause") for s in c.sections if s.parts],
+            "budgets": [self.grid(s.budget) for s in c.sections if s.budget],
             "parents": [self.grid(grid) for grid in c.parents],
         }
 

@@ -55,6 +55,7 @@ def picture(
     """Draw within the style of reports, stamped where simulated."""
     with drawing():
         figure = draw()
+        plots.fit_labels(figure)
         if simulated:
             plots.stamp(figure, "SIMULATED")
         svg = to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")

@@ -91,6 +91,27 @@ def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
     )
 
 
+def fit_labels(figure: Figure) -> None:
+    """Move the left ends of axes to the right where their labels would be cut by the edge or by axes beside them."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    renderer, width = canvas.get_renderer(), figure.bbox.width
+    places = [(axes, axes.get_position(), axes.get_tightbbox(renderer)) for axes in figure.axes]
+    columns: dict[float, float] = {}
+    for _, place, box in places:
+        if box is None:
+            continue
+        beside = [p.x1 * width for _, p, _ in places if p.x1 < place.x0 and p.y0 < place.y1 and place.y0 < p.y1]
+        lack = max(beside, default=0.0) + 2.0 - box.x0
+        key = round(place.x0, 4)
+        columns[key] = max(columns.get(key, 0.0), lack)
+    for axes, place, _ in places:
+        move = columns.get(round(place.x0, 4), 0.0) / width
+        if 0 < move < 0.5 * place.width:
+            axes.set_position((place.x0 + move, place.y0, place.width - move, place.height))
+
+
 def stamp(figure: Figure, text: str) -> None:
     """A word in the upper right corner: SIMULATED."""
     width, height = figure.get_size_inches()
@@ -220,8 +241,8 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     alone = len(panels) == 1
     columns = min(4, len(panels))
     rows = ceil(len(panels) / columns)
-    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.55 + 1.85 * rows)
-    cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.5)
+    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 1.97 * rows)
+    cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.62)
     told: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):
@@ -303,8 +324,8 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     alone = len(panels) == 1
     columns = 1 if alone else min(3, len(panels))
     rows = ceil(len(panels) / columns)
-    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.4 + 2.05 * rows)
-    cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.55)
+    figure = blank(HALF if alone else FULL, 2.55 if alone else 0.3 + 2.15 * rows)
+    cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.65)
     told: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):

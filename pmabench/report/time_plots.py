@@ -153,8 +153,8 @@ def growth_axes(axes: Axes, growth: Panel, labels: dict[str, str]) -> None:
 def lines(title: str, x: Array, x_label: str, columns: Sequence[tuple[str, str, Array]]) -> Figure:
     """Any columns over the first one, a panel for each axis label; `columns` are (label, axis label, values)."""
     names = list(dict.fromkeys(axis for _, axis, _ in columns))
-    figure = blank(FULL, 0.45 + 1.45 * max(1, len(names)))
-    cells = grid(figure, max(1, len(names)), 1, left=0.62, down=0.22)
+    figure = blank(FULL, 0.45 + 1.6 * max(1, len(names)))
+    cells = grid(figure, max(1, len(names)), 1, left=0.62, down=0.36)
     for place, name in enumerate(names):
         axes = figure.add_subplot(cells[place])
         for i, (label, _, values) in enumerate(c for c in columns if c[1] == name):
@@ -164,7 +164,7 @@ def lines(title: str, x: Array, x_label: str, columns: Sequence[tuple[str, str, 
         few_ticks(axes, x=8, y=5)
         axes.tick_params(labelbottom=place == len(names) - 1)
         if len([c for c in columns if c[1] == name]) > 1:
-            axes.legend(loc="best")
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6)
         if place == 0:
             axes.set_title(title)
     if figure.axes:

@@ -1,11 +1,14 @@
 """What a report says beside its numbers: the verdict, deviations, the checklist, parents, and words to paste."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Finding
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source
+from pmabench.report import coefficient_figures
+from pmabench.report.budget_tables import budget_table
 from pmabench.report.checklist import Issuer
 from pmabench.report.citation import methods_paragraph
 from pmabench.report.content import content_of
@@ -135,3 +138,42 @@ def test_the_citation_is_the_same_for_the_same_report():
     assert one.report_id in one.cite[0]
     assert r"title = {K \& B of 100 \% \{x\}}" in one.cite[1]
     assert "simulated" in one.cite[1]
+
+
+def test_budgets_tell_shares_and_what_was_not_assessed():
+    sources = (
+        Source("calibration of pressure", "calibration", "B", 4.0),
+        Source("scatter", "repeats", "A", 3.0),
+        Source("steps", "repeats", "B", 0.1),
+        Source("drift", "drift", "B", None, "no reference trial"),
+    )
+    analysis = samples.static_load()
+    e = replace(analysis.estimates[0], parts=Parts(repeats=(9.01) ** 0.5, calibration=4.0), budget=sources)
+    table = budget_table(replace(analysis, estimates=(e, *analysis.estimates[1:])))
+    assert table.caption.endswith("not assessed: drift (no reference trial)")
+    (row,) = table.frame.to_dict("records")
+    assert row["sources, shares of the variance"] == "calibration of pressure 64 %, scatter 36 %, 1 other < 0.1 %"
+    assert row["± 95 %"] == "5.0"
+    assert budget_table(analysis) is None
+
+
+def test_values_below_resolution_are_not_drawn_and_small_ones_have_no_exponent_at_the_axis():
+    def drawn(size):
+        at = [{"pressure": 1e5 * n} for n in (1, 2, 3)]
+        estimates = tuple(Estimate("F_c", size * n, "N", "force", "m", p) for n, p in enumerate(at, 1))
+        return coefficient_figures.others(Analysis("x", ("r",), False, estimates))
+
+    assert drawn(1e-14) == []
+    (picture,) = drawn(2e-6)
+    assert "[10⁻⁶ N]" in picture.svg
+    assert "1e" not in re.sub(r"<path[^>]*>", "", picture.svg)
+
+
+def test_labels_of_long_numbers_are_not_cut():
+    long = [{"pressure": 1e5 * n} for n in (1, 2, 3)]
+    estimates = tuple(
+        Estimate("F_c", 90_000.0 + 0.01 * n, "N", "force", "m", p, Parts(1e-3)) for n, p in enumerate(long, 1)
+    )
+    (picture,) = coefficient_figures.others(Analysis("x", ("r",), False, estimates))
+    (baseline,) = re.findall(r'<text[^>]* x="(-?[\d.]+)"[^>]*rotate\(-90', picture.svg)
+    assert float(baseline) > 8.0, "a label of 8 points stands left of its base line"
