@@ -37,11 +37,13 @@ def value_rows(life: Sequence[Past], series: Sequence[Series]) -> Rows:
     """A row for each run that has values: the chosen coefficients side by side."""
     columns = [one for one in chosen(series) if one.moments][:MOST_COLUMNS]
     heads = ["date", "cycles"]
+    symbols = [one.first.symbol for one in columns]
     for one in columns:
         e = one.first
         unit = shown(e.quantity, e.unit)
         at = point_text({name: value for name, value in e.at.items() if name in ("pressure", "frequency", "speed")})
-        heads.append(f"{unit.label(symbol_text(e.symbol))}{f' at {at}' if at else ''}")
+        head = f"{unit.label(symbol_text(e.symbol))}{f' at {at}' if at else ''}"
+        heads.append(f"{head}, {kind_title(one.kind).lower()}" if symbols.count(e.symbol) > 1 else head)
     rows = []
     for past in life:
         cells = [_cell(one, past) for one in columns]
