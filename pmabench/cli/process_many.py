@@ -133,7 +133,11 @@ def _failures(many: Many) -> list[str]:
     if failed:
         what = "1 run could" if len(failed) == 1 else f"{len(failed):,} runs could"
         told += [f"{what} not be processed:", *failed]
-    return told
+    if not told:
+        return []
+    from pmabench.report.wording import clean
+
+    return [clean(line) for line in told]
 
 
 def _first(lines: list[str], rest: str) -> list[str]:

@@ -84,7 +84,9 @@ def _write_trace(trace: Trace, path: Path) -> None:
         quantity = trace.quantities.get(name, "")
         unit = QUANTITIES[quantity].unit if quantity in QUANTITIES else ""
         fields.append(pa.field(name, pa.float64(), metadata={"quantity": quantity, "unit": unit}))
-    arrays = [pa.array(np.asarray(values, dtype=np.float64)) for values in trace.columns.values()]
+    columns = [np.ascontiguousarray(values, dtype=np.float64) for values in trace.columns.values()]
+    # `pa.array` would import pandas
+    arrays = [pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)]) for values in columns]
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
     pq.write_table(table, path, compression="zstd", compression_level=3, use_dictionary=False)
 

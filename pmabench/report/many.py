@@ -5,6 +5,7 @@ Nothing heavy is imported here, so that a second pass over an archive costs no m
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from pmabench.store.fingerprint import fingerprint, program
 
 Told = Callable[[int, int, int], None]
 """Is told how many runs are done, of how many, and how many of them had not changed."""
+RESULTS = ("computed", "unchanged")
+"""States of entries with coefficients."""
 WORST = (7, 3, 1, 6)
 """Exit codes, the worst first."""
 KEPT_EVERY = 200
@@ -36,6 +39,15 @@ class Many:
     exit_code: int
     """0; else the worst: record not written 7, a run that cannot be used 3, an error in the program 1, verdict 6."""
 
+    @property
+    def key(self) -> str:
+        """Hash of all results in their order, and of the program."""
+        digest = hashlib.sha256(program().encode())
+        for path, state, text in self.told:
+            if state in RESULTS:
+                digest.update(f"{path}\0{text}\0".encode())
+        return digest.hexdigest()
+
     def of(self, *states: str) -> Iterator[dict[str, Any]]:
         """Entries of these states, each with `path` and `state` before what `process_one` told."""
         for path, state, text in self.told:
@@ -44,7 +56,7 @@ class Many:
 
     def results(self) -> Iterator[dict[str, Any]]:
         """Entries with coefficients."""
-        return self.of("computed", "unchanged")
+        return self.of(*RESULTS)
 
     def count(self, *states: str) -> int:
         """Number of runs in these states."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -16,17 +16,23 @@ from typing import Any
 from pmabench.store.fingerprint import stamp
 
 CACHE = ".processed.sqlite"
+TABLE = ""
+"""Stands where the place of a run stands, for the table of all of them."""
 _VERSION = 1
 
 
-def load(out: Path) -> dict[str, tuple[str, str]]:
-    """Place of a run -> key and entry (as JSON) of the last time; nothing where there is no cache that can be used."""
+def load(out: Path, only: str | None = None) -> dict[str, tuple[str, str]]:
+    """Place of a run -> key and entry (as JSON) of the last time; nothing where there is no cache that can be used.
+
+    Of all runs, or of the place `only`.
+    """
     path = out / CACHE
     if not path.is_file():
         return {}
     with suppress(sqlite3.Error, ValueError, TypeError, OSError), closing(_open(path, "ro")) as base:
         if base.execute("PRAGMA user_version").fetchone()[0] == _VERSION:
-            return {place: (key, told) for place, key, told in base.execute("SELECT place, key, told FROM runs")}
+            asked = "SELECT place, key, told FROM runs WHERE place = ? OR ? IS NULL"
+            return {place: (key, told) for place, key, told in base.execute(asked, (only, only))}
     return {}
 
 
@@ -39,6 +45,24 @@ def entry(kept: tuple[str, str] | None, key: str, out: Path) -> dict[str, Any] |
         if isinstance(told, dict) and ("skipped" in told or stamp(out / told["folder"]) == told["stamp"]):
             return told
     return None
+
+
+def table_written(out: Path, key: str, paths: Iterable[Path]) -> bool:
+    """Whether the table of these results lies at `paths` as it was written."""
+    kept = load(out, TABLE).get(TABLE)
+    return kept is not None and kept == (key, _stamps(paths)) != (key, "")
+
+
+def keep_table(out: Path, key: str, paths: Iterable[Path]) -> None:
+    """Remember that the table of these results was written."""
+    store(out, {TABLE: (key, _stamps(paths))})
+
+
+def _stamps(paths: Iterable[Path]) -> str:
+    with suppress(OSError):
+        told = [path.stat() for path in paths]
+        return json.dumps([[info.st_size, info.st_mtime_ns] for info in told])
+    return ""
 
 
 def store(out: Path, fresh: Mapping[str, tuple[str, str]]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import RecordError
+from pmabench.report import many_cache
 from pmabench.report.csv_files import csv_text
 from pmabench.report.many import Many
 from pmabench.report.wording import POINTS, SYMBOLS, in_order, plain_unit, point_shown, shown, symbol_text
@@ -25,9 +26,15 @@ KEPT = ("run", "runs", "kind", "started", "specimen", "simulated", "folder", "es
 
 
 def write_table(many: Many) -> list[Path]:
-    """`all-runs.csv`, `.parquet` and `.json` beside the analyses; raises RecordError where they cannot be written."""
-    rows, numbers = table_rows(many.results())
+    """`all-runs.csv`, `.parquet` and `.json` beside the analyses, as far as they are not there already.
+
+    Raises RecordError where they cannot be written.
+    """
     paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "parquet", "json")]
+    key = many.key
+    if many_cache.table_written(many.out, key, paths):
+        return paths
+    rows, numbers = table_rows(many.results())
     columns = [*FIRST, *numbers, *LAST]
     ordered = [{name: row.get(name) for name in columns} for row in rows]
     try:
@@ -37,6 +44,7 @@ def write_table(many: Many) -> list[Path]:
             file.writelines(_json_lines(many))
     except OSError as error:
         raise RecordError(f"{many.out}: the table cannot be written: {error.strerror or error}") from error
+    many_cache.keep_table(many.out, key, paths)
     return paths
 
 

@@ -219,6 +219,11 @@ def raw_bytes(array: Any) -> Any:
     return buffer[array.offset * width : (array.offset + len(array)) * width] if len(array) else b""
 
 
+def numbers(array: Any) -> NDArray[Any]:
+    """The values of an Arrow array of numbers, shape (n,), not copied; ValueError where values are missing."""
+    return np.frombuffer(raw_bytes(array), dtype=array.type.to_pandas_dtype())
+
+
 class LiveReader:
     """Iterates over the whole batches of a live stream and stops before the first that is not whole."""
 

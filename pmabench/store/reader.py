@@ -24,7 +24,7 @@ from pmabench.store.arrow import pa
 from pmabench.store.clocks import fit_clock, stamped
 from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import Journal, decode
-from pmabench.store.livestream import FLAGS, TIME, LiveReader
+from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
 from pmabench.store.notes import read_notes
 from pmabench.store.recalibration import Line, Recalibration, refound
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
@@ -261,7 +261,7 @@ def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]
 
 def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
     """Device time becomes time of the run, raw values become SI."""
-    columns = {name: table.column(name).combine_chunks().to_numpy() for name in table.column_names}
+    columns = {name: numbers(table.column(name).combine_chunks()) for name in table.column_names}
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
     rate = float(about.get("rate") or 0.0)

@@ -136,6 +136,24 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert len(worked) == RUNS
 
 
+def test_the_table_is_written_where_it_is_not_there_as_it_was(lab):
+    call("process", lab / "runs")
+    table = [lab / "analyses" / "each" / f"all-runs.{suffix}" for suffix in ("csv", "parquet", "json")]
+    content, times = [path.read_bytes() for path in table], [path.stat().st_mtime_ns for path in table]
+    call("process", lab / "runs")
+    assert [path.stat().st_mtime_ns for path in table] == times
+    for number, path in enumerate(table):
+        if number:
+            path.write_bytes(b"")
+        else:
+            path.unlink()
+        call("process", lab / "runs")
+        assert [path.read_bytes() for path in table] == content
+    shutil.rmtree(next((lab / "runs" / "2018").iterdir()))
+    call("process", lab / "runs")
+    assert table[0].read_bytes() != content[0]
+
+
 def test_a_stream_that_was_changed_in_place_is_not_taken_for_unchanged(lab):
     call("process", lab / "runs", "-q")
     stream = next((lab / "runs").rglob("*.parquet"))
