@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
+from typing import Any
 
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import UsageError
@@ -275,15 +276,12 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     def mixed(left: float | None, right: float | None) -> float | None:
         return None if left is None or right is None else (1 - share) * left + share * right
 
-    parts = Parts(
-        mixed(one.parts.repeats, other.parts.repeats),
-        mixed(one.parts.method, other.parts.method),
-        mixed(one.parts.calibration, other.parts.calibration),
-        mixed(one.parts.skew, other.parts.skew) or 0.0,
-    )
+    ends, theirs = vars(one.parts), vars(other.parts)
+    mean: dict[str, Any] = {name: mixed(half, theirs[name]) for name, half in ends.items()}
+    parts = Parts(**mean)
     value = (1 - share) * one.value + share * other.value
     trials = tuple(dict.fromkeys((*one.trials, *other.trials)))
-    return replace(one, value=value, parts=parts, at={"pressure": P}, trials=trials, n=max(one.n, other.n))
+    return replace(one, value=value, parts=parts, at={"pressure": P}, trials=trials, n=max(one.n, other.n), budget=())
 
 
 def _half(one: Estimate, other: Estimate, shared: bool) -> float | None:

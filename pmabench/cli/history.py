@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
-ANALYSES = ("*/analysis.json", "*/*/analysis.json")
-"""Where analyses lie below a folder of them."""
+ANALYSES = ("*/analysis.json", "*/*/analysis.json", "*/*/*/analysis.json")
+"""Where analyses lie below a folder of them: those of one call, and those of runs each on its own."""
 
 
 @click.command(name="history")
@@ -135,17 +135,17 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
-    """The analyses of these runs that lie where `process` leaves them."""
+    """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
     from pmabench.report.analysis_folder import read_analysis
 
     parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
-    for pattern in ANALYSES:
-        for path in sorted((parent / "analyses").glob(pattern)):
-            try:
-                if _tells(path, runs):
-                    yield read_analysis(path.parent)
-            except InvalidFile as error:
-                ui.note(f"{error}; left out")
+    found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
+    for path in sorted(found, key=lambda path: (found[path], path)):
+        try:
+            if _tells(path, runs):
+                yield read_analysis(path.parent)
+        except InvalidFile as error:
+            ui.note(f"{error}; left out")
 
 
 def _tells(path: Path, runs: set[str]) -> bool:

@@ -61,6 +61,9 @@ def test_values_are_read_on_straight_lines_only_where_nothing_is_in_common():
     d = one(a, b)
     assert (d.a.value, d.a.parts.combined, d.between) == (pytest.approx(7.0), pytest.approx(2.0), "a")
     assert d.half == pytest.approx(8**0.5)
+    every = dict.fromkeys(vars(Parts()), 2.0)
+    a_parts = side(replace(K(6.0, 1.0, 2e5), parts=Parts(**every)), replace(K(8.0, 1.0, 4e5), parts=Parts(**every)))
+    assert one(a_parts, b).a.parts == Parts(**every)  # no part is lost on the line
     both = side(K(7.5, 2.0, 3e5), K(6.0, 1.0, 2e5), name="B", run="r2")
     assert [d.a.at["pressure"] for d in compare(a, both).differences] == [2e5]
     asked = compare(a, both, pressures=[2.5e5]).differences

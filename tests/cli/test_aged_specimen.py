@@ -1,6 +1,7 @@
 """A simulated muscle that became 4 % stiffer: its protocol refuses it, `compare` finds 4 %, `history` says since when."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -91,6 +92,30 @@ def test_history_tells_cycles_values_and_reference_trials(lab):
     assert "Control chart" in text
     by_file = json.loads(call("history", "mas-20-250-paper0", lab["folder"] / "runs", "--json").output)
     assert by_file["runs"] == told["runs"]
+
+
+def test_the_latest_analysis_of_a_run_counts_wherever_process_left_it(lab, tmp_path):
+    shutil.copytree(lab["folder"] / "runs", tmp_path / "runs")
+    old = tmp_path / "analyses" / "each" / lab["aged"].name
+    shutil.copytree(lab["folder"] / "analyses" / lab["aged"].name, old)
+    new = tmp_path / "analyses" / "again"
+    shutil.copytree(old, new)
+    told = (new / "contraction-relaxation" / "analysis.json").read_text()
+    for path, at in ((old, 1e9), (new, 2e9)):
+        os.utime(path / "contraction-relaxation" / "analysis.json", (at, at))
+
+    def F_c():
+        data = json.loads(call("history", "MOCK-P0", tmp_path / "runs", "--json").output)
+        return next(one for one in data["series"] if one["symbol"] == "F_c")["values"]
+
+    (before,) = F_c()
+    changed = json.loads(told)
+    for estimate in changed["estimates"]:
+        if estimate["symbol"] == "F_c":
+            estimate["value"] += 1.0
+    (new / "contraction-relaxation" / "analysis.json").write_text(json.dumps(changed))
+    (after,) = F_c()
+    assert after["value"] == pytest.approx(before["value"] + 1.0)
 
 
 def test_what_history_cannot_find_is_a_sentence(lab, tmp_path):
