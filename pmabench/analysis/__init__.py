@@ -14,6 +14,7 @@
 - isometric-pressurisation: `isometric_pressurisation`, made of `isometric_lines`, `isometric_curve`, `section` (S over
   contraction), `isometric_sections` (all contractions at one pressure); words and figures in `isometric_view`
 - closed-volume: `closed_volume`, made of `closed_stroke`, `volume_fit`
+- free-contraction: `free_contraction`; arm-angle: `arm_angle`, on `arm_stairs`; words and figures in `..._view`
 - isometric, recorded-pull: `isometric`, on `isometric_lines`; recorded-step: `recorded_steps`, with `driven_motion`;
   recorded-sine: `recorded_sines`; what imports say beside their samples: `imported`
 - a library model fitted to a table (`model fit`): `model_fit`, made of `model_problem`, `identifiability`

@@ -57,7 +57,7 @@ def command(
     *,
     yes: bool,
 ) -> int:
-    """Calibrate CHANNEL (force, pressure, displacement, or pressure_command for the regulator) by reference points."""
+    """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
     from pmabench.bench.compile import mount
     from pmabench.files.shipped import find_file
     from pmabench.session.calibration import Request, check, uncovered

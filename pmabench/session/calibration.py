@@ -29,7 +29,7 @@ from pmabench.session.words import load_text, moving_mass
 PHASE = "calibration"
 REGULATOR = "pressure_command"
 """The name under which the regulator is calibrated: its command against the measured pressure."""
-CALIBRATED = ("force", "pressure", "displacement", REGULATOR)
+CALIBRATED = ("force", "pressure", "displacement", "angle", REGULATOR)
 DRIFT = 5e-4
 """Most drift while a point is read, of the channel's range."""
 TRAVEL = 0.1

@@ -9,6 +9,7 @@ from typing import Any
 from pmabench.base.errors import VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compile import Mounted
+from pmabench.bench.files.session import PLACED
 from pmabench.bench.interface import CompiledBench, Scale
 from pmabench.bench.session import Zero
 from pmabench.engine.executor import Executor
@@ -42,8 +43,8 @@ class ZeroRefused(VerdictFailed):
 def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
     """The zeros that the bench's session asks for, in the order of their rules.
 
-    The pressure is zeroed vented, with the valves open; the force unloaded, as the operator says; the displacement at
-    its stated reference. Raises ZeroRefused, or VerdictFailed where a channel does not come to rest.
+    The pressure is zeroed vented, with the valves open; the force unloaded, as the operator says; displacement and
+    angle at their stated references. Raises ZeroRefused, or VerdictFailed where a channel does not come to rest.
     """
     wanted = mounted.session.zeros if mounted.session is not None else {}
     taken: dict[str, ZeroTaken] = {}
@@ -56,15 +57,14 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
         text = load_text(mounted, 0.0)
         executor.do(Ask(PHASE, text, "vented", (0.0, moving_mass(mounted, 0.0))))
         taken["force"] = _take(executor, "force", wanted["force"], "unloaded")
-    if "displacement" in wanted:
-        zero = wanted["displacement"]
-        load = None
-        text = f"Bring the free end to where its displacement is zero: {zero.at}."
+    for name in (name for name in PLACED if name in wanted):
+        zero, load = wanted[name], None
+        text = f"Bring the free end to where its {name} is zero: {zero.at}."
         if zero.load is not None:
             load = (zero.load * mounted.bench.gravity, moving_mass(mounted, zero.load))
             text = f"{load_text(mounted, zero.load)} {text}"
         executor.do(Ask(PHASE, text, "vented", load))
-        taken["displacement"] = _take(executor, "displacement", zero, zero.at)
+        taken[name] = _take(executor, name, zero, zero.at)
     return taken
 
 

@@ -10,6 +10,9 @@ from pmabench.bench.files.parts import Name, PressureAbove0, RateAbove0, RatioAb
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Time
 
+PLACED = ("displacement", "angle")
+"""Channels whose zero is where hands bring the free end."""
+
 
 class WarmUpFile(Strict):
     """Cycles between no pressure and `pressure` before the zeros are taken."""
@@ -24,7 +27,7 @@ class ZeroFile(Strict):
 
     most: Reading
     at: Text = ""
-    """Where a displacement is zero, in words for the operator."""
+    """Where a displacement or an angle is zero, in words for the operator."""
     load: Load | None = None
     """The load that brings the free end there."""
 
@@ -54,14 +57,17 @@ class SessionFile(Strict):
 
     self_test: SelfTestFile | None = None
     warm_up: WarmUpFile | None = None
-    zeros: dict[Literal["pressure", "force", "displacement"], ZeroFile] = {}
+    zeros: dict[Literal["pressure", "force", "displacement", "angle"], ZeroFile] = {}
     valid: TimeAbove0 = 12 * 3600.0
 
     @model_validator(mode="after")
     def _references(self) -> SessionFile:
         for name, zero in self.zeros.items():
-            if name == "displacement" and not zero.at:
-                raise ValueError('the zero of the displacement needs "at": where the free end is then, in words')
-            if name != "displacement" and (zero.at or zero.load is not None):
-                raise ValueError(f'"at" and "load" belong to the displacement; {name} is zeroed without any')
+            placed = name in PLACED
+            if placed and not zero.at:
+                raise ValueError(f'the zero of the {name} needs "at": where the free end is then, in words')
+            if not placed and (zero.at or zero.load is not None):
+                raise ValueError(
+                    f'"at" and "load" belong to the displacement or the angle; {name} is zeroed without any'
+                )
         return self
