@@ -63,8 +63,6 @@ def command(
     joint = _joint(forms) | ({} if bootstrap is None else {"bootstrap": bootstrap})
     below = [path for path in runs if holds_runs(path)]
     if each or below:
-        if joint:
-            raise UsageError("--form and --bootstrap are for runs that are fitted together: name them one by one")
         if jobs is not None and cluster is not None:
             raise UsageError("--jobs is for this machine and --cluster for others: give one of the two")
         from pmabench.cli.process_many import process_folders
@@ -72,7 +70,7 @@ def command(
         start = runs[0].resolve()
         place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
-        return process_folders(ui, wanted, place, jobs or 1, cluster)
+        return process_folders(ui, wanted, place, jobs or 1, cluster, {JOINT: joint})
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")

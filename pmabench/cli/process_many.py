@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,15 +23,17 @@ MOST_LINES = 20
 """Lines of one kind on the screen; the rest stands in the table."""
 
 
-def process_folders(ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None) -> int | None:
-    """Process each run below `given` on its own; the exit code."""
+def process_folders(
+    ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any]
+) -> int | None:
+    """Process each run below `given` on its own, with options by kind; the exit code."""
     from pmabench.report.many import process_many
     from pmabench.report.many_table import write_table
     from pmabench.store.below import tasks_below
 
     tasks = tasks_below(given)
     with _pool(ui, jobs, cluster) as pool, _progress(ui) as told:
-        many = process_many(tasks, out, pool, told)
+        many = process_many(tasks, out, pool, told, options)
     paths = write_table(many)
     ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
     return many.exit_code or None

@@ -63,16 +63,24 @@ class Many:
         return sum(state in states for _, state, _ in self.told)
 
 
-def process_many(tasks: Sequence[Task], out: Path, pool: Pool | None = None, told: Told | None = None) -> Many:
+def process_many(
+    tasks: Sequence[Task],
+    out: Path,
+    pool: Pool | None = None,
+    told: Told | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Many:
     """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
 
-    Raises RecordError where `out` cannot be made. What is wrong with a run stands in its entry.
+    `options`: kind -> those of its reduction, plain data. What is wrong with a run stands in its entry. Raises
+    RecordError where `out` cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordError(f"{out}: cannot be made: {error.strerror or error}") from error
-    about = program()
+    options = dict(options or {})
+    about = f"{program()} {json.dumps(options, sort_keys=True)}"
     kept = many_cache.load(out)
     keys = [fingerprint(task.chain, about) for task in tasks]
     found: dict[int, tuple[str, str]] = {}
@@ -86,7 +94,8 @@ def process_many(tasks: Sequence[Task], out: Path, pool: Pool | None = None, tol
     left = [number for number in range(len(tasks)) if number not in found]
     here = str(out.absolute())
     things = [
-        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place} for number in left
+        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place, "options": options}
+        for number in left
     ]
     fresh: dict[str, tuple[str, str]] = {}
     if told is not None:

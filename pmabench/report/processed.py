@@ -16,12 +16,12 @@ WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 
 
-def process_batch(things: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
-    """What came out of each of `things`: `path` of a run, and the analysis `folder` to write below `out`."""
+def process_batch(things: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What came out of each of `things`: `path` of a run, analysis `folder` to write below `out`, `options` by kind."""
     return [] if stopped() else [process_one(thing) for thing in things]
 
 
-def lost(thing: Mapping[str, str], why: str) -> dict[str, Any]:
+def lost(thing: Mapping[str, Any], why: str) -> dict[str, Any]:
     """The result of a run on which the process that worked on it died."""
     return {
         "error": f"{thing['path']}  the process that worked on it died ({why}); give this run alone",
@@ -29,14 +29,14 @@ def lost(thing: Mapping[str, str], why: str) -> dict[str, Any]:
     }
 
 
-def process_one(thing: Mapping[str, str]) -> dict[str, Any]:
+def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
     """The entry of a run in the table of many.
 
     `error` and `exit_code` where it cannot be processed, `skipped` for a run that has no trials, else what `_entry`
     gives.
     """
     try:
-        return _entry(Path(thing["path"]), Path(thing["out"]), thing["folder"])
+        return _entry(Path(thing["path"]), Path(thing["out"]), thing["folder"], thing.get("options") or {})
     except InvalidFile as error:
         return {"error": str(error), "exit_code": error.exit_code}
     except PmaError as error:
@@ -47,7 +47,7 @@ def process_one(thing: Mapping[str, str]) -> dict[str, Any]:
         return {"error": f"{thing['path']}  {what}", "exit_code": 1}
 
 
-def _entry(path: Path, out: Path, folder: str) -> dict[str, Any]:
+def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.analysis.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.analysis_folder import write_analysis
     from pmabench.store.chain import open_chains
@@ -58,7 +58,7 @@ def _entry(path: Path, out: Path, folder: str) -> dict[str, Any]:
     if kind in WITHOUT_TRIALS:
         return {"skipped": f"is a run of kind {kind}"}
     runs = open_chains([path])
-    (analysis,) = reduce_runs(runs)
+    (analysis,) = reduce_runs(runs, options)
     written = write_analysis(analysis, out / folder / analysis.kind, tables=False)
     told: dict[str, Any] = plain(
         {

@@ -136,6 +136,22 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert len(worked) == RUNS
 
 
+def test_other_options_are_another_result(lab):
+    tasks, out = tasks_below([lab / "runs"]), lab / "out"
+
+    def stiffness(mass):
+        many = process_many(tasks, out, options={"recorded-step": {"mass": mass}})
+        return many.count("computed"), [
+            e["value"] for entry in many.results() for e in entry["estimates"] if e["symbol"] == "K"
+        ]
+
+    computed, K = stiffness(7.85)
+    assert (computed, stiffness(7.85)) == (RUNS, (0, K))
+    again, half = stiffness(7.85 / 2)
+    assert again == RUNS
+    assert half == pytest.approx([k / 2 for k in K])  # K = M w^2
+
+
 def test_the_table_is_written_where_it_is_not_there_as_it_was(lab):
     call("process", lab / "runs")
     table = [lab / "analyses" / "each" / f"all-runs.{suffix}" for suffix in ("csv", "parquet", "json")]
