@@ -19,7 +19,7 @@ from pmabench.store.records import Event, RunData
 
 LOW, HIGH = 50e3, 100e3
 """Commanded pressures between which a cycle is counted [Pa]."""
-SYMBOLS = ("K", "F_ce", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
+SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
 """What is followed over a life, in this order."""
 
 
@@ -151,11 +151,13 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
         past = min(runs, key=lambda run: (run.date, run.run))
         methods: dict[str, str] = {}
         for e in (*analysis.estimates, *_leak(analysis)):
-            if e.symbol not in SYMBOLS or e.coordinate or methods.setdefault(e.symbol, e.method) != e.method:
+            if e.symbol not in SYMBOLS or e.coordinate not in ("", "slope"):
+                continue
+            if methods.setdefault(e.symbol, e.method) != e.method:
                 continue
             if e.value is not None:
                 at = tuple((name, float(f"{value:.6g}")) for name, value in sorted(e.at.items()) if name != "mass")
-                key = (analysis.kind, e.symbol, e.method, at)
+                key = (analysis.kind, e.symbol, e.coordinate, e.method, at)
                 found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
     made = [
         Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run)))) for key, moments in found.items()
@@ -231,6 +233,10 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
     elsewhere = total - sum(past.use.cycles for past in life)
     own = f" ({elsewhere:,} of them before or beside these runs, by the specimen file)" if elsewhere else ""
     yield Finding("note", f"{text}{in_words(time)} at pressure, at most {show(highest, 'pressure', 4)}{own}")
+    silent = sum(past.use.highest == 0 for past in life)
+    if silent:
+        what = "commands no pressure" if silent == 1 else "command no pressure"
+        yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
     for one in series:
         if len(one.moments) > 1:
             yield _change(one)

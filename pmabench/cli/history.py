@@ -48,7 +48,9 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     told = [*findings(life, chosen(series), references), *notes]
     processed = {moment.run for one in series for moment in one.moments}
     if not processed:
-        told.append(_note("no analysis of these runs lies beside them: pmabench process makes them"))
+        told.append(
+            _note("no analysis beside these runs tells a coefficient that is followed: pmabench process makes them")
+        )
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, told)
     if output is not None:

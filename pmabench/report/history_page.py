@@ -47,11 +47,14 @@ def write_history(
 
 
 def _over_cycles(one: Series, *, simulated: bool) -> Picture:
-    """A coefficient over cycles with 95 % bars."""
+    """A coefficient over cycles with 95 % bars; in order of time where no cycle is known."""
     e = one.first
     unit = shown(e.quantity, e.unit)
     moments = [m for m in one.moments if abs(m.estimate.value or 0.0) < LARGEST]
     x = np.array([m.cycles for m in moments], dtype=np.float64)
+    over = "pressure cycles"
+    if not np.ptp(x):
+        x, over = np.arange(1.0, len(x) + 1), "order of time"
     y = np.array([m.estimate.value or 0.0 for m in moments]) / unit.scale
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
 
@@ -59,7 +62,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         figure = plots.blank(plots.HALF, 2.4)
         axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.6, top=0.2)[0])
         axes.errorbar(x, y, yerr=bars, fmt="o", color=plots.BLUE, markersize=4, capsize=2, linewidth=1)
-        axes.set_xlabel("pressure cycles")
+        axes.set_xlabel(over)
         axes.set_ylabel(unit.label(clean(e.symbol, 20)))
         return figure
 
@@ -75,9 +78,9 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     ]
     return picture(
         draw,
-        f"{name[:1].upper()}{name[1:]} over pressure cycles",
+        f"{name[:1].upper()}{name[1:]} over {over}",
         f"{kind_title(one.kind)}{f', {at}' if at else ''}; 95 % intervals.",
-        f"Plot of {name} over pressure cycles, {len(moments)} values. The numbers are in the table below.",
+        f"Plot of {name} over {over}, {len(moments)} values. The numbers are in the table below.",
         pd.DataFrame(rows, dtype=object),
         wide=False,
         simulated=simulated,

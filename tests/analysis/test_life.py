@@ -93,6 +93,12 @@ def test_values_are_followed_by_the_first_method_and_one_place_is_shown():
     assert texts[1].startswith("K at 300 kPa: -5.7 % over 20 cycles, 2 values, last against first more than their")
 
 
+def test_runs_that_tell_no_command_are_counted_apart():
+    life = pasts([row("a", "2026-01-01"), (*row("b", "2026-02-01")[:-1], Use())])
+    assert any(f.text.startswith("1 of them commands no pressure") for f in findings(life, [], []))
+    assert not any("of them" in f.text for f in findings(life[:1], [], []))
+
+
 def test_reference_trials_that_leave_their_limits_are_doubted_with_the_date():
     strokes = [10e-3, 10.1e-3] * 6 + [9e-3]
     moments = tuple((f"2026-01-{i + 1:02}", 10 * i, stroke, f"r/{i}") for i, stroke in enumerate(strokes))
