@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import pmabench.report.many
 from pmabench.cli.main import main
+from pmabench.report.csv_files import csv_text
 from pmabench.report.many import process_many
 from pmabench.report.many_table import table_rows
 from pmabench.report.processed import process_one
@@ -256,3 +257,16 @@ def test_what_is_no_run_is_told_among_the_others(lab):
     assert f"{lab / 'readme.txt'}  is not a run folder" in told
     assert f"{lab / 'nowhere'}  is not a run folder: there is no such folder" in told
     assert f"recorded-step: {RUNS} runs" in told
+
+
+def test_text_that_a_spreadsheet_or_a_terminal_would_act_on_is_inert(tmp_path):
+    closed(tmp_path / "runs", specimen={"type": "=HYPERLINK(1)", "serial": "\x1b[2J"}, kind="\x1b]0;x\x07none")
+    write_run(tmp_path / "runs", 1)
+    told = call("process", tmp_path / "runs", code=3).output
+    assert "\x1b" not in told
+    assert "no reduction for runs of kind" in told
+    entry = json.loads((tmp_path / "analyses" / "each" / "all-runs.json").read_text())["runs"][0]
+    rows, numbers = table_rows([entry | {"specimen": "=HYPERLINK(1)", "verdicts": ["@SUM(1)"]}])
+    text = csv_text(rows, list(numbers))
+    assert ",'=HYPERLINK(1)," in text
+    assert "'@SUM(1)" in text
