@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.report import coefficient_figures, loop_figures, plots, ramp_figures, time_plots
+from pmabench.report import coefficient_figures, loop_figures, motion_figures, plots, ramp_figures, time_plots
 from pmabench.report.arm_figures import angles
 from pmabench.report.free_figures import lengths
 from pmabench.report.pictures import (
@@ -95,6 +95,12 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
 
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"
 CLOSED_FORM = "closed form of single steps with the polynomials of the first method, from the mean dead time on"
+
+
+def _motions(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+    """Free runs of the fitted muscle, what they leave, and the same motion over the pressure."""
+    found = _overlays(traces, simulated)
+    return found + motion_figures.residuals(traces, simulated) + motion_figures.over_pressure(traces, simulated)
 
 
 def _step_overlays(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
@@ -249,7 +255,7 @@ def _axis(trace: Trace, name: str, names: Sequence[str]) -> str:
 
 DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Picture]]], ...] = (
     (("lift",), _lifts),
-    (("overlay",), _overlays),
+    (("overlay",), _motions),
     (("step-overlay",), _step_overlays),
     (("loop", "pressure-loop"), loop_figures.loops),
     (("bode",), loop_figures.bode),

@@ -95,7 +95,7 @@ def fit_labels(figure: Figure) -> None:
     """Move the left ends of axes to the right where their labels would be cut by the edge or by axes beside them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     renderer, width = canvas.get_renderer(), figure.bbox.width
     places = [(axes, axes.get_position(), axes.get_tightbbox(renderer)) for axes in figure.axes]
     columns: dict[float, float] = {}
@@ -268,17 +268,25 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def loops_together(panels: Sequence[Panel], x_label: str, y_label: str, height: float = 2.55) -> Figure:
     """Measured loops on common axes, columns x, y."""
     figure = blank(HALF, height)
-    rows = ceil(len(panels) / 3)
+    rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.beside})) / 3)
     axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
+    told: dict[str, int] = {}
     for i, panel in enumerate(panels):
         color = PALETTE[i % len(PALETTE)]
         axes.plot(
             _closed(panel.columns["x"]), _closed(panel.columns["y"]), color=color, linewidth=1.1, label=panel.title
         )
+    for panel in panels:
+        for name, x, y in panel.beside:
+            mark = CROSSES[told.setdefault(name, len(told)) % len(CROSSES)]
+            axes.plot(x, y, mark, color=INK, markersize=4.5, label=name, zorder=4)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     few_ticks(axes)
-    figure.legend(loc="upper left", bbox_to_anchor=(0.03, 1 - 0.13 / height), ncols=3, handletextpad=0.4)
+    handles, names = axes.get_legend_handles_labels()
+    shown = dict(zip(names, handles, strict=True))
+    place = (0.03, 1 - 0.13 / height)
+    figure.legend(shown.values(), shown.keys(), loc="upper left", bbox_to_anchor=place, ncols=3, handletextpad=0.4)
     return figure
 
 

@@ -11,6 +11,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.report.analysis_folder import write_analysis
+from pmabench.report.content import content_of
 from pmabench.report.html import render
 from pmabench.report.overlays import Published, beside, comparison_table, matchable
 from tests.report.samples import all_analyses, contraction, static_load, truth
@@ -175,3 +176,20 @@ def test_files_that_are_not_there_and_labels_that_come_twice_are_told(tmp_path):
     table = tmp_path / "t.csv"
     table.write_text("P [bar],K [N/mm]\n2,2\n")
     assert 'two are called "t"' in report(tmp_path, str(table), str(table), code=2)
+
+
+def test_published_points_are_in_the_loops_of_the_first_page():
+    x = np.concatenate([np.linspace(0, 0.05, 50), np.linspace(0.05, 0, 50)])
+    force = 1000 - 1e4 * x + np.repeat([-30.0, 30.0], 50)
+    loop = Trace(
+        "loop-1",
+        "loop",
+        "Loop at 0.5 Hz, 300 kPa",
+        {"displacement": x, "force": force},
+        {"displacement": "length", "force": "force"},
+        {"pressure": 3e5, "frequency": 0.5},
+    )
+    at = np.linspace(0, 0.05, 6)
+    columns = {"displacement": at, "pressure": np.full(6, 3e5), "force": 1000 - 1e4 * at}
+    content = content_of([ramps(loop)], [], published=[Published("Line of 2009", "", Path("l.csv"), columns)])
+    assert any("Line of 2009" in item.picture.svg for item in content.front)
