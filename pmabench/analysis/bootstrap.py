@@ -1,6 +1,8 @@
 """The bootstrap over trials of a pooled fit: normal equations drawn again, nothing refitted; knows no protocol.
 
-A check of the repeats part, which is the limit of many draws, by what the draws themselves say.
+A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
+drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
+83, 231).
 """
 
 from __future__ import annotations
@@ -49,7 +51,11 @@ def bootstrap(
     for draw in range(count):
         weight = np.zeros(len(trials))
         for group in groups:
-            np.add.at(weight, chance.choice(group, len(group)), 1.0)
+            n = len(group)
+            if n == 1:
+                weight[group] = 1.0
+            else:
+                np.add.at(weight, chance.choice(group, n - 1), n / (n - 1))
         total = np.tensordot(weight, normal, 1) + prior
         scale = np.sqrt(np.diag(total))
         drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale

@@ -59,8 +59,7 @@ def asked(texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         symbol, _, form = (part.strip() for part in text.partition("="))
         if symbol not in SYMBOLS:
-            known = ", ".join(SYMBOLS)
-            raise UsageError(f"{symbol[:40]!r} has no form over pressure{did_you_mean(symbol, SYMBOLS)}; {known} have")
+            raise UsageError(f"{symbol[:40]!r} has no form over pressure{did_you_mean(symbol, SYMBOLS)}")
         match = _FORM.fullmatch(form)
         if match is None or (match[2] and match[1] != "polynomial") or int(match[2] or 0) > MOST_ORDER:
             forms = f"constant, line, polygon, polynomial, or polynomial N with N up to {MOST_ORDER}"

@@ -12,9 +12,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from pmabench.analysis.bootstrap import bootstrap
 from pmabench.analysis.campaign import gather
 from pmabench.analysis.contraction import estimates_of, pool
+from pmabench.analysis.pooled import Fit
 from pmabench.analysis.results import Estimate
+from pmabench.analysis.segments import Segments
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study
 from tests.analysis.test_contraction import SERRES
@@ -124,6 +127,21 @@ def test_40_campaigns_are_covered():
         assert n == 40
         assert k >= 34, key
     assert sum(k for k, _ in found.values()) >= 0.92 * 480
+
+
+def test_a_bootstrap_over_two_repeats_scatters_as_it_should():
+    """Mean of pairs: the variance is that of the pairs' differences, which a plain draw from two tells by half."""
+    chance = np.random.default_rng(4)
+    pairs = chance.standard_normal((400, 2))
+    empty = np.empty((800, 0))
+    fit = Fit(np.zeros(1), np.array([[1 / 800]]), np.ones((800, 1)), np.zeros(800), True, np.zeros(0))
+    none = np.zeros(800)
+    numbers = np.arange(800)
+    segments = Segments(numbers, none, none, empty, empty, empty, empty, pairs.ravel(), none, np.empty(0), 0.002)
+    draws = bootstrap(segments, fit, numbers // 2, 2000, within=True)
+    expected = np.sqrt(np.sum((pairs[:, 0] - pairs[:, 1]) ** 2) / 2 * 2) / 800
+    assert np.std(draws.theta) == pytest.approx(expected, rel=0.06)
+    assert draws.half(np.ones(1)) == pytest.approx(1.96 * expected, rel=0.08)
 
 
 # -- drift ---------------------------------------------------------------------------------------------------------
