@@ -52,9 +52,9 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     unit = shown(e.quantity, e.unit)
     moments = [m for m in one.moments if abs(m.estimate.value or 0.0) < LARGEST]
     x = np.array([m.cycles for m in moments], dtype=np.float64)
-    over = "pressure cycles"
+    over, axis = "over pressure cycles", "pressure cycles"
     if not np.ptp(x):
-        x, over = np.arange(1.0, len(x) + 1), "order of time"
+        x, over, axis = np.arange(1.0, len(x) + 1), "in order of time", "value, in order of time"
     y = np.array([m.estimate.value or 0.0 for m in moments]) / unit.scale
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
 
@@ -62,12 +62,14 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         figure = plots.blank(plots.HALF, 2.4)
         axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.6, top=0.2)[0])
         axes.errorbar(x, y, yerr=bars, fmt="o", color=plots.BLUE, markersize=4, capsize=2, linewidth=1)
-        axes.set_xlabel(over)
+        axes.set_xlabel(axis)
+        axes.locator_params(axis="x", integer=True)
         axes.set_ylabel(unit.label(clean(e.symbol, 20)))
         return figure
 
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
     name = SYMBOLS.get(e.symbol, e.symbol)
+    told = "95 % intervals" if bars.any() else "values without intervals"
     rows = [
         {
             "date": clean(m.date, 40)[:16].replace("T", " "),
@@ -78,9 +80,9 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     ]
     return picture(
         draw,
-        f"{name[:1].upper()}{name[1:]} over {over}",
-        f"{kind_title(one.kind)}{f', {at}' if at else ''}; 95 % intervals.",
-        f"Plot of {name} over {over}, {len(moments)} values. The numbers are in the table below.",
+        f"{name[:1].upper()}{name[1:]} {over}",
+        f"{kind_title(one.kind)}{f', {at}' if at else ''}; {told}.",
+        f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
         pd.DataFrame(rows, dtype=object),
         wide=False,
         simulated=simulated,
