@@ -28,7 +28,7 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 bench: $(STAMP)
-	$(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable
 
 # All parts, or PART=kill,power; writes docs/reliability.md. See tests/reliability/README.md.
 reliability: $(STAMP)
