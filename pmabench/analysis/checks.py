@@ -204,7 +204,7 @@ def drift(r: Repeats) -> Check | None:
 
 
 def _stroke(run: RunData, trial: TrialData) -> float | None:
-    return stroke_of(trial)
+    return stroke_of(trial) if "displacement" in trial.channels else None
 
 
 def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
@@ -270,7 +270,10 @@ def _window(run: RunData, trial: TrialData) -> float | None:
     """Mean contraction in the window of a validation [m]."""
     from pmabench.analysis.validation import inside_window, unusable
 
-    return None if unusable(run, trial) else float(trial.channels["displacement"][inside_window(run, trial)].mean())
+    if unusable(run, trial):
+        return None
+    x = trial.channels["displacement"][inside_window(run, trial)]
+    return float(x.mean()) if len(x) else None
 
 
 def _settings(run: RunData) -> Mapping[str, Any]:

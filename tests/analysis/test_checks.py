@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from pmabench.analysis import contraction
-from pmabench.analysis.checks import Check, Repeats, checks_of, drift, first_repeat, spread, trial_checks, with_checks
+from pmabench.analysis.checks import (
+    VALUES,
+    Check,
+    Repeats,
+    checks_of,
+    drift,
+    first_repeat,
+    spread,
+    trial_checks,
+    with_checks,
+)
 from pmabench.analysis.results import Analysis
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
@@ -70,6 +80,22 @@ def test_reference_trials_tell_drift_and_are_no_first_repeats():
     names = {check.name for check in trial_checks("contraction-relaxation", [replace(run, trials=tuple(trials))])}
     assert names == {"repeat_spread", "drift"}
     assert trial_checks("ultimate-gain", [run]) == []
+
+
+@pytest.mark.parametrize("kind", sorted(VALUES))
+def test_trials_that_lack_what_is_needed_are_no_repeats(kind):
+    """Of every kind: without channels, without commands, without a usable sample, with nothing found."""
+    run = contraction_run(rig(), CELLS[:1], repeats=2, seed=5)
+    bare = [
+        lambda t: replace(t, channels={}),
+        lambda t: replace(t, commands=(), found={}),
+        lambda t: replace(t, flags=np.full(len(t.t), 8, dtype=np.uint16)),
+        lambda t: replace(t, channels={name: np.full(len(t.t), np.nan) for name in t.channels}),
+        lambda t: replace(t, t=t.t[:1], flags=t.flags[:1], channels={n: v[:1] for n, v in t.channels.items()}),
+    ]
+    for change in bare:
+        changed = replace(run, kind=kind, trials=tuple(change(trial) for trial in run.trials))
+        assert trial_checks(kind, [changed]) == []
 
 
 def test_sines_that_stiffen_from_repeat_to_repeat():
