@@ -9,24 +9,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from math import cos, isfinite
+from math import cos, exp, isfinite, sin, sqrt, tan
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.bench.files.plant import LAWS, DaerdenFile, PlantFile, Polynomial, Table
+from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, Table
 from pmabench.bench.interface import OutputRecord
 from pmabench.files.document import Document, Location, check_schema, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
-SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
+SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping", "tau_r": "time"}
 """Coefficient -> quantity."""
-LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0}
-MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7}
+LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0, "tau_r": 1e-4}
+MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7, "tau_r": 100.0}
 """What each must lie between at all pressures of the plant [SI]."""
 JUMP = 0.02
 """Most that a coefficient may jump at a break, of its highest value."""
+PAPER_2 = 5e5
+"""Up to which its contractors were measured [Pa]."""
 AT_REST = 1.0
 """Most force that is taken for none, without pressure [N]."""
 
@@ -84,8 +86,14 @@ def plant_numbers(document: Document) -> dict[str, Any]:
             "hysteresis": hysteresis.model_dump() if hysteresis is not None else None,
             "flow": flow.model_dump() if flow is not None else None,
         }
+    if isinstance(file, ContractorFile):
+        if wrong := list(_beyond_paper_2(document, file)):
+            raise InvalidFile(wrong)
+        muscle = {name: getattr(file, name) for name in ("radius", "braid_angle", "threshold")}
+        return {**numbers, **muscle, "reach": list(file.reach)}
     compilation = _Curves(document, file.highest_pressure)
-    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in SYMBOLS}
+    given = {symbol: coefficient for symbol in SYMBOLS if (coefficient := getattr(file, symbol)) is not None}
+    curves = {symbol: compilation.curve(symbol, coefficient) for symbol, coefficient in given.items()}
     if compilation.problems:
         raise InvalidFile(compilation.problems)
     friction = file.friction.model_dump() if file.friction is not None else {}
@@ -101,6 +109,20 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
     if file.reach[1] > furthest:
         pulls = f"from {furthest:.1%} on the braid does not turn pressure into a pull"
         yield document.problem(("reach", 1), f"{file.reach[1]:.1%} is too far: {pulls}")
+
+
+def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
+    """Where a contractor's formulas say nothing (paper 2 eqs. 8-9)."""
+    if file.highest_pressure > PAPER_2 * (1 + 1e-9):
+        told = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
+        yield document.problem(("highest_pressure",), f"{told}, not to {show(file.highest_pressure, 'pressure')}")
+    a, b = 3 / tan(file.braid_angle) ** 2, 1 / sin(file.braid_angle) ** 2
+    furthest = (1 - sqrt(b / a)) / (1 + exp(-file.highest_pressure / 1e5))
+    if file.reach[1] > furthest:
+        pulls = f"from {furthest:.1%} on it does not pull at {show(file.highest_pressure, 'pressure')} either"
+        yield document.problem(("reach", 1), f"{file.reach[1]:.1%} is too far: {pulls}")
+    if file.reach[0] >= file.reach[1]:
+        yield document.problem(("reach",), "the second must lie above the first")
 
 
 class _Curves:

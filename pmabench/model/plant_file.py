@@ -23,7 +23,9 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
     regulator, noise, lag = Regulator(**numbers["regulator"]), Noise(**numbers["noise"]), float(numbers["follow_lag"])
     if numbers["law"] == "daerden":
         return _daerden(numbers, regulator, noise, lag)
-    curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r")}
+    if numbers["law"] == "contractor":
+        return _contractor(numbers, regulator, noise, lag)
+    curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r", "tau_r") if symbol in numbers}
     muscle = Muscle(
         name=str(numbers["name"]),
         friction=Friction(**numbers["friction"]),
@@ -39,6 +41,14 @@ def _curve(given: Mapping[str, Any]) -> Curve:
         pressures, values = zip(*given["points"], strict=True)
         return Curve.through(pressures, values)
     return Curve.printed(*given["pieces"], breaks=given["breaks"], unit=given["unit"], pressure=given["pressure"])
+
+
+def _contractor(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
+    from pmabench.model.contractor_muscle import ContractorMuscle  # needs the library of models, as below
+
+    names = ("name", "length", "radius", "braid_angle", "threshold")
+    low, high = numbers["reach"]
+    return Setup(ContractorMuscle(**{name: numbers[name] for name in names}, reach=(low, high)), regulator, noise, lag)
 
 
 def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:

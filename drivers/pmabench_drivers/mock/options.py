@@ -18,6 +18,8 @@ INPUTS = ("pressure", "displacement", "force", "supply", "pressure_set", "displa
 """All channel inputs; each has a noise of its own by its place here."""
 ARM = "arm-30"
 """The plant that is an arm."""
+FREE_LENGTHS = (0.15, 0.40)
+"""Of contractors whose length without load paper 2 tells [m]."""
 DUMP_VALVE = "dump_valve"
 """The output that switches the valve."""
 ISOLATION_VALVE = "isolation_valve"
@@ -179,7 +181,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
 FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
 NOT_FOR = (
     {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
-    | dict.fromkeys(CONTRACTORS, (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
+    | dict.fromkeys((*CONTRACTORS, "contractor"), (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
     | {ARM: (*FLOWS, "b_relax", "fce_eval")}
 )
 """Options that a plant has no use for; of all others what is for one plant only."""
@@ -190,6 +192,12 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
     if law == "daerden" and options.free_end != "actuator":
         way = "is for a driven free end; write free_end: actuator beside it"
         raise DeviceError(device, f"option plant: {options.plant} {way}")
+    if law == "contractor" and options.free_end == "weights" and options.numbers is not None:
+        length = float(options.numbers["length"])
+        if not FREE_LENGTHS[0] <= length <= FREE_LENGTHS[1]:
+            known = f"{1e3 * FREE_LENGTHS[0]:g} to {1e3 * FREE_LENGTHS[1]:g} mm"
+            told = f"a contractor with a free end is known for lengths of {known}, not for {1e3 * length:g} mm"
+            raise DeviceError(device, f"option plant: {told}; write free_end: actuator, or another length")
     if law == ARM and options.free_end != "weights":
         raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
     for name in NOT_FOR.get(law, (*FLOWS, "fce_eval")):

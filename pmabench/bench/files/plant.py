@@ -175,6 +175,8 @@ class ThreeElementFile(PlantFile):
     """Damping while it contracts."""
     B_r: Coefficient
     """Damping while it relaxes."""
+    tau_r: Coefficient | None = None
+    """With a free end it relaxes with this time constant of the pressure before the release, not by `B_r` (paper 1)."""
     friction: FrictionFile | None = None
 
     @model_validator(mode="after")
@@ -207,6 +209,24 @@ class DaerdenFile(PlantFile):
     """Where the pressure depends on the motion."""
 
 
-AnyPlant = Annotated[ThreeElementFile | DaerdenFile, Field(discriminator="law")]
-LAWS: dict[str, type[ThreeElementFile | DaerdenFile]] = {"three-element": ThreeElementFile, "daerden": DaerdenFile}
+class ContractorFile(PlantFile):
+    """A home-made contractor of paper 2: its force at a driven end, its length without load at a free one."""
+
+    law: Literal["contractor"]
+    radius: Annotated[Length, _within(1e-4, 0.5, "length")]
+    """At eps = 0."""
+    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")]
+    """Of the braid to the muscle's axis, at eps = 0."""
+    threshold: Annotated[Pressure, _within(0, 2e5, "pressure")] = 45e3
+    """Below it there is no force."""
+    reach: tuple[Annotated[Ratio, _within(0, 0.3, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    """From where to where it may be driven, as share of the length."""
+
+
+AnyPlant = Annotated[ThreeElementFile | DaerdenFile | ContractorFile, Field(discriminator="law")]
+LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile]] = {
+    "three-element": ThreeElementFile,
+    "daerden": DaerdenFile,
+    "contractor": ContractorFile,
+}
 """Name of the law -> its file."""
