@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import zlib
 from collections.abc import Collection
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,26 @@ def _read_73(recorded: Recorded, path: str, content: bytes, only: Collection[str
         recorded.doubts.append(f"its head says {ends} bytes, there are {len(content)}: bytes were lost or put in")
     with h5py.File(io.BytesIO(content), "r") as file:
         _group_73(recorded, path, file, "", only, 0)
+        recorded.doubts += _shared(file)
+
+
+def _shared(file: Any) -> list[str]:
+    """A doubt where two arrays lie on the same bytes: an address in the file is wrong."""
+    import h5py
+
+    places: list[tuple[int, int, str]] = []
+
+    def look(name: str, value: Any) -> None:
+        if isinstance(value, h5py.Dataset) and value.chunks is None and value.id.get_offset() is not None:
+            places.append((value.id.get_offset(), value.id.get_offset() + value.nbytes, name))
+
+    file.visititems(look)
+    places.sort()
+    return [
+        f'"{one[2][:80]}" and "{other[2][:80]}" lie on the same bytes: an address in the file is wrong'
+        for one, other in pairwise(places)
+        if one[1] > other[0]
+    ][:10]
 
 
 def _end(content: bytes) -> int | None:

@@ -35,6 +35,8 @@ SCATTERED = 0.005
 """Share of the samples that are the most scattered; at least six."""
 FEW = 50
 """With fewer samples scatter cannot be told from spikes."""
+OFTEN = 0.1
+"""Share of samples out of range above which the scale or the column itself is doubtful."""
 LARGEST = 1e30
 """No device gives a reading beyond this, or one that is smaller than its inverse and not 0."""
 OPPOSITE = -0.5
@@ -111,10 +113,11 @@ def inspect(
     the clock. One flag stands for the whole row, for rows are what fits use.
     """
     report = _Report(t, np.zeros(len(t), dtype=np.uint16))
-    _time(report, rate, gap, leap)
-    _twice(report, channels)
-    for channel in channels:
-        _channel(report, channel)
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold infinite numbers
+        _time(report, rate, gap, leap)
+        _twice(report, channels)
+        for channel in channels:
+            _channel(report, channel)
     return report.flags, report.found
 
 
@@ -188,7 +191,8 @@ def _channel(report: _Report, channel: Checked) -> None:
         else:
             beyond = ((channel.si < low) | (channel.si > high)) & ~out
     bounds = f"{show(low, rule.quantity, 4)} to {show(high, rule.quantity, 4)}"
-    report.mark(beyond, Flag.OVERRANGE, "note", "out-of-range", f"is at or beyond its range, {bounds}", name)
+    level = "doubt" if float(np.mean(beyond)) > OFTEN else "note"
+    report.mark(beyond, Flag.OVERRANGE, level, "out-of-range", f"is at or beyond its range, {bounds}", name)
     if rule.stale_after is not None:
         _stale(report, channel, rule.stale_after)
     _spikes(report, channel, ~(out | beyond))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Collection
+import logging
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from typing import Any
 
@@ -27,8 +29,8 @@ def read_tdms(path: str, content: bytes, only: Collection[str] | None) -> Record
     from nptdms import TdmsFile
 
     ends = _end(content)
-    with damaged(path, "TDMS"), TdmsFile.open(io.BytesIO(content)) as file:
-        recorded = Recorded([])
+    recorded = Recorded([])
+    with damaged(path, "TDMS"), _warnings(recorded), TdmsFile.open(io.BytesIO(content)) as file:
         if getattr(file.file_status, "incomplete_final_segment", False):
             recorded.cut_end = True
             recorded.doubts.append("the last segment is incomplete: the recording was cut off")
@@ -39,6 +41,22 @@ def read_tdms(path: str, content: bytes, only: Collection[str] | None) -> Record
         for group in file.groups():
             _group(recorded, group, only)
         return recorded
+
+
+@contextmanager
+def _warnings(recorded: Recorded) -> Iterator[None]:
+    """What npTDMS logs of a file that contradicts itself is a doubt."""
+
+    class Doubts(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            recorded.doubts.append(record.getMessage()[:200])
+
+    logger, handler = logging.getLogger("nptdms"), Doubts(logging.WARNING)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 def _end(content: bytes) -> int | None:
