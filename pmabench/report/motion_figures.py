@@ -61,7 +61,7 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         return []
     unit = unit_of(parts[0][0], "displacement")
     steps = np.array([float(np.median(np.diff(t.columns["t"]))) for t, _ in parts])
-    lags = np.arange(LAGS + 1) * float(np.median(steps))
+    lags = np.asarray(np.arange(LAGS + 1) * float(np.median(steps)), dtype=np.float64)
     correlations = [(head(t), _autocorrelation(values)) for t, values in parts[:TOGETHER]]
     pooled = np.sort(np.concatenate([values / np.std(values) for _, values in parts]))
     share = np.arange(1, POINTS + 1) / (POINTS + 1)

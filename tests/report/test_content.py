@@ -92,11 +92,11 @@ def test_the_verdict_is_the_worst_that_is_known(analyses, status, failed, accept
 
 
 def test_the_checklist_names_what_is_missing_and_takes_what_is_told():
-    bare = content_of(samples.all_analyses(), samples.all_runs())
+    bare = content_of([samples.static_load()], samples.all_runs())
     missing = {item.asked for item in bare.checklist if not item.there}
     assert {"the customer", "date of issue", "who authorises the report"} <= missing
     told = Issuer("Muscle Lab, 1 Air St", "ACME", "A. Meyer", "2026-11-23")
-    full = content_of(samples.all_analyses(), samples.all_runs(), issuer=told)
+    full = content_of([samples.static_load()], samples.all_runs(), issuer=told)
     assert missing - {item.asked for item in full.checklist if not item.there} == {
         "the laboratory, its address, where it was tested",
         "the customer",
@@ -132,8 +132,8 @@ def test_the_methods_paragraph_names_specimen_points_and_primary_methods():
 
 
 def test_the_citation_is_the_same_for_the_same_report():
-    one = content_of(samples.all_analyses(), samples.all_runs(), title="K & B of 100 % {x}")
-    again = content_of(samples.all_analyses(), samples.all_runs()[::-1], title="K & B of 100 % {x}")
+    one = content_of([samples.static_load()], samples.all_runs(), title="K & B of 100 % {x}")
+    again = content_of([samples.static_load()], samples.all_runs()[::-1], title="K & B of 100 % {x}")
     assert one.cite == again.cite
     assert one.report_id in one.cite[0]
     assert r"title = {K \& B of 100 \% \{x\}}" in one.cite[1]
