@@ -52,7 +52,7 @@ class ExpectedPoint(Strict):
 
 
 class ExpectedFile(Strict):
-    """Earlier coefficients, used by `check` to predict forces; never by the analysis."""
+    """Earlier coefficients: `check` predicts forces by them, `accept` may ask for agreement; no fit knows them."""
 
     source: Text
     F_c: Force = 0.0
