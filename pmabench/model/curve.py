@@ -58,6 +58,11 @@ class Curve:
             for column in rest:
                 value = value * P + column
             return value
+        if self.breaks and P.size:
+            low, high = float(P.min()), float(P.max())
+            first = bisect_right(self.breaks, low)
+            if low <= high and first == bisect_right(self.breaks, high):  # not where one is no number
+                return _polynomial(self.pieces[first], P)
         value = _polynomial(self.pieces[0], P)
         for edge, piece in zip(self.breaks, self.pieces[1:], strict=True):
             value = np.where(edge <= P, _polynomial(piece, P), value)

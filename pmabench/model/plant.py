@@ -191,7 +191,8 @@ class Plant:
         F = muscle.pull(P, x)
         if way:
             speed = np.abs(v)
-            F -= way * (muscle.damping(P, way * speed) * speed + muscle.friction.values(speed))
+            damping = (muscle.B_c if way > 0 else muscle.B_r).values(P)
+            F -= way * (damping * speed + muscle.friction.values(speed))
         else:
             F = np.minimum(F, self.force) if self.x <= 0 else np.maximum(F, self.force)
         record.fill(x, v, P, F)

@@ -119,3 +119,12 @@ def test_overrides_make_the_variants_of_the_ultimate_gain_test():
 def test_what_cannot_be_is_refused(plant, kind, changes):
     with pytest.raises(ValueError, match=r"\w"):
         preset(plant, kind, Overrides(**changes))
+
+
+def test_a_curve_takes_each_pressure_for_itself():
+    """All of one piece, of several, none, and one that is no number: as each of them alone."""
+    curve = Curve(((1.0,), (2.0, 1.0), (5.0,)), (10.0, 20.0))
+    for P in ([11.0, 12.0], [1.0, 2.0], [25.0], [1.0, 10.0, 20.0], [], [1.0, np.nan, 15.0]):
+        found = curve.values(np.array(P, dtype=np.float64))
+        known = [(p, value) for p, value in zip(P, found, strict=True) if p == p]
+        assert [value for _, value in known] == [curve(p) for p, _ in known]
