@@ -19,6 +19,7 @@ from pmabench.analysis.contraction_values import FEWEST, Told, values
 from pmabench.analysis.curves import curve
 from pmabench.analysis.intervals import Pooled, Trust, assess, replay_fits
 from pmabench.analysis.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
+from pmabench.analysis.regulator_response import regulator
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
 from pmabench.analysis.segments import Gate, Samples, Segments, cut, moved
 from pmabench.base.quantities import show
@@ -41,7 +42,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
-    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials.
+    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
+    `regulator`: dead time and lags from the command to the pressure [s].
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -58,11 +60,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     dropped += _unmoved(campaign, pooled)
     draws = int(options.get("bootstrap", 0))
     resampled = contraction_view.resampled(campaign, pooled, estimates, draws) if draws else None
+    response, described = regulator(campaign) if options.get("regulator") else ([], [])
     traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
     return Analysis.of(
         KIND,
         runs,
-        estimates=(*estimates, *joint.estimates, *beside.estimates),
+        estimates=(*estimates, *joint.estimates, *beside.estimates, *response),
         curves=(*curves, *joint.curves, *beside.curves),
         dropped=dropped,
         findings=(
@@ -71,6 +74,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
             *beside.findings,
+            *described,
             *reference.findings(runs),
         ),
         traces=traces,

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     metavar="N",
     help="Contraction runs: so many draws over the trials check the intervals.",
 )
+@click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @common
 def command(
     ui: Ui,
@@ -49,6 +50,7 @@ def command(
     cluster: str | None,
     forms: tuple[str, ...],
     bootstrap: int | None,
+    regulator: bool,
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
 
@@ -60,7 +62,7 @@ def command(
     """
     from pmabench.store.below import ANALYSES, holds_runs
 
-    joint = _joint(forms) | ({} if bootstrap is None else {"bootstrap": bootstrap})
+    asked = _asked(forms, bootstrap, regulator)
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -70,7 +72,7 @@ def command(
         start = runs[0].resolve()
         place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
-        return process_folders(ui, wanted, place, jobs or 1, cluster, {JOINT: joint})
+        return process_folders(ui, wanted, place, jobs or 1, cluster, {CONTRACTION: asked})
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
@@ -78,9 +80,11 @@ def command(
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
-    if joint and all(run.kind != JOINT for run in loaded):
-        raise UsageError(f"--form and --bootstrap are for runs of kind {JOINT}, and none of these is one")
-    analyses = analyse(loaded, {JOINT: joint})
+    if asked and all(run.kind != CONTRACTION for run in loaded):
+        raise UsageError(
+            f"--form, --bootstrap and --regulator are for runs of kind {CONTRACTION}, and none of these is one"
+        )
+    analyses = analyse(loaded, {CONTRACTION: asked})
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
     folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
@@ -117,18 +121,18 @@ def beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
-def _joint(forms: tuple[str, ...]) -> dict[str, Any]:
-    """Options of a joint fit, empty where none is asked for; UsageError for a form that is none."""
-    if not forms:
-        return {}
-    from pmabench.analysis.forms import asked
+def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool) -> dict[str, Any]:
+    """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
+    if forms:
+        from pmabench.analysis.forms import asked
 
-    asked(forms)
-    return {"forms": list(forms)}
+        asked(forms)
+    told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator}
+    return {name: value for name, value in told.items() if value}
 
 
-JOINT = "contraction-relaxation"
-"""The kind of runs that --form and --bootstrap are for."""
+CONTRACTION = "contraction-relaxation"
+"""The kind of runs that --form, --bootstrap and --regulator are for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 

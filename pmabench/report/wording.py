@@ -119,8 +119,10 @@ METHODS: dict[str, str] = {
     "M x″ + B(P) x′ + K(P) x + F_c sign x′ = F_ce(P) − F_L, driven by the pressure that was measured. "
     "K, B_c, B_r and F_ce are values at the tested pressures with straight lines between.",
     "joint": "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial "
-    "of a given or chosen order) from the lowest tested pressure up; its residual beside that of straight lines between "
-    "pressures tells whether the forms are enough.",
+    "of a given or chosen order) from the lowest tested pressure up; its residual beside that of straight lines "
+    "between pressures tells whether the forms are enough.",
+    "regulator-response": "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to "
+    "the mean step of the measured pressure at each pressure, over the time since the command.",
     "step-exponential": "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from "
     "an exponential through the displacement. It takes the pressure for a step, so B comes out too large where the "
     "regulator is slow; kept for comparison with published values.",

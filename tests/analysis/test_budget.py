@@ -77,6 +77,7 @@ def bare(run: RunData, keep: str) -> RunData:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
     """Sensors of one channel err, hardly any noise: 200 campaigns; the spread of 200 is known to 5 % (one sigma)."""
@@ -90,6 +91,7 @@ def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_noise_alone_scatters_as_its_line_says():
     """200 campaigns whose sensors are right."""
     lines, scatter = told(campaign(1, ())), spread(range(200), (), 1.0)
@@ -103,6 +105,7 @@ def test_noise_alone_scatters_as_its_line_says():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_500_campaigns_are_covered():
     """`pytest -s -m slow -k 500 tests/analysis/test_budget.py` prints the table; some minutes on two cores."""
     from tests.analysis.coverage_study import table
