@@ -10,13 +10,16 @@ import base64
 import json
 from collections.abc import Sequence
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 from pmabench.base.errors import PmaError, RecordError, UsageError
 from pmabench.report.content import LEVELS, Content, Numbered
 from pmabench.report.grids import Grid
+from pmabench.report.run_notes import Said
 from pmabench.report.svg import symbol_parts
 from pmabench.report.wording import clean
 
@@ -105,14 +108,7 @@ class _Data:
             "benches": self.pairs([(name, about or "No devices are told.") for name, about in c.benches]),
             "deviations": [symbol_parts(text) for text in c.deviations],
             "missing": ", ".join(c.missing),
-            "notes": [
-                {
-                    "said": f"{n.run}, {n.utc} UTC, {n.operator}: {n.text}"
-                    + (f" (attached: {', '.join(n.files)})" if n.files else ""),
-                    "photos": [{"file": self.photo(uri), "alt": f"Picture {name}"} for name, uri in n.pictures],
-                }
-                for n in c.notes
-            ],
+            "notes": [self.note(note) for note in c.notes],
             "coefficients": self.grid(c.coefficients, "Primary methods, by pressure"),
             "compared": [self.grid(grid) for grid in c.compared],
             "curves": self.grid(c.curves, "Fitted curves over pressure; valid inside their range only"),
@@ -179,12 +175,34 @@ class _Data:
             found.append(told)
         return found
 
+    def note(self, note: Said) -> dict[str, Any]:
+        """A note with its pictures; one that cannot be read is only named, as other files are."""
+        photos, files = [], list(note.files)
+        for name, uri in note.pictures:
+            file = self.photo(uri)
+            if file:
+                photos.append({"file": file, "alt": f"Picture {name}"})
+            else:
+                files.append(name)
+        attached = f" (attached: {', '.join(files)})" if files else ""
+        return {"said": f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{attached}", "photos": photos}
+
     def photo(self, uri: str) -> str:
+        """The name of the picture's file; empty for one that is damaged or too large to be unpacked."""
+        from matplotlib.image import imread
+
+        head, _, data = uri.partition(";base64,")
+        kind = "png" if head.endswith("png") else "jpg"
+        raw = base64.b64decode(data)
+        try:
+            with catch_warnings():
+                simplefilter("error")
+                imread(BytesIO(raw), format=kind)
+        except (OSError, ValueError, SyntaxError, RuntimeError, Warning):
+            return ""
         self.files += 1
-        kind, _, data = uri.partition(";base64,")
-        name = f"photo-{self.files}.{'png' if kind.endswith('png') else 'jpg'}"
-        (self.folder / name).write_bytes(base64.b64decode(data))
-        return name
+        (self.folder / f"photo-{self.files}.{kind}").write_bytes(raw)
+        return f"photo-{self.files}.{kind}"
 
 
 def _level(level: str) -> str:

@@ -1,5 +1,6 @@
 """PDF and workbook: the same content as the page, read back by other programs; each figure is described."""
 
+import base64
 import io
 import sys
 from dataclasses import replace
@@ -12,9 +13,11 @@ from pmabench.analysis.results import Parts, Source
 from pmabench.base.errors import UsageError
 from pmabench.report.content import content_of
 from pmabench.report.pdf import pdf_bytes, write_pdf
+from pmabench.report.run_notes import Said
 from pmabench.report.workbook import workbook_bytes, write_workbook
 
 from . import samples
+from .test_run_notes import PNG
 
 
 @pytest.fixture(scope="module")
@@ -97,3 +100,15 @@ def test_without_the_extra_a_sentence_says_which(content, monkeypatch, tmp_path,
     with pytest.raises(UsageError) as told:
         write_pdf(content, tmp_path / "x") if module == "typst" else write_workbook(content, [], tmp_path / "x")
     assert extra in str(told.value)
+
+
+def test_pictures_of_notes_are_shown_and_damaged_ones_named(content):
+    good = f"data:image/png;base64,{base64.b64encode(PNG).decode()}"
+    cut = f"data:image/png;base64,{base64.b64encode(PNG[:40]).decode()}"
+    said = Said("R1", "2026-11-22 10:00", "A. Meyer", "hose", (("rig.png", good), ("cut.png", cut)), ())
+    few = replace(content, notes=[said], sections=[], front=[], curves=content.polynomials)
+    reader = pypdf.PdfReader(io.BytesIO(pdf_bytes(few)))
+    assert sum(len(page.images) for page in reader.pages) == 1
+    assert "Picture rig.png" in alternatives(reader.root_object["/StructTreeRoot"], set())
+    words = " ".join(" ".join(page.extract_text() for page in reader.pages[:3]).split())
+    assert "hose (attached: cut.png)" in words
