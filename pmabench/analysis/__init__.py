@@ -2,13 +2,17 @@
 
 `reduce.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`).
 
-- contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`; the papers'
-  way and the dead times are in `contraction_steps`, `steps`, `onset`; words and figures in `contraction_view`
+- contraction-relaxation: `contraction`, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`, `drift`,
+  `contraction_values`; the papers' way and the dead times are in `contraction_steps`, `steps`, `onset`; words and
+  figures in `contraction_view`; where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`,
+  draws over trials in `bootstrap`, the regulator in `regulator_response`
 - the same by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model
   against test in `contraction_paper1_view`
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_mean`, `sine_traces`
-- ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation`; controller settings in `tuning`
+- ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation` (rising gain), `relay_gain`, `relay_levels` (relay),
+  `open_loop_gain`, `open_loop`, `open_loop_fit` (steps without a loop), `gain_ways` (the ways against each other);
+  controller settings in `tuning`, `simc`
 - positioning: `positioning`, made of `position_response`; validation: `validation`; both beside `simulated`, the model
   that a plan carries
 - isometric-pressurisation: `isometric_pressurisation`, made of `isometric_lines`, `isometric_curve`, `section` (S over

@@ -47,7 +47,7 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
                 lines.append(Finding("note", text))
                 continue
             apart = max(exact) / min(exact) - 1
-            text += f"; the ways {'but the describing function ' * (len(exact) < len(found))}are {apart:.0%} apart"
+            text += f"; the ways {'but the describing function ' * (len(exact) < len(found))}are {apart:.1%} apart"
             if apart > APART[symbol]:
                 text += ", more than without friction: stiction, or a muscle that bends within the swings"
             lines.append(Finding("doubt" if apart > APART[symbol] else "note", text))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.optimize import brentq
 
 from pmabench.analysis.open_loop import examine
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.ultimate_gain import reduce
+from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
@@ -77,10 +81,10 @@ def found(analysis: Analysis) -> dict[str, Any]:
 
 CASES = [
     ("mock", 0.03, "0 kg", 0.0955, FREE),
-    ("mock", 0.03, "0 kg", 0.22, {"friction": 0}),
     ("mock-serres2009", 0.045, "0 kg", 0.0955, FREE),
 ]
 MORE = [
+    ("mock", 0.03, "0 kg", 0.22, {"friction": 0}),
     ("mock", 0.01, "0 kg", 0.0955, FREE),
     ("mock", 0.05, "0 kg", 0.0955, {"friction": 0}),
     ("mock", 0.03, "11 kg", 0.0955, FREE),
@@ -166,3 +170,31 @@ def test_what_cannot_be_used_gives_a_reason(free: RunData) -> None:
         analysis = reduce([replace(free, trials=(changed,))])
         assert reason in analysis.dropped[0].reason
         assert all(e.value is None for e in analysis.estimates)
+
+
+def test_tune_prints_the_settings_of_recorded_steps(free: RunData) -> None:
+    told = CliRunner().invoke(main, ["tune", "--steps", free.path])
+    assert told.exit_code == 0, told.output
+    line = told.stdout.splitlines()[0]
+    assert re.match(
+        r"at setpoint 30 mm, load 0 N, bias .* kPa, mass 2 kg: K_u = 60\.\d+ kPa/mm \+- .* \(open-loop\)", line
+    )
+    for column in ("Ziegler-Nichols PI", "SIMC PID", "phase margin", "overshoot", "settling"):
+        assert column in " ".join(told.stdout.split())
+    data = json.loads(CliRunner().invoke(main, ["tune", "--steps", free.path, "--rule", "SIMC", "--json"]).stdout)
+    assert {row["form"] for row in data["settings"]} == {"PI", "PID"}
+    assert all(row["margins"]["M_s"] < 2.0 and 0.1 < row["settling"] < 2.0 for row in data["settings"])
+    assert [e["symbol"] for e in data["ultimate"]] == ["K_u", "T_u"]
+
+
+def test_tune_refuses_runs_without_steps(free: RunData, tmp_path: Path) -> None:
+    for args, says, code in (
+        (["--steps"], "--steps takes runs", 2),
+        ([free.path], "--steps takes runs", 2),
+        (["--steps", free.path, "--ku", "7 bar/cm"], "--steps takes runs and nothing else", 2),
+        (["--steps", str(tmp_path)], "", 3),
+        (["--ku", "7.1 bar/cm", "--tu", "9 s", "--rule", "SIMC"], "SIMC needs the loop itself", 2),
+    ):
+        told = CliRunner().invoke(main, ["tune", *args])
+        assert told.exit_code == code, told.output
+        assert says in " ".join(told.output.split())
