@@ -19,6 +19,7 @@ from pmabench.analysis.sine_fit import CYCLES_OF_EACH, Fitted, Member
 
 METHOD = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
+UNTOLD = "no repeats part: no more trials than the line over speed needs"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
 
@@ -57,6 +58,7 @@ def estimate(at: Mapping[str, float], fitted: Fitted, scales: Scales, slope: flo
     if slope is not None:
         gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
+    scatter = UNTOLD if half is None else CYCLES_OF_EACH if one_each else ""
     return Estimate(
         "F_ce",
         line.start,
@@ -66,9 +68,7 @@ def estimate(at: Mapping[str, float], fitted: Fitted, scales: Scales, slope: flo
         dict(at),
         Parts(half, hypot(K_bias * mean, doubt), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)),
         len(members),
-        note=sentences(
-            ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", CYCLES_OF_EACH if one_each else ""
-        ),
+        note=sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter),
         trials=tuple(member.name for member in members),
     )
 
