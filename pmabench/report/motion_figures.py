@@ -81,7 +81,8 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     )
     columns = {"lag": lags} | {f"r{n}": r for n, (_, r) in enumerate(correlations)}
     table = numbers([("", Trace("", "", "", columns, {"lag": "time"}))])
-    table.columns = ["lag [s]", *(f"autocorrelation, {name}" for name, _ in correlations)]
+    heads = (f"autocorrelation {n}, {name}" for n, (name, _) in enumerate(correlations, 1))
+    table.columns = ["lag [s]", *heads]
     draw = bound(motion_plots.residuals, lags, correlations, normal, quantiles)
     return [picture(draw, "Residuals of the free runs", caption, alt, table, wide=True, simulated=simulated)]
 
