@@ -101,7 +101,7 @@ def silent(found, whole, rules):
 @pytest.mark.timeout(1800)  # on demand there are 10,000 cases of each
 @pytest.mark.parametrize("name", SOURCES)
 def test_damaged_files_are_refused_or_what_they_changed_is_told(tmp_path, name, record_property):
-    count = cases(60)
+    count = cases(50)
     source, map_name = SOURCES[name]
     rules, content = read_map(OLD / map_name), source.read_bytes()
     path = tmp_path / source.parent.name / source.name
