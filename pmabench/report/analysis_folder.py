@@ -123,7 +123,8 @@ def read_analysis(folder: Path) -> Analysis:
 def runs_of(folder: Path) -> list[Path]:
     """The folders of the runs behind an analysis, as far as they lie where `process` and `demo` leave them.
 
-    Looked for beside the analysis folder and its parents, and in a folder `runs` there; what is not found is left out.
+    Looked for beside the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
+    same folders; what is not found is left out.
     """
     path = folder / ANALYSIS
     try:
@@ -131,7 +132,11 @@ def runs_of(folder: Path) -> list[Path]:
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise invalid(folder, f"is not an analysis folder: {ANALYSIS} cannot be read") from error
     found = []
-    places = list(folder.resolve().parents)[:4]
+    parents = list(folder.resolve().parents)
+    places = parents[:4]
+    each = next((place for place in parents if (place.name, place.parent.name) == ("each", "analyses")), None)
+    if each is not None:
+        places.extend(each.parents[1] / part / parents[0].relative_to(each).parent for part in ("", "runs"))
     for name in names if isinstance(names, list) else ():
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             continue

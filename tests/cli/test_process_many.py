@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import pmabench.report.many
 from pmabench.cli.main import main
+from pmabench.report.analysis_folder import runs_of
 from pmabench.report.csv_files import csv_text
 from pmabench.report.many import process_many
 from pmabench.report.many_table import table_rows
@@ -79,6 +80,8 @@ def test_one_run_named_alone_gives_the_same_analysis(archive, tmp_path):
     lab, _ = archive
     run = next((lab / "runs" / "2018").iterdir())
     call("process", run, "--out", tmp_path / "alone")
+    (each,) = (lab / "analyses" / "each" / "2018" / run.name).iterdir()
+    assert runs_of(each) == [run]
     alone = (tmp_path / "alone" / "recorded-step" / "analysis.json").read_bytes()
     assert alone == (lab / "analyses" / "each" / "2018" / run.name / "recorded-step" / "analysis.json").read_bytes()
 
