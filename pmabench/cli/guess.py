@@ -117,7 +117,7 @@ def _show(found: Guess) -> None:
         click.echo(f"\nthe first {min(SECONDS, float(seconds[rows - 1] - seconds[0])):.3g} s:")
     for column in found.columns:
         told = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
-        click.echo(_clean(f"\n{column.name}: {told}"))
+        click.echo("\n" + _clean(f"{column.name}: {told}"))
         shown = column.values[: max(rows or 0, 2)] if rows else column.values
         good = shown[abs(shown) < float("inf")] if len(shown) else shown
         if len(good):
@@ -127,9 +127,9 @@ def _show(found: Guess) -> None:
         for text in column.doubts:
             click.echo(_clean(f"  DOUBT: {text}"))
     for text in found.doubts:
-        click.echo(_clean(f"\nDOUBT: {text}"))
+        click.echo("\n" + _clean(f"DOUBT: {text}"))
 
 
 def _clean(text: str) -> str:
     """Without signs that a terminal would obey."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else "?" for sign in text)
+    return "".join(sign if sign.isprintable() else "?" for sign in text)

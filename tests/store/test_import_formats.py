@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
 from pmabench.store.importers import warm
 from pmabench.store.importers.importing import import_files
 from pmabench.store.importers.lvm import read_lvm
@@ -258,3 +260,23 @@ def test_a_package_that_is_not_installed_is_named_with_the_remedy(tmp_path, monk
 
 def test_the_maps_name_every_format():
     assert {read_map(OLD / f"{kind}.yaml").layout.format for kind in ("lvm", "tdms", "mat")} == {"lvm", "tdms", "mat"}
+
+
+def test_names_in_a_file_reach_no_terminal_as_they_are(tmp_path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    evil = "\x1b[2J\x9b31mroom\nfault: none"
+    data, names = made.truth(), {key: made.NAMES[key] for key in ("P", "F", "x", "command")}
+    with TdmsWriter(tmp_path / "evil.tdms") as writer:
+        timing = {"wf_increment": 0.01, "wf_start_offset": 0.0}
+        channels = [ChannelObject("bench", name, data[key], timing) for key, name in names.items()]
+        writer.write_segment([*channels, ChannelObject("bench", evil, data["F"], timing)])
+    for args in (
+        ["import", tmp_path / "evil.tdms", "--map", OLD / "tdms.yaml", "--out", tmp_path / "runs", "-v"],
+        ["import", "--guess", tmp_path / "evil.tdms"],
+    ):
+        told = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+        assert told.exit_code == 0
+        assert "room" in told.output
+        assert not {"\x1b", "\x9b"} & set(told.output)
+        assert "\nfault: none" not in told.output

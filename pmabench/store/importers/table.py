@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid
 from pmabench.store.importers.map_file import TIME, BinaryLayout, TextLayout
-from pmabench.store.importers.warm import read_apart
+from pmabench.store.importers.warm import read_apart, shown
 from pmabench.store.records import Array
 
 MAX_BYTES = 200_000_000
@@ -75,8 +75,8 @@ def read_table(
         cut_end=bool(head.get("cut_end")),
         units={**units, TIME: "s"} if made else units,
         started=datetime.fromisoformat(started) if started else None,
-        doubts=tuple(str(text) for text in head.get("doubts", [])),
-        left_out=tuple(str(text) for text in head.get("left_out", [])),
+        doubts=tuple(shown(text) for text in head.get("doubts", [])),
+        left_out=tuple(shown(text) for text in head.get("left_out", [])),
     )
 
 

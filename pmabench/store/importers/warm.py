@@ -176,13 +176,11 @@ def read_apart(
             )
         raise invalid(path, "is nested deeper than any file of measurements; it is damaged or hostile")
     if "problems" in head:
-        raise InvalidFile(
-            Problem(path, int(line), int(column), _shown(text)) for line, column, text in head["problems"]
-        )
+        raise InvalidFile(Problem(path, int(line), int(column), shown(text)) for line, column, text in head["problems"])
     return _answer(head, numbers)
 
 
-def _shown(text: object) -> str:
+def shown(text: object) -> str:
     """What a file says, without signs that a terminal would obey."""
     return "".join(sign if sign.isprintable() else f"\\x{ord(sign):02x}" for sign in str(text))
 

@@ -88,7 +88,7 @@ def _text(text: str) -> str:
         "null",
     }:
         return text.strip() if text == text.strip() else json.dumps(text)
-    return json.dumps(text, ensure_ascii=False)
+    return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
 def _file(guess: Guess) -> list[str]:
@@ -237,7 +237,9 @@ def _name_tells(guess: Guess) -> list[str]:
     if not guess.forms:
         return []
     lines = [f"name_tells:{_why(guess, 'name_tells')}", f"  of: {guess.form_of}"]
-    lines.append(f"  forms: [{', '.join(json.dumps(form, ensure_ascii=False) for form in guess.forms)}]")
+    lines.append(
+        f"  forms: [{', '.join(json.dumps(form, ensure_ascii=not form.isprintable()) for form in guess.forms)}]"
+    )
     if guess.form_comma:
         lines.append("  decimal: comma")
     if guess.form_units:
