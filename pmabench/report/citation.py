@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pmabench import __version__
 from pmabench.analysis.results import Analysis
 from pmabench.report import provenance
-from pmabench.report.wording import AGREEMENT, METHODS, clean, kind_title
+from pmabench.report.method_words import described
+from pmabench.report.wording import AGREEMENT, clean, kind_title
 from pmabench.store.records import RunData
 
 
@@ -29,7 +30,7 @@ def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> 
     seen: set[str] = set()
     for analysis in (a for a in analyses if a.kind != AGREEMENT and a.estimates):
         method = analysis.estimates[0].method
-        how = METHODS.get(method) or METHODS.get(method.partition(" above ")[0])
+        how = described(method)
         named = f"{kind_title(analysis.kind)} was evaluated by the method “{clean(method, 120)}”"
         told.append(f"{named}: {how.rstrip('.')}." if how and method not in seen else f"{named}.")
         seen.add(method)

@@ -22,6 +22,7 @@ from pmabench.report.deviations import deviations
 from pmabench.report.figures import front_pictures, kind_pictures
 from pmabench.report.front import Tile, Verdict, first_findings, tiles_of, verdict_of
 from pmabench.report.grids import Grid, grid
+from pmabench.report.method_words import described
 from pmabench.report.parents import Parents
 from pmabench.report.pictures import Picture
 from pmabench.report.run_notes import Said, notes_of
@@ -258,9 +259,7 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
     """Names and descriptions; methods with one description stand together."""
     found: dict[str, list[str]] = {}
     for method in methods:
-        told = (
-            wording.METHODS.get(method) or wording.METHODS.get(method.partition(" above ")[0]) or "Not described here."
-        )
+        told = described(method) or "Not described here."
         found.setdefault(told, []).append(wording.clean(method, 120))
     return [("; ".join(names), told) for told, names in found.items()]
 

@@ -67,6 +67,9 @@ def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -
     if len(frame) > MOST_ROWS:
         caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
         frame = frame.head(MOST_ROWS)
+    if not frame.columns.is_unique:
+        heads = [str(c) for c in frame.columns]
+        frame = frame.set_axis([f"{c} ({heads[: n + 1].count(c)})" for n, c in enumerate(heads)], axis=1)
     shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
     methods = frame["method"].nunique() if "method" in shown_columns else 0
     few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source
@@ -14,6 +15,7 @@ from pmabench.report.citation import methods_paragraph
 from pmabench.report.content import content_of
 from pmabench.report.deviations import deviations
 from pmabench.report.front import verdict_of
+from pmabench.report.grids import grid
 from pmabench.report.parents import trials_told
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
@@ -177,3 +179,9 @@ def test_labels_of_long_numbers_are_not_cut():
     (picture,) = coefficient_figures.others(Analysis("x", ("r",), False, estimates))
     (baseline,) = re.findall(r'<text[^>]* x="(-?[\d.]+)"[^>]*rotate\(-90', picture.svg)
     assert float(baseline) > 8.0, "a label of 8 points stands left of its base line"
+
+
+def test_columns_with_one_head_are_told_apart():
+    made = grid(pd.DataFrame([["1", "2"]], columns=["force", "force"]))
+    assert [c.head for c in made.columns] == ["force (1)", "force (2)"]
+    assert [cell.text for cell in made.groups[0][1][0]] == ["1", "2"]
