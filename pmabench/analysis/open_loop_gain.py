@@ -174,9 +174,9 @@ def traces(cell: StepsCell) -> list[Trace]:
     stride = max(1, -(-int(mask.sum()) // LONGEST_TRACE))
     columns: dict[str, Array] = {"t": t[mask] - begin, "displacement": x[mask]}
     if found.moved is not None:
-        columns["fit"] = found.moved.fitted(t, P, steps)[mask]
+        columns["model"] = found.moved.fitted(t, P, steps)[mask]
     columns["pressure"] = P[mask] + steps[3].value
-    kinds = {"displacement": "length", "fit": "length", "t": "time"}
+    kinds = {"displacement": "length", "model": "length", "t": "time"}
     at = "-".join(f"{value:g}" for value in (cell.at.get("setpoint", 0.0), cell.at.get("load", 0.0)))
     return [
         Trace(

@@ -193,7 +193,7 @@ def _pairs(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
         _point(fact["at"]): Loop(
             fact["gain"],
             fact["dead_time"],
-            tuple(complex(*lag) if isinstance(lag, list) else lag for lag in fact["lags"]),
+            tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"]),
         )
         for fact in analysis.facts.get("loops", [])
     }

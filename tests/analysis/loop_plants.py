@@ -34,11 +34,14 @@ class Case:
     seed: int
     friction: float = 0.0
     """Kinetic friction [N]; the static one is 10/6 of it."""
+    muscle: str = ""
+    """One of `BENT` with `setpoint` [m], in place of one at random; kinks are then not avoided."""
+    setpoint: float = 0.0
 
     def __post_init__(self) -> None:
         self.random = r = random.Random(self.seed)
         while True:
-            name = r.choice(list(BENT))
+            name = self.muscle or r.choice(list(BENT))
             self.same = r.random() < 0.5
             self.lag, self.dead_time = r.uniform(0.05, 0.25), r.uniform(0.02, 0.06)
             self.mass, self.x, self.noise = (
@@ -46,6 +49,7 @@ class Case:
                 r.uniform(0.012, 0.05),
                 r.choice([0.5, 1.0, 2.0]),
             )
+            self.x = self.setpoint or self.x
             change = Overrides(
                 F_s=self.friction / 0.6, F_c=self.friction, regulator_lag=self.lag, dead_time=self.dead_time,
                 b_relax="b_contract" if self.same else None,
@@ -54,7 +58,7 @@ class Case:
             self.load = (self.mass - 2.0) * 9.81
             if self._balance(6e4) < 0 < self._balance(4.8e5):
                 self.P = float(brentq(self._balance, 6e4, 4.8e5))
-                if all(abs(self.P - kink) > 5e4 for kink in BENT[name]):
+                if self.setpoint or all(abs(self.P - kink) > 5e4 for kink in BENT[name]):
                     break
         F, K, B_c, B_r = (self._at(symbol, self.P) for symbol in ("F_ce", "K", "B_c", "B_r"))
         slope = [(self._at(symbol, self.P + 100) - self._at(symbol, self.P - 100)) / 200 for symbol in ("F_ce", "K")]

@@ -9,11 +9,13 @@ from typing import Any
 
 import pytest
 
+from pmabench.analysis.gain_ways import findings as ways
 from pmabench.analysis.relay_levels import examine
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.ultimate_gain import reduce
 from pmabench.engine.laws.relay import Relay
 from pmabench.store.records import TrialData
+from tests.analysis.loop_plants import Case
 from tests.analysis.loop_rig import LinearPlant, Plant51, as_run, as_trial, close_loop
 from tests.analysis.test_ultimate_gain import at, clean, texts, theory
 from tests.test_characterisation import analysed
@@ -98,6 +100,38 @@ def test_stiction_is_told_in_20_of_20_and_in_none_of_20_without() -> None:
     free = [muscle(seed, places[seed % 5], same_B=seed % 2 == 0) for seed in range(20)]
     assert sum(seen_as_stiction(trial) for trial in sticky) == 20
     assert sum(seen_as_stiction(trial) for trial in free) == 0
+
+
+def test_a_kink_within_the_swing_is_not_called_stiction() -> None:
+    """The stiffness of plant 5.2 falls up to 314 kPa and rises above, and with it the gain halves; no friction."""
+    case = next(c for c in (Case(seed, 0.0, "serres2009", 0.042) for seed in range(50)) if c.mass == 2.0)
+    assert case.P == pytest.approx(311e3, abs=5e3)
+    found = case.relay(2e4)
+    assert "bends within the swing" in texts(found, "fault")
+    assert "stiction" not in texts(found, "fault")
+    assert values(found)["K_u", "relay-fit"] is None
+
+
+def test_the_mass_that_hangs_is_in_the_fitted_loop() -> None:
+    case = next(c for c in (Case(seed, 0.0, "paper0", 0.02) for seed in range(50)) if c.mass == 12.0)
+    found = case.relay(2e4)
+    told = values(found)
+    assert told["K_u", "relay-fit"] == pytest.approx(case.K_u, rel=0.03)
+    assert told["T_u", "relay-fit"] == pytest.approx(case.T_u, rel=0.015)
+    (loop,) = found.facts["loops"]
+    assert len(loop["lags"]) == 3
+
+
+def test_ways_that_disagree_are_doubted_and_held_against_the_fitted_loop() -> None:
+    case = Case(3, 0.0, "paper0", 0.03)
+    steps, relay = case.stepped(), case.relay(2e4)
+    told = [*steps.estimates, *relay.estimates]
+    loops = steps.facts["loops"]
+    assert [f.level for f in ways(told, loops)] == ["note"] * 3
+    off = [replace(e, value=e.value * 1.4) if e.method == "relay-fit" else e for e in told]
+    said = ways(off, loops)
+    assert "stiction" in next(f.text for f in said if f.level == "doubt" and f.text.startswith("K_u at 30 mm"))
+    assert any(f.level == "doubt" and f.text.startswith("relay-fit against the loop of open-loop") for f in said)
 
 
 def test_both_ways_of_one_set_point_stand_side_by_side() -> None:
