@@ -140,12 +140,13 @@ class ArmAngle(ProtocolHead):
         if not isclose(self.trial.preload, pressure.low, rel_tol=0.01):
             told = f"paper 2's angle holds for {show(pressure.low, 'pressure')} in the other muscles"
             c.fault(("trial", "preload"), f"{told}: take that, {other}")
-        if not pressures or pressures[-1] > pressure.high * (1 + 1e-9):
+        if not pressures or max(pressures) > pressure.high * (1 + 1e-9):
             told = f"paper 2's angle holds up to {show(pressure.high, 'pressure')}"
             c.fault(("trial", "pressures"), f"{told}: take less, {other}")
             return
-        top = min(pressures[-1], pressure.high)
-        angle = float(model.evaluate({"pressure": top, "load": min(mass, load.high)})["angle"])
+        top = min(max(pressures), pressure.high)
+        inside = {"pressure": max(top, pressure.low), "load": min(mass, load.high)}
+        angle = float(model.evaluate(inside)["angle"])
         radius = self.trial.radius
         reached = {"angle": angle} | ({} if radius is None else {"displacement": radius * angle})
         for trip in c.mounted.bench.trips:

@@ -241,6 +241,7 @@ def test_where_a_curve_becomes_flat_in_closed_form():
         ([("trial.pressures", "[1 bar, 0.8 bar]")], "must rise"),
         ([("trial.pressures", "[0.3 bar, 1 bar]")], "must rise, from above the preload"),
         ([("trial.pressures", "[45 kPa]")], "one pressure above the preload"),
+        ([("trial.pressures", "[0 kPa]")], "must rise, from above the preload"),
         ([("trial.pressures", "[1 bar, 5.2 bar]")], "above the limit for commanded pressure"),
         ([("trial.hold", "0.1 s")], "taken at rest"),
         ([("trial.rate", "0 kPa/s")], "must be above zero"),

@@ -53,6 +53,7 @@ class Judge:
             "pressure": np.full(n, min(self.held["pressure"] * SI_PER_UNIT["pressure"], 10e3)),
             "displacement": self.random.uniform(-4e-3, 60e-3, n),
             "force": np.full(n, 100.0),
+            "angle": self.random.uniform(-0.1, 1.4, n),
             "pressure_command": np.full(n, self.held["pressure"] * SI_PER_UNIT["pressure"]),
             "displacement_command": np.full(n, self.held["displacement"] * SI_PER_UNIT["displacement"]),
         }
@@ -100,15 +101,19 @@ BENCHES = {
     "weights": judged("mock"),
     "actuator": judged("mock-actuator"),
     "closed": judged("mock-daerden-closed", SPECIMEN.with_name("daerden-20-200.yaml")),
+    "arm": judged("mock-arm", SPECIMEN.with_name("arm-30.yaml")),
 }
 BENCHES_OF = {
     "static-load": "weights", "contraction-relaxation": "weights", "ultimate-gain": "weights",
     "ultimate-gain-relay": "weights", "positioning-pi": "weights", "validation": "weights", "free-contraction": "weights",
     "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator", "step-displacement": "actuator",
     "isometric-pressurisation": "actuator", "closed-volume": "closed", "ultimate-gain-open-loop": "weights",
+    "arm-angle": "arm",
 }  # fmt: skip
 REACH = {"actuator": (0.0, 50e-3), "closed": (-6e-3, 40e-3)}
 """Where the free end may be sent [m]; written out again here, as the pressure."""
+MOST = {"arm": 500e3 * (1 + 1e-6)}
+"""Where less pressure is allowed than elsewhere [Pa]."""
 
 number = st.one_of(
     st.floats(0, 700).map(lambda v: f"{v:.6g}"),
@@ -186,6 +191,15 @@ SETTINGS = {
         "trial.approach": st.sampled_from(["from-both-sides", "from-below"]),
         "prepare.precondition.pressure": pressure,
     },
+    "arm-angle": {
+        "sweep.matrix.load": st.floats(-0.1, 0.7).map(lambda v: f"[{v:.1f} kg]"),
+        "trial.preload": pressure,
+        "trial.pressures": st.lists(pressure, min_size=1, max_size=3).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.rate": st.floats(-1, 1e4).map(lambda v: f"{v:.4g} kPa/s"),
+        "trial.radius": length,
+        "compare": st.sampled_from(["paper-2", "nothing"]),
+        "prepare.precondition.pressure": pressure,
+    },
     "isometric-pressurisation": {
         "sweep.matrix.contraction": st.one_of(length, st.floats(-5, 40).map(lambda v: f"{v:.3g} %")).map(
             lambda v: f"[{v}]"
@@ -232,6 +246,8 @@ SHORT = {
                             "trial.relay.level_time": "0.5 s", "trial.relay.settle": "0.05 s"},
     "free-contraction": {"sweep.matrix.pressure": "[200 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
                          "trial.rest": "0.5 s", "trial.hold": "0.5 s"},
+    "arm-angle": {"sweep.matrix.load": "[0.2 kg]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
+                  "trial.pressures": "[100 kPa, 300 kPa]", "trial.hold": "0.5 s"},
     "isometric-pressurisation": {"sweep.matrix.contraction": "[4 %]", "sweep.repeat.count": "1",
                                  "prepare.precondition.cycles": "0", "trial.settle": "0.1 s"},
     "closed-volume": {"sweep.matrix.pressure": "[300 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
@@ -271,7 +287,7 @@ def test_nothing_outside_the_limits_reaches_the_device(protocol):
         assert not Judge.told
         return
     least, most = (end + slip for end, slip in zip(REACH.get(BENCHES_OF[kind], (0, 0)), (-1e-8, 1e-8), strict=True))
-    allowed = {"pressure": PRESSURE, "displacement": (least, most)}
+    allowed = {"pressure": (PRESSURE[0], MOST.get(BENCHES_OF[kind], PRESSURE[1])), "displacement": (least, most)}
     for output, (low, high) in plan.commands().items():
         assert allowed[output][0] <= low <= high <= allowed[output][1]
     if plan.duration()[1] > LONGEST:
