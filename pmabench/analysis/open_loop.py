@@ -37,7 +37,7 @@ class StepsFound:
     cycles: tuple[Ultimate, ...] = ()
     """Of each cycle of four steps fitted alone: their scatter makes the interval."""
     spans: tuple[float, float] = (0.0, 0.0)
-    """Relative half distance of K_u and of T_u with the damping of one direction and of the other."""
+    """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
     amplitude: float = 0.0
     """[Pa]."""
     refused: tuple[str, ...] = ()
@@ -103,12 +103,15 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
         one = None if isinstance(part, str) else _loop(StepsFound(None, *part), period, off or 0.0)
         if one is not None:
             single.append(ultimate(one))
-    sides = [replace(known, moved=replace(moved, tau=(tau, tau))) for tau in moved.tau]
+    sides = [
+        replace(known, regulator=replace(regulator, fill=lag, vent=lag), moved=replace(moved, tau=(tau, tau)))
+        for lag, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
+    ]
     ends = [ultimate(one) for side in sides if (one := _loop(side, period, off or 0.0)) is not None]
     truth = ultimate(loop)
     spans = (
-        max(abs(end.gain / truth.gain - 1) for end in ends),
-        max(abs(end.period / truth.period - 1) for end in ends),
+        max((abs(end.gain / truth.gain - 1) for end in ends), default=0.0),
+        max((abs(end.period / truth.period - 1) for end in ends), default=0.0),
     )
     return replace(known, loop=loop, cycles=tuple(single), spans=spans, doubts=tuple(doubts))
 

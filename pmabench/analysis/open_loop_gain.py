@@ -119,7 +119,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
         note=sentences(
             *(doubt for found in good for doubt in found.doubts),
             ALONE if len(good) == 1 else "",
-            "the method part is what unlike damping in the two directions and the bend of the steps are worth",
+            "the method part is what unlike lags in the two directions and the bend of the steps are worth",
             scales.lack(scaled),
         ),
         trials=tuple(cell.trials[i].name for i in cell.good),
