@@ -16,8 +16,12 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
+from pmabench.files.document import read_document
 from pmabench.store.importers import quality, warm
 from pmabench.store.importers.child import CPU
+from pmabench.store.importers.guess import guess as guessing
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.importing import prepare
 from pmabench.store.importers.map_rules import read_map
 from tests.reliability.cases import cases
@@ -157,3 +161,23 @@ def test_the_seconds_and_bytes_of_a_reader_are_limited_by_the_system():
         assert int(line.split()[3]) == 2_000_000_000
     assert resource.RLIMIT_AS
     assert CPU == 2.0
+
+
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", ["text", "lvm", "tdms", "mat73"])
+def test_a_damaged_file_is_guessed_or_refused_and_its_map_is_yaml(tmp_path, name, monkeypatch, record_property):
+    count = min(cases(10), 1000)
+    content = SOURCES[name][0].read_bytes()
+    path = tmp_path / SOURCES[name][0].name
+    monkeypatch.setattr(guessing, "_known", lambda path: "")
+    rng = random.Random(f"guess {name}")
+    for _ in range(count):
+        path.write_bytes(mutated(content, rng))
+        try:
+            text = map_text(guess_files([path]), {})
+        except InvalidFile as refused:
+            assert refused.problems
+            continue
+        (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+        assert read_document(tmp_path / "map.yaml").data["schema"] == "pmabench.map/1"
+    record_property("cases", count)

@@ -179,7 +179,14 @@ def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> 
 
 
 def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> Wave | None:
-    """The sine of a stretch: its frequency from its turns, then from the drift of its phase."""
+    """The sine of a stretch: its frequency from its turns, then from the drift of its phase; None where none fits."""
+    try:
+        return _fit(t, values, begin, end, halves)
+    except np.linalg.LinAlgError:  # numbers of any size stand in damaged files
+        return None
+
+
+def _fit(t: Array, values: Array, begin: int, end: int, halves: int) -> Wave | None:
     times, part = t[begin : end + 1], values[begin : end + 1]
     frequency = halves / 2 / float(times[-1] - times[0])
     for _ in range(2):

@@ -71,8 +71,12 @@ def guess_files(files: Sequence[Path]) -> Guess:
     """Look at up to 20 files of one layout; raises InvalidFile where they cannot be read or are not alike."""
     if not files:
         raise invalid("files", "give at least one file")
-    first = _look(files[0])
-    guess = first
+    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
+        return _guess(files)
+
+
+def _guess(files: Sequence[Path]) -> Guess:
+    guess = _look(files[0])
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)

@@ -46,8 +46,9 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         "",
         "columns:",
     ]
-    for column in guess.columns:
-        lines += _column(column, guess, spans)
+    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
+        for column in guess.columns:
+            lines += _column(column, guess, spans)
     lines += ["", *_name_tells(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
@@ -206,7 +207,10 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     P = pressure.values[good]
     if guess.kind == "recorded-pull" and force is not None:
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
-        less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
+        try:
+            less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
+        except np.linalg.LinAlgError:
+            return [], [unsure]
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
         why = f"at equal pressure the force falls where it {'rises' if rises else 'falls'}; zero is its end there"
     else:
