@@ -10,7 +10,7 @@
   against test in `contraction_paper1_view`
 - static-load: `static_load`
 - sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_mean`, `sine_traces`
-- ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation` (rising gain), `relay_gain`, `relay_levels` (relay),
+- ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation` (rising gain), `relay_gain`, `relay_levels`,
   `open_loop_gain`, `open_loop`, `open_loop_fit` (steps without a loop), `gain_ways` (the ways against each other);
   controller settings in `tuning`, `simc`
 - positioning: `positioning`, made of `position_response`; validation: `validation`; both beside `simulated`, the model
