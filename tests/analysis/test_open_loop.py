@@ -18,8 +18,10 @@ from pmabench.analysis.results import Analysis
 from pmabench.analysis.ultimate_gain import reduce
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
+from pmabench.display.quantities import Quick, measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.model.loop import ultimate
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData
 from tests.analysis.test_ultimate_gain import texts, theory
@@ -170,6 +172,14 @@ def test_what_cannot_be_used_gives_a_reason(free: RunData) -> None:
         analysis = reduce([replace(free, trials=(changed,))])
         assert reason in analysis.dropped[0].reason
         assert all(e.value is None for e in analysis.estimates)
+
+
+def test_the_line_after_a_trial_tells_the_same(free: RunData) -> None:
+    told, doubts = measure(free, free.trials[0], None, Quick())
+    assert doubts == []
+    found_there = examine(free, free.trials[0])
+    assert found_there.loop is not None
+    assert [one.value for one in told] == [ultimate(found_there.loop).gain, ultimate(found_there.loop).period]
 
 
 def test_tune_prints_the_settings_of_recorded_steps(free: RunData) -> None:
