@@ -202,13 +202,15 @@ def content_of(
 
 
 class _Figures:
-    """Numbers figures in the order in which they come."""
+    """Numbers figures in the order in which they come, and knows which are there already."""
 
     def __init__(self) -> None:
         self.count = 0
+        self.drawn: set[str] = set()
 
     def add(self, picture: Picture) -> Numbered:
         self.count += 1
+        self.drawn.add(picture.svg)
         return Numbered(self.count, picture, grid(picture.table))
 
 
@@ -230,7 +232,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in tables.other_tables(analysis)]
-    section.figures = [figures.add(p) for p in kind_pictures(analysis, used)]
+    section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
     budget = budget_table(analysis)

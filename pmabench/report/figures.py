@@ -37,7 +37,8 @@ from pmabench.report.wording import COLUMNS, clean, shown
 
 OVERLAYS, SCATTERS, GENERIC = 6, 9, 6
 """Most panels of a figure (figures, for the generic ones); of more traces an even choice is shown."""
-FRONT = 4
+FRONT, FEW = 4, 2
+"""Plots of the first page; and those of a report whose tests have none of its kinds."""
 
 
 def front_pictures(analyses: Sequence[Analysis]) -> tuple[list[Picture], list[str]]:
@@ -64,6 +65,8 @@ def front_pictures(analyses: Sequence[Analysis]) -> tuple[list[Picture], list[st
             pictures = draw([hero], analysis.simulated)
             found += pictures[:1]
             used += [hero.name] if pictures and wanted == "overlay" and len(traces) > 2 else []
+    for analysis in analyses if not found else ():
+        found += kind_pictures(analysis)[: FEW - len(found)]
     return found, used
 
 

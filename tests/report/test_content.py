@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.report import coefficient_figures
 from pmabench.report.budget_tables import budget_table
 from pmabench.report.checklist import Issuer
@@ -185,3 +185,12 @@ def test_columns_with_one_head_are_told_apart():
     made = grid(pd.DataFrame([["1", "2"]], columns=["force", "force"]))
     assert [c.head for c in made.columns] == ["force (1)", "force (2)"]
     assert [cell.text for cell in made.groups[0][1][0]] == ["1", "2"]
+
+
+def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
+    columns = {"t": np.arange(9.0), "angle": np.arange(9.0) ** 2}
+    new = Analysis("new-kind", ("r",), False, traces=(Trace("x", "nebula", "Angle", columns, {"t": "time"}),))
+    content = content_of([new], [])
+    (item,) = content.front
+    assert item.picture.title == "Angle"
+    assert content.sections == [] or content.sections[0].figures == [], "each figure stands once"
