@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
+from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -54,10 +55,11 @@ def command(
             flagged = ", ".join(
                 f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count
             )
-            click.echo(f"{run.source.name}: {run.rows:,} rows, {run.trials} trials; flagged: {flagged or 'nothing'}")
+            name = printable(run.source.name)
+            click.echo(f"{name}: {run.rows:,} rows, {run.trials} trials; flagged: {flagged or 'nothing'}")
             for finding in run.findings:
                 if ui.verbose or finding.level != "note":
-                    click.echo(f"  {finding.level}: {finding.text}")
+                    click.echo(printable(f"  {finding.level}: {finding.text}"))
             click.echo(f"  {run.path}")
 
     ui.result(data, human, [str(run.path) for run in runs])

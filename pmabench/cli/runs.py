@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def show_run(ui: Ui, run: Path) -> int | None:
         click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
         for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
             if manifest.get(name):
-                click.echo(_plain(f"  {name:12} {manifest[name]}"))
+                click.echo(printable(f"  {name:12} {manifest[name]}"))
         rows = sum(len(t.t) for t in data.trials)
         states = Counter(t.status for t in data.trials if not t.again)
         finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
@@ -139,12 +140,7 @@ def _print_rest(data: RunData) -> None:
             said.append(f"trial {note.excluded} is left out: {note.because}")
         said += [f"[{file}]" for file in note.files]
         line = f"  note {note.number:<7} {note.utc[:16]} {note.operator}: {'; '.join(said)}"
-        click.echo(_plain(line))
-
-
-def _plain(line: str) -> str:
-    """Without signs that a terminal would obey: what others wrote is text."""
-    return "".join(sign if sign.isprintable() else " " for sign in line)
+        click.echo(printable(line))
 
 
 @command.command(name="verify")

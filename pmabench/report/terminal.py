@@ -10,6 +10,8 @@ from collections.abc import Collection, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from pmabench.base.text import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -28,7 +30,7 @@ def print_grid(
     """
     from rich.text import Text
 
-    columns = [[_plain(head), *(_plain(row[index]) for row in rows)] for index, head in enumerate(heads)]
+    columns = [[printable(head), *(printable(row[index]) for row in rows)] for index, head in enumerate(heads)]
     least = [_least(cells, text=head in texts) for head, cells in zip(heads, columns, strict=True)]
     whole = [max(map(len, cells)) for cells in columns]
     for number, part in enumerate(_parts(least, min(keys, len(heads)), console.width)):
@@ -45,11 +47,6 @@ def print_grid(
                 padded = (text.ljust(width) for text, width in zip(texts_of_line, widths, strict=True))
                 style = "bold" if line == 0 else ""
                 console.print(Text(GAP.join(padded).rstrip(), style=style), soft_wrap=True)
-
-
-def _plain(text: str) -> str:
-    """One line of signs that a terminal prints."""
-    return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
 def _least(cells: Sequence[str], *, text: bool) -> int:
