@@ -9,7 +9,7 @@ lines between. Linear in all of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -29,7 +29,7 @@ GAIN = 0.03
 CHANCE = 8.0
 """The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
 FEWEST_KNOTS = 3
-"""A fit on half as many knots has at least so many."""
+"""A fit whose stretches are not halved has at least so many."""
 MOST_KNOTS = 8
 """Most knots that are added."""
 PLACES = 5
@@ -91,6 +91,8 @@ class Fit(Solved):
     """Every coefficient a polygon: `theta` holds their values at the `knots` [Pa], then F_c [N]."""
 
     knots: Array
+    halves: Array = field(default_factory=lambda: np.empty(0))
+    """Those of them [Pa] that only halve a stretch."""
 
     def index(self, symbol: str, knot: int = 0) -> int:
         """Place of a coefficient in `theta`."""
@@ -124,14 +126,14 @@ class Fit(Solved):
 
     def again(self, segments: Segments, noise: float) -> Fit:
         """See `Solved`."""
-        return solve(segments, self.knots, noise)
+        return solve(segments, self.knots, noise, self.halves)
 
     def bends(self, segments: Segments, noise: float) -> Array:
-        """A third of what every other knot less changes (Richardson): an error of straight lines goes with length^2."""
-        k = len(self.knots)
-        if k < 2 * FEWEST_KNOTS:
+        """A third of what it changes to halve no stretch (Richardson): errors of straight lines go with length^2."""
+        kept = np.setdiff1d(self.knots, self.halves)
+        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
             return np.zeros(len(self.theta))
-        coarse = solve(segments, self.knots[np.unique(np.append(np.arange(0, k, 2), k - 1))], noise)
+        coarse = solve(segments, kept, noise)
         values = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
         return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - self.theta) / 3.0)
 
@@ -168,7 +170,7 @@ def design_of(segments: Segments, knots: Array) -> Array:
     )
 
 
-def solve(segments: Segments, knots: Array, noise: float) -> Fit:
+def solve(segments: Segments, knots: Array, noise: float, halves: Array | None = None) -> Fit:
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
     design = design_of(segments, knots)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
@@ -179,7 +181,15 @@ def solve(segments: Segments, knots: Array, noise: float) -> Fit:
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots)
+    return Fit(
+        theta,
+        inverse,
+        design,
+        segments.force - design @ theta,
+        friction,
+        knots,
+        np.empty(0) if halves is None else halves,
+    )
 
 
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
@@ -255,6 +265,8 @@ def first_knots(tested: Array, commanded: Array) -> Array:
 def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
     """The pooled fit with knots added where the residual asks for them, and the noise of each segment [N], shape (n,).
 
+    `knots` [Pa] as `first_knots` gives them, every other one half way between its neighbours.
+
     A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
     the sum of squares is least, is kept if that falls by more than `GAIN`, and by far more than by chance.
     """
@@ -271,7 +283,7 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
             break
         solved = finer
     each = np.maximum(floor, expected_noise(segments, solved, noise))
-    return solve(segments, solved.knots, rms_of(each)), each
+    return solve(segments, solved.knots, rms_of(each), knots[1::2]), each
 
 
 def rms_of(values: Array) -> float:
