@@ -37,7 +37,11 @@ def told(run: RunData, replays: int = 0) -> dict[tuple[str, float], Estimate]:
 def share(estimate: Estimate, *starts: str) -> float:
     """Share of the lines whose names start so."""
     pairs = zip(estimate.budget, estimate.shares, strict=True)
-    return sum(part or 0.0 for source, part in pairs if source.name.startswith(starts))
+    return sum(
+        part or 0.0
+        for source, part in pairs
+        if source.name.startswith(starts) and not source.name.startswith("steps of the replays")
+    )
 
 
 @cache
@@ -80,14 +84,18 @@ def bare(run: RunData, keep: str) -> RunData:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
-    """Sensors of one channel err, hardly any noise: 200 campaigns; the spread of 200 is known to 5 % (one sigma)."""
+    """Sensors of one channel err, hardly any noise: 200 campaigns; the spread of 200 is known to 5 % (one sigma).
+
+    What the method adds, which does not scatter, is left out of the share.
+    """
     lines = told(bare(campaign(1, (channel,), 0.02), channel))
     scatter = spread(range(200), (channel,), 0.02)
     watched = [("F_ce", P) for P in WATCHED] + [("K", P) for P in WATCHED if channel == "pressure"]
     for key in watched:
         half = next(s.half for s in lines[key].budget if s.name == f"calibration of {channel}, offset")
         assert 0.5 * half == pytest.approx(scatter[key], rel=0.15), key
-        assert share(lines[key], f"calibration of {channel}") > 0.9, key
+        scatter_too = share(lines[key], f"calibration of {channel}") + share(lines[key], "noise", "steps of")
+        assert share(lines[key], f"calibration of {channel}") > 0.9 * scatter_too, key
 
 
 @pytest.mark.slow
