@@ -75,3 +75,14 @@ def test_no_file_names_a_registry_or_a_machine():
         if path.suffix in {".py", ".yaml", ".toml", ".md", ".lock", ".html", ".css", ""} and path.is_file():
             found = wrong.search(path.read_text(encoding="utf-8", errors="replace"))
             assert name == "tests/test_structure.py" or found is None, f"{name}: {found}"
+
+
+@pytest.mark.parametrize("room", ["analysis", "report"])
+def test_the_map_of_a_large_room_names_every_module(room):
+    """A newcomer finds everything: figures of one kind of test have a pattern, `_view` goes with its reduction."""
+    folder = ROOT / "pmabench" / room
+    named = set(re.findall(r"`([a-z_0-9]+)`", (folder / "__init__.py").read_text()))
+    known = named | {"reduce", "results"}
+    modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    assert {name for name in modules - known if not name.endswith(("_figures", "_plots", "_view"))} == set()
+    assert named - modules <= {"compare", "history"}

@@ -9,7 +9,10 @@
 - the same by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model
   against test in `contraction_paper1_view`
 - static-load: `static_load`
-- sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_mean`, `sine_traces`
+- isobaric-ramp: `isobaric`, made of `isobaric_cell`, `ramp_loop`, `turns` (where branches turn into each other),
+  `rubber`; step-displacement: `step_displacement`, made of `step_relaxation`
+- sinusoidal-displacement: `sine`, made of `sine_loop`, `sine_fit`, `sine_mean`, `sine_pressure`,
+  `sine_traces`
 - ultimate-gain: `ultimate_gain`, made of `gain_levels`, `oscillation` (rising gain), `relay_gain`, `relay_levels`,
   `open_loop_gain`, `open_loop`, `open_loop_fit` (steps without a loop), `gain_ways` (the ways against each other);
   controller settings in `tuning`, `simc`
@@ -26,6 +29,8 @@
   `control_chart`
 - what speaks for a result beside its residual: `checks`, `contraction_checks`; limits of a protocol: `acceptance`
 - many runs at once: `many`; the same on a Dask cluster: `cluster`
-- shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals),
-  `calibration` (what the channels' uncertainties do to a result)
+- what recalibration changed: `changes`; independent tests of one specimen against each other: `agreement`
+- shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals), `student` (quantiles),
+  `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do), `reference` (trials of
+  reference and what drifted)
 """
