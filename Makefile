@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint quick bench reliability schemas lock clean
+.PHONY: demo test lint quick studies bench reliability schemas lock clean
 
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
@@ -15,7 +15,7 @@ COMPUTING := tests/analysis tests/bench tests/cli tests/files tests/model tests/
 	$(wildcard tests/test_*.py) $(filter-out tests/store/test_killed.py,$(wildcard tests/store/test_*.py))
 
 test: lint
-	$(BIN)/python -m pytest -q -n auto --dist loadfile --ignore=tests/analysis/test_coverage.py $(COMPUTING) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not study" $(COMPUTING) $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -q $(addprefix --ignore=,$(COMPUTING)) $(PYTEST_ARGS)
 
 quick: $(STAMP)
@@ -26,6 +26,10 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# What is said of intervals and of the ways to K_u, over hundreds of simulated campaigns: some ten minutes.
+studies: $(STAMP)
+	$(BIN)/python -m pytest -q -s -n auto --timeout=3600 -m study $(COMPUTING)
 
 bench: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable

@@ -51,7 +51,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         rig = next((rig for rig in RIGS if rig in item.nodeid), None)
         waits = item.get_closest_marker("realtime") is not None and rig is not None
-        if (waits and (rig != chosen or item.get_closest_marker("slow"))) or "test_coverage.py" in item.nodeid:
+        if (waits and (rig != chosen or item.get_closest_marker("slow"))) or item.get_closest_marker("study"):
             left_out.append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = [item for item in items if item not in set(left_out)]

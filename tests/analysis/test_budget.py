@@ -80,7 +80,7 @@ def bare(run: RunData, keep: str) -> RunData:
     return replace(run, channels=infos)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
@@ -98,7 +98,7 @@ def test_a_calibration_alone_scatters_as_its_line_says(channel: str):
         assert share(lines[key], f"calibration of {channel}") > 0.9 * scatter_too, key
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_noise_alone_scatters_as_its_line_says():
     """200 campaigns whose sensors are right."""
@@ -112,10 +112,10 @@ def test_noise_alone_scatters_as_its_line_says():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_500_campaigns_are_covered():
-    """`pytest -s -m slow -k 500 tests/analysis/test_budget.py` prints the table; some minutes on two cores."""
+    """`pytest -s -m study -k 500 tests/analysis/test_budget.py` prints the table; some minutes on two cores."""
     from tests.analysis.coverage_study import table
 
     rows = study(range(500), processes=2)

@@ -1,6 +1,6 @@
 """How often the 95 % intervals of contraction runs hold the truth: 88 trials a run, many seeds, both reference plants.
 
-`pytest -s -m slow tests/analysis/test_coverage.py` prints the table. The simulation draws noise and counts only, and so
+`pytest -s -m study tests/analysis/test_coverage.py` prints the table. The simulation draws noise and counts only, and so
 the intervals are those without a calibration part.
 """
 
@@ -53,7 +53,7 @@ def table(plant: str, rows: dict[tuple[str, float], list[Row]]) -> str:
     return "\n".join(lines)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("plant", list(TRUTH))
 def test_88_trials_cover_the_truth_everywhere(plant: str):
     rows = covered(plant, (reduce([contraction_run(rig(plant), seed=seed)]) for seed in range(SEEDS)))

@@ -1,6 +1,6 @@
 """K_u and T_u of many loops at random: how near, how often the 95 % interval holds, and whether friction is seen.
 
-`pytest -s -m slow tests/analysis/test_loop_studies.py` prints what was measured.
+`pytest -s -m study tests/analysis/test_loop_studies.py` prints what was measured.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def study(method: str, seeds: range) -> dict[str, np.ndarray]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["relay-fit", "open-loop"])
 def test_95_percent_intervals_cover(method: str) -> None:
     for error, half, noise in study(method, range(20_000, 20_120)).values():
@@ -50,7 +50,7 @@ def test_95_percent_intervals_cover(method: str) -> None:
         assert 0.90 <= np.mean(np.abs(error) < half) <= 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_rising_gain_is_within_15_percent() -> None:
     for error, _, _ in study("gain-steps", range(30_000, 30_030)).values():
         assert np.abs(error).max() < WITHIN["gain-steps"]
@@ -60,7 +60,7 @@ def sticks(analysis: Analysis) -> bool:
     return "stiction" in texts(analysis, "fault")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["relay-fit", "open-loop"])
 def test_stiction_is_seen_in_20_of_20_and_in_none_of_20_without(method: str) -> None:
     way: Way = (lambda case: case.relay(4e4 if case.P > 1e5 else 3e4)) if method == "relay-fit" else WAYS[method]

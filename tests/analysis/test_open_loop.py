@@ -97,7 +97,7 @@ MORE = [
 
 
 @pytest.mark.parametrize(
-    ("bench", "x", "load", "lag", "options"), [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)]
+    ("bench", "x", "load", "lag", "options"), [*CASES, *(pytest.param(*case, marks=pytest.mark.study) for case in MORE)]
 )
 def test_steps_give_the_phase_equations_values(
     tmp_path: Path, bench: str, x: float, load: str, lag: float, options: dict[str, Any]

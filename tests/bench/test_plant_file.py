@@ -364,7 +364,7 @@ def test_a_hostile_file_is_a_muscle_or_has_sentences(tmp_path_factory, data):
         if data.draw(st.booleans()) and data.draw(st.booleans()):
             del target[at[-1]]
         else:
-            target[at[-1]] = data.draw(NASTY)
+            target[at[-1]] = copy.deepcopy(data.draw(NASTY))  # a later draw may change it
     path = written(folder, json.dumps(made))
     try:
         numbers = read_plant(path).numbers
