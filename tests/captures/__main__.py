@@ -3,14 +3,13 @@
 import json
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from time import sleep
 
 from pmabench_drivers.emulator import Emulator
 
 from tests.captures.capture import FOLDER, Capture
-from tests.captures.scripts import SCRIPTS, device_of, use
+from tests.captures.scripts import SCRIPTS, device_of, reached, use
 
 SHOWN = {
     "pressure": 123456.0,
@@ -31,11 +30,11 @@ def record(name, folder):
     emulator.plant.quantities = lambda: SHOWN
     emulator.plant.at = lambda _moment: SHOWN
     try:
-        said = use(name, replace(device, address=emulator.devices[device.name].address))
+        said = use(name, reached(device, emulator.devices[device.name].address))
         sleep(0.1)  # for the last answer to be written down
     finally:
         emulator.close()
-    capture, begin = Capture(), 0.0
+    capture, begin = Capture(whole="server" in device.options), 0.0
     for entry in map(json.loads, log.read_text().splitlines()):
         if entry["kind"] == "received" or (begin and entry["kind"] == "sent"):
             begin = begin or entry["t"]

@@ -9,7 +9,9 @@ import select
 import socket
 import threading
 import tty
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "fixtures" / "captures"
@@ -28,13 +30,14 @@ class Run:
 
 @dataclass
 class Capture:
-    """Runs of bytes in turn."""
+    """Runs of bytes in turn. `whole`: each is a message, and one that is followed by another question had no content."""
 
     runs: list[Run] = field(default_factory=list)
+    whole: bool = False
 
     def add(self, time, to_device, data):
         """More bytes; those that follow others in the same direction belong to them."""
-        if self.runs and self.runs[-1].to_device == to_device:
+        if not self.whole and self.runs and self.runs[-1].to_device == to_device:
             self.runs[-1].data += data
         else:
             self.runs.append(Run(time, to_device, data))
@@ -97,6 +100,12 @@ class Replay:
         with self._lock:
             return [f"line {run.line}: {'>' if run.to_device else '<'} {run.data.hex(' ')}" for run in self._runs]
 
+    def call(self, name, data):
+        """The answer to a call of gRPC, which a capture holds as its name, a blank and its message; None for none."""
+        answers = []
+        self._take(name.rpartition("/")[2].encode() + b" " + data, answers.append)
+        return answers[0] if answers else None
+
     def _accept(self):
         while True:
             try:
@@ -132,3 +141,32 @@ class Replay:
                 while self._runs and not self._runs[0].to_device:
                     answers.append(self._runs.pop(0).data)
                 send(b"".join(answers))
+
+
+class Calls(Replay):
+    """The same for a device that is asked through a gRPC server: its messages are told, HTTP/2 is the library's."""
+
+    def __init__(self, capture):
+        super().__init__(capture)
+        super().close()
+        import grpc
+
+        class Every(grpc.GenericRpcHandler):
+            def service(_self, details):  # noqa: N805
+                return grpc.unary_unary_rpc_method_handler(partial(self._answer, details.method))
+
+        self._server = grpc.server(ThreadPoolExecutor(4), options=[("grpc.so_reuseport", 0)])
+        self._server.add_generic_rpc_handlers((Every(),))
+        self.address = f"127.0.0.1:{self._server.add_insecure_port('127.0.0.1:0')}"
+        self._server.start()
+
+    def _answer(self, method, data, context):
+        import grpc
+
+        answer = self.call(method, data)
+        if answer is None:
+            context.abort(grpc.StatusCode.INTERNAL, "not in the capture")
+        return answer
+
+    def close(self):
+        self._server.stop(0.0).wait(2.0)

@@ -2,7 +2,9 @@
 
 import random
 import time
+from contextlib import nullcontext
 from dataclasses import replace
+from unittest.mock import patch
 
 from pmabench_drivers.alicat import AlicatController
 from pmabench_drivers.canbus import CanBus
@@ -12,6 +14,9 @@ from pmabench_drivers.festo_cpx_e import FestoCpxE
 from pmabench_drivers.ild1420 import Ild1420
 from pmabench_drivers.labjack import LabJack
 from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.ni_daq import NiDaq
+from pmabench_drivers.ni_daq.connection import Connection
+from pmabench_drivers.polling import Cycle
 from pmabench_drivers.serial_ascii import SerialIndicator
 from pmabench_drivers.serial_line_daq import SerialLineDaq
 
@@ -23,6 +28,7 @@ from tests.drivers.festo.rigs import terminal
 from tests.drivers.festo_cmmt.rigs import drive
 from tests.drivers.ild1420.rigs import laser
 from tests.drivers.labjack.rigs import t7
+from tests.drivers.ni.rigs import daq as daq_of_tasks
 from tests.drivers.serial_line_daq.rigs import board
 from tests.drivers.wires.rigs import cell, regulator
 
@@ -81,6 +87,20 @@ def moved(device, output, value, interlock):
     device.disarm_watchdog()
 
 
+def tasked(device):
+    """A whole use of a device of tasks: valve, output and input line, and a stream that is set up and ended."""
+    device.switch("port1/line0", on=True)
+    yield device.is_on("port1/line0")
+    device.write("ao0", 2.5)
+    yield round(device.read_back("ao0"), 3)
+    yield device.level("port0/line0")
+    yield device.start(500.0)
+    device.stop()
+    device.write("ao0", 0.0)
+    device.switch("port1/line0", on=False)
+    yield device.is_on("port1/line0")
+
+
 def streamed(rate):
     """A device that sends by itself, for a moment."""
 
@@ -115,12 +135,13 @@ SCRIPTS = {
         False,
         lambda d: moved(d, "drive.position", 5000.0, "drive.ready"),
     ),
+    "ni-daqmx": (NiDaq, lambda address="127.0.0.1:0": daq_of_tasks(server=address), False, tasked),
     "dataq": (Dataq, daq, True, streamed(500.0)),
     "ild1420": (Ild1420, laser, True, streamed(1000.0)),
 }
 """Name -> the driver, its device, whether it has a serial port, and what is done."""
-BY_HAND = ("festo-cmmt", "can")
-"""Their driver has a thread that talks all the time: here its one turn is made by the script."""
+BY_HAND = ("festo-cmmt", "can", "ni-daqmx")
+"""Their driver has a thread that talks all the time: here its turns are made by the script."""
 
 
 def device_of(name, path):
@@ -129,15 +150,23 @@ def device_of(name, path):
     return record(path) if serial else record()
 
 
+def reached(record, address):
+    """The device at an address: of itself, or of the server that it is asked through."""
+    if "server" in record.options:
+        return replace(record, options={**record.options, "server": address})
+    return replace(record, address=address)
+
+
 def use(name, record):
     """Open the driver, do what the script says, close it; who answered, and what the script gave."""
     driver, _record, _serial, script = SCRIPTS[name]
     device = driver(record, RealClock())
-    if name in BY_HAND:
-        device._cycle.start = lambda _rate: None
     random.seed(1)
-    try:
-        identity = device.open()
-        return replace(identity), list(script(device))
-    finally:
-        device.close()
+    by_hand = patch.object(Cycle, "start", lambda *_: None) if name in BY_HAND else nullcontext()
+    same = patch("socket.gethostname", return_value="bench"), patch.object(Connection, "left", lambda _: 0.125)
+    with by_hand, same[0], same[1]:  # NI's messages hold the computer's name and the time that is left
+        try:
+            identity = device.open()
+            return replace(identity), list(script(device))
+        finally:
+            device.close()
