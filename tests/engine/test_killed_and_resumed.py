@@ -50,6 +50,7 @@ def test_each_trial_is_finished_once_and_in_order(chains, record_property):
             assert len({run.manifest["snapshots"][name] for run in chain}) == 1, f"{name} is mixed"
 
 
+@pytest.mark.study  # on demand: `make reliability PART=resume`
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "contraction-relaxation"])
 def test_each_trial_of_other_kinds_is_finished_once_and_in_order(kind, tmp_path):
     told = killed(tmp_path, 4, kind)
