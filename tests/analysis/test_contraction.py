@@ -202,7 +202,7 @@ def coverage(bench: Rig, truth: dict[str, Law], seeds: range) -> tuple[float, fl
     return float(np.mean(inside)), float(np.mean(alone)), float(np.mean(widths))
 
 
-@pytest.mark.study
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "truth", "seeds"), [("paper0", PAPER0, 20), ("serres2009", SERRES, 10)], ids=["paper0", "serres2009"]
 )

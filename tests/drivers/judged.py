@@ -17,17 +17,19 @@ TRUTH = {
 """Reference plant 5.1 in SI over kPa; written out here, not imported."""
 
 SURE = 1.7
-"""Half widths of a 95 % interval that hold 99.9 %: of three right intervals one of 95 % is missed in every seventh run.
-How often intervals hold is tested where runs are cheap (tests/analysis/test_coverage.py)."""
+"""Half widths of a 95 % interval that hold 99.9 %: of three right intervals one of 95 % is missed in every seventh run,
+two in one of a hundred and forty. How often intervals hold is tested where runs are cheap (tests/analysis/test_coverage.py)."""
 
 
 def assert_coefficients(found, relative, widest=None):
     """F_ce, K, B_c and B_r at 300 and 400 kPa within `relative` of the truth, by symbol.
 
-    A symbol in `widest` must have the truth within `SURE` of its half widths instead, of at most that half width over
-    its value. B_r at the highest pressure cannot be known: nothing relaxes there.
+    A symbol in `widest` must have the truth in its interval instead, of at most that half width over its value; of all
+    of these one may miss it, within `SURE` of its half widths. B_r at the highest pressure cannot be known: nothing
+    relaxes there.
     """
-    problems = []
+    problems: list[str] = []
+    missed: list[str] = []
     for symbol, true_at in TRUTH.items():
         for P in (300, 400):
             if (symbol, P) == ("B_r", 400):
@@ -42,11 +44,13 @@ def assert_coefficients(found, relative, widest=None):
             print(line, {name: f"{100 * part / abs(value):.2g} %" for name, part in estimate["parts"].items() if part})
             if widest and symbol in widest:
                 good = abs(value - true) <= SURE * half * abs(value) and half <= widest[symbol]
+                missed += [] if interval[0] <= true <= interval[1] else [line]
             else:
                 good = abs(value - true) <= relative[symbol] * true
             if not good:
                 problems.append(line)
     assert not problems, "\n".join(problems)
+    assert len(missed) <= 1, "\n".join(missed)
 
 
 HARDWARE_TIMED = {"K": 0.005, "F_ce": 0.005, "B_c": 0.02, "B_r": 0.02}
