@@ -30,7 +30,7 @@
 - what speaks for a result beside its residual: `checks`, `contraction_checks`; limits of a protocol: `acceptance`
 - many runs at once: `many`; the same on a Dask cluster: `cluster`
 - what recalibration changed: `changes`; independent tests of one specimen against each other: `agreement`
-- shared: `curves` (regressions on pressure), `lines` (weighted lines and their intervals), `student` (quantiles),
-  `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do), `reference` (trials of
-  reference and what drifted)
+- shared: `cells` (trials by operating point), `curves` (regressions on pressure), `lines` (weighted lines and their
+  intervals), `student` (quantiles), `calibration` (what the channels' uncertainties do to a result), `skew` (what
+  clocks apart do), `reference` (trials of reference and what drifted)
 """

@@ -14,6 +14,7 @@ import numpy as np
 
 from pmabench.analysis import skew, student
 from pmabench.analysis.calibration import Scales, sentences
+from pmabench.analysis.cells import by_point
 from pmabench.analysis.open_loop import StepsFound, examine, samples_of, steps_of
 from pmabench.analysis.results import Dropped, Estimate, Finding, Parts, Trace
 from pmabench.base.quantities import show
@@ -63,18 +64,14 @@ class StepsCell:
 
 def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[StepsCell]:
     """The trials by operating point, each examined."""
-    groups: dict[tuple[tuple[str, float], ...], list[tuple[RunData, TrialData]]] = {}
-    for run, trial in members:
-        key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-        groups.setdefault(key, []).append((run, trial))
     return [
         StepsCell(
-            dict(key),
+            point,
             tuple(run for run, _ in group),
             tuple(trial for _, trial in group),
             tuple(examine(run, trial) for run, trial in group),
         )
-        for key, group in sorted(groups.items())
+        for point, group in by_point(members)
     ]
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis import gain_ways, open_loop_gain, relay_gain, skew, student, tuning
 from pmabench.analysis.calibration import Scales, sentences
+from pmabench.analysis.cells import by_point
 from pmabench.analysis.gain_levels import TrialFound, examine
 from pmabench.analysis.open_loop import steps_of
 from pmabench.analysis.relay_levels import search_of
@@ -160,7 +161,7 @@ def _cells(
     dropped: list[Dropped] = []
     stepped: list[tuple[RunData, TrialData]] = []
     relays: list[tuple[RunData, TrialData]] = []
-    groups: dict[tuple[tuple[str, float], ...], list[tuple[RunData, TrialData]]] = {}
+    rising: list[tuple[RunData, TrialData]] = []
     for run in runs:
         for trial in run.trials:
             if trial.status not in USED:
@@ -176,12 +177,11 @@ def _cells(
             elif search_of(trial) is not None:
                 relays.append((run, trial))
             else:
-                key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-                groups.setdefault(key, []).append((run, trial))
+                rising.append((run, trial))
     cells = []
-    for key, members in sorted(groups.items()):
+    for point, members in by_point(rising):
         found = tuple(examine(run, trial, _search(trial) or {}) for run, trial in members)
-        cells.append(_Cell(dict(key), tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
+        cells.append(_Cell(point, tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
     return cells, relay_gain.cells(relays), open_loop_gain.cells(stepped), dropped
 
 
