@@ -20,7 +20,7 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
-    from pmabench.report.checklist import Issuer
+    from pmabench.report.document.checklist import Issuer
 
 
 def open_run(path: Path | str) -> Run:
@@ -49,7 +49,7 @@ def open_analysis(*folders: Path | str) -> Results:
 
     Raises InvalidFile for what is no analysis.
     """
-    from pmabench.report.analysis_folder import read_analysis, runs_of
+    from pmabench.report.files.analysis_folder import read_analysis, runs_of
     from pmabench.store.chain import open_chains
 
     paths = [Path(folder) for folder in folders]
@@ -170,7 +170,7 @@ class Results:
 
     def report(self, path: Path | str, *, title: str | None = None, issuer: Issuer | None = None) -> Path:
         """Write the report as one HTML file; RecordError where it cannot be written."""
-        from pmabench.report.html import write_report
+        from pmabench.report.document.html import write_report
 
         return write_report(self.analyses, self.runs, Path(path), title=title, issuer=issuer)
 

@@ -6,9 +6,9 @@ from math import pi, radians, sin, tan
 
 import pytest
 
-from pmabench.analysis.contraction_paper1 import DRIVEN, METHODS
-from pmabench.report.analysis_folder import read_analysis, write_analysis
-from pmabench.report.tables import polynomials_table
+from pmabench.analysis.contraction.contraction_paper1 import DRIVEN, METHODS
+from pmabench.report.document.tables import polynomials_table
+from pmabench.report.files.analysis_folder import read_analysis, write_analysis
 from tests.test_characterisation import analysed
 
 TABLE = {

@@ -6,34 +6,34 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
-from pmabench.analysis.acceptance import not_accepted
-from pmabench.analysis.agreement import KIND as AGREEMENT
-from pmabench.analysis.agreement import agreement
-from pmabench.analysis.checks import with_checks
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
+from pmabench.analysis.verdict.acceptance import not_accepted
+from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
+from pmabench.analysis.verdict.agreement import agreement
+from pmabench.analysis.verdict.checks import with_checks
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
 REDUCTIONS = {
-    "static-load": "static_load",
-    "contraction-relaxation": "contraction",
-    "contraction-relaxation-paper-1": "contraction_paper1",
-    "sinusoidal-displacement": "sine",
-    "ultimate-gain": "ultimate_gain",
-    "isobaric-ramp": "isobaric",
-    "step-displacement": "step_displacement",
-    "positioning": "positioning",
-    "validation": "validation",
-    "closed-volume": "closed_volume",
-    "isometric-pressurisation": "isometric_pressurisation",
-    "free-contraction": "free_contraction",
-    "arm-angle": "arm_angle",
-    "isometric": "isometric",
-    "recorded-step": "recorded_steps",
-    "recorded-sine": "recorded_sines",
-    "recorded-pull": "isometric",
+    "static-load": "statics.static_load",
+    "contraction-relaxation": "contraction.contraction",
+    "contraction-relaxation-paper-1": "contraction.contraction_paper1",
+    "sinusoidal-displacement": "driven.sine",
+    "ultimate-gain": "loops.ultimate_gain",
+    "isobaric-ramp": "driven.isobaric",
+    "step-displacement": "driven.step_displacement",
+    "positioning": "loops.positioning",
+    "validation": "loops.validation",
+    "closed-volume": "statics.closed_volume",
+    "isometric-pressurisation": "statics.isometric_pressurisation",
+    "free-contraction": "statics.free_contraction",
+    "arm-angle": "statics.arm_angle",
+    "isometric": "recorded.isometric",
+    "recorded-step": "recorded.recorded_steps",
+    "recorded-sine": "recorded.recorded_sines",
+    "recorded-pull": "recorded.isometric",
 }
 """Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`."""
 

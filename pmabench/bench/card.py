@@ -1,4 +1,4 @@
-"""The card of a bench: what hangs at the rig, as plain texts and rows; `pmabench.report.bench_card` draws it."""
+"""The card of a bench: what hangs at the rig, as plain texts and rows; `pmabench.report.pages.bench_card` draws it."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> int | None:
     from pmabench.bench.card import make_card
     from pmabench.bench.compile import mount, mount_alone
     from pmabench.files.shipped import find_file
-    from pmabench.report.bench_card import write_card
+    from pmabench.report.pages.bench_card import write_card
 
     path = find_file("bench", bench)
     mounted = mount(path, find_file("specimen", specimen)) if specimen is not None else mount_alone(path)

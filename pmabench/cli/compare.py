@@ -15,9 +15,9 @@ from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.comparison import Comparison, Difference, Side
     from pmabench.analysis.results import Analysis, Estimate
-    from pmabench.report.overlays import Comparison as Published
+    from pmabench.analysis.verdict.comparison import Comparison, Difference, Side
+    from pmabench.report.figures.overlays import Comparison as Published
 
 AGREEMENT = "agreement"
 """Kind of the analysis that compares tests of one side already."""
@@ -48,8 +48,8 @@ def command(
     A and B are analysis folders, folders of them, or runs (processed now); B may be a CSV of published values, with
     FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
     """
-    from pmabench.analysis.comparison import Comparison, compare, not_accepted
-    from pmabench.report.wording import clean
+    from pmabench.analysis.verdict.comparison import Comparison, compare, not_accepted
+    from pmabench.report.words.wording import clean
 
     limits = [_limit(text) for text in accepted]
     pressures = [_quantity("--at", text, "pressure") for text in places]
@@ -75,7 +75,7 @@ def command(
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
     if output is not None:
-        from pmabench.report.comparison_page import write_comparison
+        from pmabench.report.pages.comparison_page import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     told = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
@@ -124,9 +124,9 @@ def _is_table(text: str) -> bool:
 
 def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     """The analyses that a path stands for, and the folders of their runs as far as they are at hand."""
-    from pmabench.analysis.comparison import Side
+    from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import analyse, load_runs
-    from pmabench.report.analysis_folder import read_analysis, runs_of
+    from pmabench.report.files.analysis_folder import read_analysis, runs_of
 
     path = Path(text)
     if _is_table(text):
@@ -184,10 +184,10 @@ def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
     """A table as the reference, and how its points lie beside the curves of figures."""
-    from pmabench.analysis.comparison import Side
+    from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import load_runs
     from pmabench.cli.report_overlays import read_overlays
-    from pmabench.report.overlays import beside, length_of
+    from pmabench.report.figures.overlays import beside, length_of
 
     tables = read_overlays([text])
     (table,) = tables
@@ -242,9 +242,9 @@ def _json(
 def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
-    from pmabench.report.comparison_tables import curve_rows, rows_of
+    from pmabench.report.pages.comparison_tables import curve_rows, rows_of
     from pmabench.report.terminal import print_grid
-    from pmabench.report.wording import clean
+    from pmabench.report.words.wording import clean
 
     console = ui.console(columns=140)
     for side in (left, right):

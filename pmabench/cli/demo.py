@@ -19,7 +19,7 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     from pmabench.cli.campaign import run_campaign, severity
     from pmabench.cli.process import analyse, load_runs, print_analyses, write
     from pmabench.files.shipped import find_file
-    from pmabench.report.html import write_report
+    from pmabench.report.document.html import write_report
 
     started = time.monotonic()
     outcomes = run_campaign(ui, find_file("campaign", "demo"), out / "runs", operator_name="demo", yes=True, seed=seed)

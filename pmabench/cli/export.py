@@ -27,7 +27,7 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int |
     For latex, json and python-control runs are processed first. Units stand in the heads of columns.
     """
     from pmabench.notebook import Results, open_analysis, open_run
-    from pmabench.report.export import export_results, export_run
+    from pmabench.report.files.export import export_results, export_run
 
     if output.is_fifo():
         raise UsageError(f"{output} is a pipe; give the name of a file or folder")

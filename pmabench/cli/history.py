@@ -13,8 +13,8 @@ from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.life import Past, References, Series, Use
     from pmabench.analysis.results import Analysis, Finding
+    from pmabench.analysis.verdict.life import Past, References, Series, Use
     from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
@@ -35,7 +35,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     SPECIMEN is a specimen file, the name of a shipped one, or a serial number as runs tell it. Coefficients come from
     the analyses beside the runs (`process` makes them); simulated runs are never mixed with real ones.
     """
-    from pmabench.analysis.life import chosen, findings, references_of, series_of
+    from pmabench.analysis.verdict.life import chosen, findings, references_of, series_of
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder; give the folder that holds the runs")
@@ -54,7 +54,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, told)
     if output is not None:
-        from pmabench.report.history_page import write_history
+        from pmabench.report.pages.history_page import write_history
 
         data["path"] = str(write_history(title, life, series, references, told, output))
     ui.result(data, lambda: _print(ui, life, series, told, data.get("path")))
@@ -108,7 +108,7 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
 
     One that cannot be read is told and left out.
     """
-    from pmabench.analysis.life import pasts, use_of
+    from pmabench.analysis.verdict.life import pasts, use_of
     from pmabench.store.reader import RunFiles, events_of
 
     told: list[tuple[str, str, str, str, str, bool, int, Use]] = []
@@ -138,7 +138,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
-    from pmabench.report.analysis_folder import read_analysis
+    from pmabench.report.files.analysis_folder import read_analysis
 
     parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
     found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
@@ -236,9 +236,9 @@ def _reference(one: References) -> dict[str, Any]:
 
 
 def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
-    from pmabench.report.history_tables import run_rows, value_rows
+    from pmabench.report.pages.history_tables import run_rows, value_rows
     from pmabench.report.terminal import print_grid
-    from pmabench.report.wording import clean
+    from pmabench.report.words.wording import clean
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):

@@ -103,7 +103,7 @@ def command(
     }
 
     def human() -> None:
-        from pmabench.report.wording import clean
+        from pmabench.report.words.wording import clean
 
         print_analyses(ui, analyses)
         for entry in data["excluded"]:
@@ -124,7 +124,7 @@ def beside(folder: Path) -> Path:
 def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool) -> dict[str, Any]:
     """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
     if forms:
-        from pmabench.analysis.forms import asked
+        from pmabench.analysis.contraction.forms import asked
 
         asked(forms)
     told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator}
@@ -188,7 +188,7 @@ def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | 
 
 def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
     """An analysis folder for each analysis below `folder`; kinds that come twice are numbered."""
-    from pmabench.report.analysis_folder import write_analysis
+    from pmabench.report.files.analysis_folder import write_analysis
 
     seen: dict[str, int] = {}
     written = []
@@ -203,7 +203,7 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
     from pmabench.report.terminal_coefficients import print_coefficients
-    from pmabench.report.wording import clean
+    from pmabench.report.words.wording import clean
 
     console = ui.console()
     print_coefficients(analyses, console)

@@ -15,7 +15,7 @@ from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
     from pmabench.analysis.many import Pool
-    from pmabench.report.many import Many
+    from pmabench.report.many.many import Many
 
 TOLD_EVERY = 10.0
 """Seconds between lines of progress where there is no terminal."""
@@ -27,8 +27,8 @@ def process_folders(
     ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any]
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
-    from pmabench.report.many import process_many
-    from pmabench.report.many_table import write_table
+    from pmabench.report.many.many import process_many
+    from pmabench.report.many.many_table import write_table
     from pmabench.store.below import tasks_below
 
     tasks = tasks_below(given)
@@ -96,7 +96,7 @@ def _duration(seconds: float) -> str:
 
 
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
-    from pmabench.report.many_table import SCHEMA, plain_entry
+    from pmabench.report.many.many_table import SCHEMA, plain_entry
 
     return {
         "schema": SCHEMA,
@@ -137,7 +137,7 @@ def _failures(many: Many) -> list[str]:
         told += [f"{what} not be processed:", *failed]
     if not told:
         return []
-    from pmabench.report.wording import clean
+    from pmabench.report.words.wording import clean
 
     return [clean(line) for line in told]
 

@@ -43,9 +43,9 @@ def command(
 
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
-    from pmabench.analysis.changes import changes
+    from pmabench.analysis.verdict.changes import changes
     from pmabench.cli.process import analyse, beside, load_runs, without_analyses, write
-    from pmabench.report.change_tables import print_changes, write_changes
+    from pmabench.report.pages.change_tables import print_changes, write_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.recalibration import refuse_loops
 

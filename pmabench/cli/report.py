@@ -41,10 +41,10 @@ def command(
     """Write the characterisation report of runs (processed now) or of analysis folders."""
     from pmabench.cli.process import analyse, load_runs, without_analyses
     from pmabench.cli.report_overlays import read_overlays
-    from pmabench.report.analysis_folder import read_analysis, runs_of
-    from pmabench.report.checklist import Issuer
-    from pmabench.report.content import content_of
-    from pmabench.report.html import write_page
+    from pmabench.report.document.checklist import Issuer
+    from pmabench.report.document.content import content_of
+    from pmabench.report.document.html import write_page
+    from pmabench.report.files.analysis_folder import read_analysis, runs_of
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")
@@ -59,11 +59,11 @@ def command(
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**told))
     written = {"path": str(write_page(content, output))}
     if pdf is not None:
-        from pmabench.report.pdf import write_pdf
+        from pmabench.report.document.pdf import write_pdf
 
         written["pdf"] = str(write_pdf(content, pdf))
     if xlsx is not None:
-        from pmabench.report.workbook import write_workbook
+        from pmabench.report.document.workbook import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
     ui.result({"schema": "pmabench.report/1", **written}, lambda: click.echo("\n".join(written.values())))

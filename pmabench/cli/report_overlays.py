@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pmabench.files.table import Column
-    from pmabench.report.overlays import Published
+    from pmabench.report.figures.overlays import Published
 
 
 def read_overlays(given: Sequence[str]) -> list[Published]:
@@ -44,7 +44,7 @@ def _parted(text: str) -> tuple[Path, str]:
 def _read(path: Path, label: str) -> Published:
     from pmabench.base.errors import InvalidFile, invalid
     from pmabench.files.table import numbers, read_table
-    from pmabench.report.overlays import COORDINATES, HEADS, Published
+    from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
 
     table = read_table(path)
     chosen: dict[str, tuple[Column, str, str | None]] = {}
@@ -78,7 +78,7 @@ def _unit(quantity: str) -> str:
 def _meaning(column: Column) -> tuple[str, str, str | None] | None:
     """Name, quantity and unit of a column: the first of its meanings whose unit fits, else the first."""
     from pmabench.files.table import Wanted, meaning, unit_scale
-    from pmabench.report.overlays import HEADS
+    from pmabench.report.figures.overlays import HEADS
 
     able = []
     for name, quantity, heads in HEADS:

@@ -52,17 +52,17 @@ class Quick:
 
 
 _NEEDS = {
-    "contraction-relaxation": ("segments", "steps"),
-    "sinusoidal-displacement": ("sine_loop",),
-    "ultimate-gain": ("gain_levels", "relay_levels", "open_loop"),
-    "positioning": ("positioning",),
-    "validation": ("validation",),
-    "isobaric-ramp": ("ramp_loop",),
-    "step-displacement": ("step_relaxation",),
-    "isometric-pressurisation": ("isometric_pressurisation",),
-    "closed-volume": ("closed_volume",),
-    "free-contraction": ("free_contraction",),
-    "arm-angle": ("arm_stairs",),
+    "contraction-relaxation": ("contraction.segments", "contraction.steps"),
+    "sinusoidal-displacement": ("driven.sine_loop",),
+    "ultimate-gain": ("loops.gain_levels", "loops.relay_levels", "loops.open_loop"),
+    "positioning": ("loops.positioning",),
+    "validation": ("loops.validation",),
+    "isobaric-ramp": ("driven.ramp_loop",),
+    "step-displacement": ("driven.step_relaxation",),
+    "isometric-pressurisation": ("statics.isometric_pressurisation",),
+    "closed-volume": ("statics.closed_volume",),
+    "free-contraction": ("statics.free_contraction",),
+    "arm-angle": ("statics.arm_stairs",),
 }
 """Kind of run -> modules of the analysis that its rule uses."""
 
@@ -85,8 +85,8 @@ def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quic
     Where a contraction comes to rest K x_inf = F_ce - F_c - F_L; the line over loads thus gives F_ce - F_c, and so is
     the prediction beside it.
     """
-    from pmabench.analysis.segments import Gate, samples_of
-    from pmabench.analysis.steps import regress, steps_of
+    from pmabench.analysis.contraction.segments import Gate, samples_of
+    from pmabench.analysis.contraction.steps import regress, steps_of
 
     if "displacement" not in trial.channels or "pressure" not in trial.channels or len(trial.t) < 2:
         return [], ["pressure or displacement is not recorded"]
@@ -134,8 +134,8 @@ def _contraction(run: RunData, trial: TrialData, expected: Expected | None, quic
 
 def _single_step(run: RunData, trial: TrialData) -> Found:
     """x_max and tau of one of paper 1's steps; K of a contraction, with F_ce from the braid."""
-    from pmabench.analysis.contraction_paper1_steps import STILL, Braid, read
-    from pmabench.analysis.segments import samples_of
+    from pmabench.analysis.contraction.contraction_paper1_steps import STILL, Braid, read
+    from pmabench.analysis.contraction.segments import samples_of
 
     asked = (run.plan.get("settings") or {}).get("reduction") or {}
     step = read(samples_of(run, trial, 0), trial)
@@ -200,8 +200,8 @@ def _static(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
 
 def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
-    from pmabench.analysis.sine_loop import NotUsable
-    from pmabench.analysis.sine_loop import measure as harmonic
+    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.driven.sine_loop import measure as harmonic
 
     settings = run.plan.get("settings") or {}
     P = trial.point.get("pressure")
@@ -232,11 +232,11 @@ def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 
 def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Ultimate gain and period of one search."""
-    from pmabench.analysis.gain_levels import examine
-    from pmabench.analysis.open_loop import examine as examine_steps
-    from pmabench.analysis.open_loop import steps_of
-    from pmabench.analysis.relay_levels import examine as examine_relay
-    from pmabench.analysis.relay_levels import search_of
+    from pmabench.analysis.loops.gain_levels import examine
+    from pmabench.analysis.loops.open_loop import examine as examine_steps
+    from pmabench.analysis.loops.open_loop import steps_of
+    from pmabench.analysis.loops.relay_levels import examine as examine_relay
+    from pmabench.analysis.loops.relay_levels import search_of
     from pmabench.model.loop import ultimate
 
     relay = search_of(trial)
@@ -268,8 +268,8 @@ def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 
 def _isobaric(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K of the mean curve, the gap of its branches at mid stroke, and the pressure."""
-    from pmabench.analysis.ramp_loop import measure_as_planned
-    from pmabench.analysis.sine_loop import NotUsable
+    from pmabench.analysis.driven.ramp_loop import measure_as_planned
+    from pmabench.analysis.driven.sine_loop import NotUsable
 
     P, speed = trial.point.get("pressure"), trial.point.get("speed", 0.0)
     try:
@@ -294,7 +294,7 @@ def _isobaric(run: RunData, trial: TrialData, expected: Expected | None, quick: 
 
 def _position(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Steady-state error and overshoot of a held position, and its limit cycle where it hunts."""
-    from pmabench.analysis.positioning import hold_of
+    from pmabench.analysis.loops.positioning import hold_of
 
     hold = hold_of(run, trial)
     if isinstance(hold, str):
@@ -313,7 +313,7 @@ def _position(run: RunData, trial: TrialData, expected: Expected | None, quick: 
 
 def _validation(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """The contraction in the window beside the one that the specimen's file expects."""
-    from pmabench.analysis.validation import inside_window, unusable
+    from pmabench.analysis.loops.validation import inside_window, unusable
 
     reason = unusable(run, trial)
     if reason:
@@ -328,9 +328,9 @@ def _validation(run: RunData, trial: TrialData, expected: Expected | None, quick
 
 def _isometric(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Slope of force over pressure, the pressure at which the force begins, the gap of the ramps, force at the top."""
-    from pmabench.analysis.isometric_curve import PHASES, begins
-    from pmabench.analysis.isometric_lines import as_test
-    from pmabench.analysis.isometric_pressurisation import cell_of, lack
+    from pmabench.analysis.statics.isometric_curve import PHASES, begins
+    from pmabench.analysis.statics.isometric_lines import as_test
+    from pmabench.analysis.statics.isometric_pressurisation import cell_of, lack
 
     test, reason = as_test(run, trial, PHASES)
     reason = reason if test is None else lack(test)
@@ -353,8 +353,8 @@ def _isometric(run: RunData, trial: TrialData, expected: Expected | None, quick:
 
 def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Contraction at rest, and what was left without pressure before it."""
-    from pmabench.analysis.free_contraction import NotUsable
-    from pmabench.analysis.free_contraction import measure as rest_of
+    from pmabench.analysis.statics.free_contraction import NotUsable
+    from pmabench.analysis.statics.free_contraction import measure as rest_of
 
     try:
         rest = rest_of(run, trial)
@@ -372,8 +372,8 @@ def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 
 def _arm(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
-    from pmabench.analysis.arm_stairs import NotUsable
-    from pmabench.analysis.arm_stairs import measure as stair_of
+    from pmabench.analysis.statics.arm_stairs import NotUsable
+    from pmabench.analysis.statics.arm_stairs import measure as stair_of
 
     try:
         stair = stair_of(run, trial, run.plan.get("settings") or {})
@@ -398,8 +398,8 @@ def _arm(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick
 
 def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
-    from pmabench.analysis.sine_loop import NotUsable
-    from pmabench.analysis.step_relaxation import measure as steps_of
+    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.driven.step_relaxation import measure as steps_of
 
     P = trial.point.get("pressure")
     try:
@@ -418,10 +418,10 @@ def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None
 
 def _closed(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
-    from pmabench.analysis.closed_stroke import Gas
-    from pmabench.analysis.closed_stroke import measure as stroke_of
-    from pmabench.analysis.closed_volume import LEAKS
-    from pmabench.analysis.sine_loop import NotUsable
+    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.statics.closed_stroke import Gas
+    from pmabench.analysis.statics.closed_stroke import measure as stroke_of
+    from pmabench.analysis.statics.closed_volume import LEAKS
 
     settings = run.plan.get("settings") or {}
     try:

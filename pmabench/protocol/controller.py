@@ -124,7 +124,7 @@ def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settin
 
 
 def _by_rule(c: Compilation, controller: Controller, K_u: float, T_u: float, place: Location) -> Settings | None:
-    from pmabench.analysis.tuning import RULES
+    from pmabench.analysis.loops.tuning import RULES
 
     rule = next((r for r in RULES if (r.name, r.form) == (controller.rule, controller.form)), None)
     if rule is None:

@@ -223,7 +223,7 @@ def read_folder(c: Compilation, name: str, kind: str) -> Analysis:
 
     A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
     """
-    from pmabench.report.analysis_folder import ANALYSIS, read_analysis
+    from pmabench.report.files.analysis_folder import ANALYSIS, read_analysis
 
     places = [Path(name), Path(str(c.document.path)).parent / name]
     tried = [place / part for place in places for part in ("", kind)]

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.report.tables import pivot_table, whole_table
+from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
-from pmabench.report.wording import (
+from pmabench.report.words.wording import (
     AGREEMENT,
     HEADLINES,
     POINTS,

@@ -14,8 +14,8 @@ from math import ceil
 import numpy as np
 from scipy.stats import beta
 
-from pmabench.analysis.campaign import gather
-from pmabench.analysis.contraction import estimates_of, pool
+from pmabench.analysis.contraction.campaign import gather
+from pmabench.analysis.contraction.contraction import estimates_of, pool
 from pmabench.model.plant import Plant
 from pmabench.model.signal import constant
 from pmabench.store.records import Array, Command, RunData, TrialData

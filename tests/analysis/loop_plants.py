@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.ultimate_gain import reduce
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
 from pmabench.model.plant import Plant

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.acceptance import limits_of
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Curve, Estimate, Parts
+from pmabench.analysis.verdict.acceptance import limits_of
 from tests.analysis.loop_rig import as_run
 
 PLACE = "cr.yaml:7"

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.agreement import agreement
 from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate, Parts
-from pmabench.report.html import render
+from pmabench.analysis.verdict.agreement import agreement
+from pmabench.report.document.html import render
 
 
 def estimate(symbol, value, half, pressure, method, quantity="stiffness", **at):

@@ -12,12 +12,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.bootstrap import bootstrap
-from pmabench.analysis.campaign import gather
-from pmabench.analysis.contraction import estimates_of, pool
-from pmabench.analysis.pooled import Fit
+from pmabench.analysis.contraction.bootstrap import bootstrap
+from pmabench.analysis.contraction.campaign import gather
+from pmabench.analysis.contraction.contraction import estimates_of, pool
+from pmabench.analysis.contraction.pooled import Fit
+from pmabench.analysis.contraction.segments import Segments
 from pmabench.analysis.results import Estimate
-from pmabench.analysis.segments import Segments
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study
 from tests.analysis.test_contraction import SERRES

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis import contraction
-from pmabench.analysis.checks import (
+from pmabench.analysis.contraction import contraction
+from pmabench.analysis.results import Analysis
+from pmabench.analysis.verdict.checks import (
     VALUES,
     Check,
     Repeats,
@@ -19,7 +20,6 @@ from pmabench.analysis.checks import (
     trial_checks,
     with_checks,
 )
-from pmabench.analysis.results import Analysis
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.sine_rig import Muscle51

@@ -6,9 +6,9 @@ from math import pi, radians, sin, tan
 import numpy as np
 import pytest
 
-from pmabench.analysis.closed_stroke import Gas
-from pmabench.analysis.closed_volume import PRINTED, TIGHT, reduce
-from pmabench.analysis.volume_fit import fit_volume, volume_at
+from pmabench.analysis.statics.closed_stroke import Gas
+from pmabench.analysis.statics.closed_volume import PRINTED, TIGHT, reduce
+from pmabench.analysis.statics.volume_fit import fit_volume, volume_at
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.display.quantities import Quick, measure
@@ -91,7 +91,7 @@ def test_gauge_pressure_would_be_wrong_by_far_and_is_never_taken(run):
     end = [e for e in volumes(reduce([run])) if e.at["contraction"] == pytest.approx(0.036)]
     assert len(end) == 2
     gas = Gas(pi / 4 * 0.02**2 * 0.2, 0.0, 0.0, 1.0)
-    from pmabench.analysis.closed_stroke import measure as stroke_of
+    from pmabench.analysis.statics.closed_stroke import measure as stroke_of
 
     (trial, *_) = run.trials
     wrong = stroke_of(run, trial, run.plan["settings"]).volumes(gas, leak=False)[0, -1]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis import contraction
-from pmabench.analysis.comparison import Side, compare, named, not_accepted
+from pmabench.analysis.contraction import contraction
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts
+from pmabench.analysis.verdict.comparison import Side, compare, named, not_accepted
 from pmabench.base.errors import UsageError
 from pmabench.cli.report_overlays import read_overlays
-from pmabench.report.overlays import beside
+from pmabench.report.figures.overlays import beside
 from tests.analysis.simulate import contraction_run, rig
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import reduce
+from pmabench.analysis.contraction.contraction import reduce
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.model.curve import Curve
 from pmabench.store.records import Flag, RunData, TrialData

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import reduce
+from pmabench.analysis.contraction.contraction import reduce
 from pmabench.analysis.results import Analysis
 from tests.analysis.simulate import PRESSURES, contraction_run, rig
 from tests.analysis.test_contraction import PAPER0, SERRES, of

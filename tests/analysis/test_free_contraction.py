@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.free_contraction import reduce
-from pmabench.analysis.free_contraction_view import half_pressure, rounding
+from pmabench.analysis.statics.free_contraction import reduce
+from pmabench.analysis.statics.free_contraction_view import half_pressure, rounding
 from pmabench.base.errors import InvalidFile
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import ROOT, planned, recorded

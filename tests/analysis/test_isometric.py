@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis import isometric
+from pmabench.analysis.recorded import isometric
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from tests import fixtures_old_runs as made

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis import section
-from pmabench.analysis.isometric_pressurisation import (
+from pmabench.analysis.reduce import reduce_runs
+from pmabench.analysis.statics import section
+from pmabench.analysis.statics.isometric_pressurisation import (
     CORRECTED,
     METHOD,
     SECTION,
@@ -19,7 +20,6 @@ from pmabench.analysis.isometric_pressurisation import (
     THRESHOLD,
     reduce,
 )
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.model.library.contractor import corrected_force
 from pmabench.model.library.daerden import daerden_force, section_factor
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import reduce
-from pmabench.analysis.forms import asked, order_of
+from pmabench.analysis.contraction.contraction import reduce
+from pmabench.analysis.contraction.forms import asked, order_of
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
 from pmabench.store.records import RunData

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pmabench.analysis.control_chart import chart
-from pmabench.analysis.life import Past, References, Use, chosen, findings, pasts, series_of, use_of
 from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.analysis.verdict.control_chart import chart
+from pmabench.analysis.verdict.life import Past, References, Use, chosen, findings, pasts, series_of, use_of
 from pmabench.store.records import Event
 
 

@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from pmabench.analysis.open_loop import examine
+from pmabench.analysis.loops.open_loop import examine
+from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.ultimate_gain import reduce
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
 from pmabench.display.quantities import Quick, measure

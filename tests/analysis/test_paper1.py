@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmabench.analysis.contraction_paper1 import DRIVEN, KIND, METHODS, reduce
-from pmabench.analysis.curves import compare_orders, curve, least, normal_of
+from pmabench.analysis.contraction.contraction_paper1 import DRIVEN, KIND, METHODS, reduce
 from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.shared.curves import compare_orders, curve, least, normal_of
 from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData
 
@@ -387,7 +387,7 @@ def test_a_load_beyond_the_braids_force_leaves_no_stiffness():
     st.sampled_from([None, 2, 4, 6, 9]),
 )
 def test_no_curve_is_negative_anywhere_on_its_domain(stiff: list[float], damp: list[float], order: int | None):
-    from pmabench.analysis.contraction_paper1 import _curves
+    from pmabench.analysis.contraction.contraction_paper1 import _curves
 
     members = estimates("K", PRESSURES, np.array(stiff)) + estimates("B_r", PRESSURES, np.array(damp))
     curves, findings, _ = _curves(members, {} if order is None else {"K": order, "B_r": order})

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.position_response import Cycle, cycle_of, respond
-from pmabench.analysis.positioning import reduce
+from pmabench.analysis.loops.position_response import Cycle, cycle_of, respond
+from pmabench.analysis.loops.positioning import reduce
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.engine.laws.position_loop import PositionLoop
 from pmabench.model.described import Described

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis import isometric, recorded_sines, recorded_steps
+from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import Flag

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.reference import compared, findings
+from pmabench.analysis.shared.reference import compared, findings
 from pmabench.store.records import Command, Flag, RunData, TrialData
 
 FIRST = 40e-3

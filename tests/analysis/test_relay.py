@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from pmabench.analysis.gain_ways import findings as ways
-from pmabench.analysis.relay_levels import examine
+from pmabench.analysis.loops.gain_ways import findings as ways
+from pmabench.analysis.loops.relay_levels import examine
+from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.ultimate_gain import reduce
 from pmabench.engine.laws.relay import Relay
 from pmabench.store.records import TrialData
 from tests.analysis.loop_plants import Case

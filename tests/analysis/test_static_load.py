@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.static_load import reduce
+from pmabench.analysis.statics.static_load import reduce
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.simulate import LOADS, rig, static_run
 

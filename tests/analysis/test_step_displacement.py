@@ -6,8 +6,8 @@ from math import pi, radians, sin, tan
 import numpy as np
 import pytest
 
-from pmabench.analysis.step_displacement import reduce
-from pmabench.analysis.step_relaxation import recovery
+from pmabench.analysis.driven.step_displacement import reduce
+from pmabench.analysis.driven.step_relaxation import recovery
 from pmabench.base.errors import InvalidFile
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded

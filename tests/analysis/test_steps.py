@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmabench.analysis.curves import curve, polynomial
-from pmabench.analysis.onset import dead_times, onset
+from pmabench.analysis.contraction.onset import dead_times, onset
+from pmabench.analysis.contraction.steps import exponential, regress, stiffness
 from pmabench.analysis.results import Estimate, Parts
-from pmabench.analysis.steps import exponential, regress, stiffness
+from pmabench.analysis.shared.curves import curve, polynomial
 
 T = np.arange(0, 10, 0.002)
 

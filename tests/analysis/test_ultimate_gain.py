@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.analysis.ultimate_gain import reduce
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset

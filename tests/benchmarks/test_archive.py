@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from pmabench.analysis.many import Processes
-from pmabench.analysis.recorded_steps import SHIFTS, fit_motion
-from pmabench.report.many import process_many
-from pmabench.report.many_table import write_table
+from pmabench.analysis.recorded.recorded_steps import SHIFTS, fit_motion
+from pmabench.report.many.many import process_many
+from pmabench.report.many.many_table import write_table
 from pmabench.store.below import tasks_below
 from tests.benchmarks.archive import AT, LATE, SCALES, write_run
 

@@ -8,13 +8,13 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-import pmabench.report.many
+import pmabench.report.many.many
 from pmabench.cli.main import main
-from pmabench.report.analysis_folder import runs_of
-from pmabench.report.csv_files import csv_text
-from pmabench.report.many import process_many
-from pmabench.report.many_table import table_rows
-from pmabench.report.processed import process_one
+from pmabench.report.files.analysis_folder import runs_of
+from pmabench.report.files.csv_files import csv_text
+from pmabench.report.many.many import process_many
+from pmabench.report.many.many_table import table_rows
+from pmabench.report.many.processed import process_one
 from pmabench.store.below import tasks_below
 from pmabench.store.fingerprint import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run
@@ -107,7 +107,7 @@ def counted(monkeypatch):
         worked.extend(thing["folder"] for thing in things)
         return [process_one(thing) for thing in things]
 
-    monkeypatch.setattr(pmabench.report.many, "process_batch", one)
+    monkeypatch.setattr(pmabench.report.many.many, "process_batch", one)
     return worked
 
 
@@ -135,7 +135,7 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert worked == [place]
 
     worked.clear()
-    monkeypatch.setattr(pmabench.report.many, "program", lambda: "another version")
+    monkeypatch.setattr(pmabench.report.many.many, "program", lambda: "another version")
     call("process", lab / "runs", code=6)
     assert len(worked) == RUNS
 
@@ -184,7 +184,7 @@ def test_a_stream_that_was_changed_in_place_is_not_taken_for_unchanged(lab):
 
 
 def test_an_error_in_the_program_is_told_with_its_run_and_stops_no_other(lab, monkeypatch):
-    from pmabench.analysis import recorded_steps
+    from pmabench.analysis.recorded import recorded_steps
 
     reduce = recorded_steps.reduce
     bad = sorted((lab / "runs" / "2018").iterdir())[0]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.analysis.contraction import reduce
+from pmabench.analysis.contraction.contraction import reduce
 from pmabench.base.errors import Interrupted
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand

@@ -8,15 +8,15 @@ import pandas as pd
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source, Trace
-from pmabench.report import coefficient_figures
-from pmabench.report.budget_tables import budget_table
-from pmabench.report.checklist import Issuer
-from pmabench.report.citation import methods_paragraph
-from pmabench.report.content import content_of
-from pmabench.report.deviations import deviations
-from pmabench.report.front import verdict_of
-from pmabench.report.grids import grid
-from pmabench.report.parents import trials_told
+from pmabench.report.document.budget_tables import budget_table
+from pmabench.report.document.checklist import Issuer
+from pmabench.report.document.citation import methods_paragraph
+from pmabench.report.document.content import content_of
+from pmabench.report.document.deviations import deviations
+from pmabench.report.document.front import verdict_of
+from pmabench.report.document.grids import grid
+from pmabench.report.document.parents import trials_told
+from pmabench.report.figures import coefficient_figures
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
 

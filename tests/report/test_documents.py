@@ -11,10 +11,10 @@ import pytest
 
 from pmabench.analysis.results import Parts, Source
 from pmabench.base.errors import UsageError
-from pmabench.report.content import content_of
-from pmabench.report.pdf import pdf_bytes, write_pdf
-from pmabench.report.run_notes import Said
-from pmabench.report.workbook import workbook_bytes, write_workbook
+from pmabench.report.document.content import content_of
+from pmabench.report.document.pdf import pdf_bytes, write_pdf
+from pmabench.report.document.run_notes import Said
+from pmabench.report.document.workbook import workbook_bytes, write_workbook
 
 from . import samples
 from .test_run_notes import PNG

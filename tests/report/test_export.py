@@ -17,8 +17,8 @@ from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
 from pmabench.cli.main import main
 from pmabench.notebook import Results
-from pmabench.report.control_model import control_model, simulated
-from pmabench.report.export import FORMATS, export_results, export_run
+from pmabench.report.files.control_model import control_model, simulated
+from pmabench.report.files.export import FORMATS, export_results, export_run
 from tests.store.runs import closed
 
 from . import samples

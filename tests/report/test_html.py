@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.report.html import css_text, render, symbols_marked, write_report
+from pmabench.report.document.html import css_text, render, symbols_marked, write_report
 
 from . import samples
 
@@ -141,7 +141,7 @@ def test_simulated_is_said_everywhere_and_real_runs_are_not_called_so(report):
 def test_the_same_input_gives_the_same_bytes(report):
     assert render(samples.all_analyses(), samples.all_runs()[::-1]) == report
     code = (
-        "import hashlib; from tests.report import samples; from pmabench.report.html import render;"
+        "import hashlib; from tests.report import samples; from pmabench.report.document.html import render;"
         "print(hashlib.sha256(render(samples.all_analyses(), samples.all_runs()).encode()).hexdigest())"
     )
     root = Path(__file__).resolve().parents[2]

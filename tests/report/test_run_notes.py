@@ -4,8 +4,8 @@ import base64
 import json
 from dataclasses import replace
 
-from pmabench.report.deviations import deviations
-from pmabench.report.html import render
+from pmabench.report.document.deviations import deviations
+from pmabench.report.document.html import render
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run
 from tests.report.test_html import EVIL, Page

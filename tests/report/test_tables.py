@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
-from pmabench.report import tables
-from pmabench.report.csv_files import write_tables
-from pmabench.report.rounding import half_width, rounded
+from pmabench.report.document import tables
+from pmabench.report.files.csv_files import write_tables
 from pmabench.report.terminal_coefficients import print_coefficients
-from pmabench.report.wording import shown
+from pmabench.report.words.rounding import half_width, rounded
+from pmabench.report.words.wording import shown
 
 from . import samples
 

@@ -9,7 +9,7 @@ from pmabench.bench.compile import mount_alone
 from pmabench.bench.interface import DeviceRecord, Identity
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.engine.untried import doubt
-from pmabench.report.provenance import benches
+from pmabench.report.document.provenance import benches
 from pmabench.session.jog import hold_at
 from pmabench.store.reader import open_run
 from tests.engine.benches import ROOT, mounted

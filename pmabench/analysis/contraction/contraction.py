@@ -1,0 +1,199 @@
+"""Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods side by side.
+
+`measured-pressure` (primary) is the pooled fit of `pooled`, driven by the pressure that was measured;
+`step-exponential` is the papers' way. Knows the samples and the plan's commands; not how the bench is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.contraction import contraction_joint, contraction_steps, contraction_view, drift, replay
+from pmabench.analysis.contraction.campaign import Campaign, gather, strokes
+from pmabench.analysis.contraction.contraction_values import FEWEST, Told, values
+from pmabench.analysis.contraction.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.analysis.contraction.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
+from pmabench.analysis.contraction.regulator_response import regulator
+from pmabench.analysis.contraction.segments import Gate, Samples, Segments, cut, moved
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
+from pmabench.analysis.shared import reference, skew
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.curves import curve
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, RunData
+
+KIND = "contraction-relaxation"
+METHOD = "measured-pressure"
+REPLAYS = 10
+"""Replays of the fitted muscle, for the bias of the estimator and its scatter."""
+AFTER = 0.15
+"""Time that a replay goes on after the last segment of a stroke [s]."""
+ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
+
+    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short
+    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
+
+    `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
+    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
+    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
+    `regulator`: dead time and lags from the command to the pressure [s].
+    """
+    options = options or {}
+    campaign, dropped = gather(runs)
+    pooled = pool(campaign, options) if campaign is not None else None
+    if campaign is None or pooled is None:
+        reason = "no trial moves: there is nothing to fit"
+        if campaign is not None:
+            dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
+        facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
+        return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
+    estimates, curves = estimates_of(campaign, pooled)
+    joint = contraction_joint.compare(campaign, pooled, options)
+    beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
+    dropped += _unmoved(campaign, pooled)
+    draws = int(options.get("bootstrap", 0))
+    resampled = contraction_view.resampled(campaign, pooled, estimates, draws) if draws else None
+    response, described = regulator(campaign) if options.get("regulator") else ([], [])
+    traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
+    return Analysis.of(
+        KIND,
+        runs,
+        estimates=(*estimates, *joint.estimates, *beside.estimates, *response),
+        curves=(*curves, *joint.curves, *beside.curves),
+        dropped=dropped,
+        findings=(
+            *contraction_view.findings(campaign, pooled, estimates, free_run),
+            *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *joint.estimates, *beside.estimates)),
+            *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
+            *joint.findings,
+            *beside.findings,
+            *described,
+            *reference.findings(runs),
+        ),
+        traces=traces,
+        facts={
+            "options": dict(options),
+            "trials": sum(len(run.trials) for run in runs),
+            **contraction_view.facts(campaign, pooled),
+            "free_run_rms": free_run,
+            "steps": beside.table,
+            **({"joint": joint.facts} if joint.facts else {}),
+            **({"bootstrap": resampled} if resampled else {}),
+        },
+    )
+
+
+def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
+    """The pooled fit with its trust; None where nothing moves."""
+    gate = Gate(speed=float(options.get("speed", Gate.speed)))
+    tested = np.array(campaign.tested)
+    commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
+    knots = first_knots(tested, commanded)
+    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+
+    def segments_of(samples: Sequence[Samples]) -> Segments:
+        found = cut(samples, campaign.rate, gate)
+        return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+
+    segments = segments_of(campaign.samples)
+    if len(segments) < 2 * FEWEST:
+        return None
+    solved, noise = fit(segments, knots, campaign.noise)
+    work = replay.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+
+    def first(late: Segments) -> Array:
+        """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
+        again, _ = fit(late, knots, campaign.noise)
+        polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
+        return np.concatenate((*polygons, [again.coulomb]))
+
+    def trusted(other: Solved, rows: NDArray[np.bool_], again: Callable[[Segments], Array]) -> Trust:
+        """How far a fit to these rows of the segments can be trusted."""
+        run = replay.run(other, work.P, work.dt, work.load, work.mass, work.x)
+        mine, seen = segments.where(rows), noise[rows]
+
+        def replayed(seed: int) -> Segments:
+            return segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
+
+        replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
+        skews = _skews(campaign, segments_of, again, other)
+        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
+        scales = Scales.of(campaign.runs)
+        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.steps, drifts)
+
+    def trust_of(other: Solved, rows: NDArray[np.bool_]) -> Trust:
+        return trusted(other, rows, lambda late: other.again(late, rms_of(noise[rows])).theta)
+
+    return Pooled(segments, solved, noise, trusted(solved, np.ones(len(segments), bool), first), trust_of, work)
+
+
+def _skews(
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], again: Callable[[Segments], Array],
+    solved: Solved,
+) -> Array:  # fmt: skip
+    """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
+
+    def changed(channels: tuple[str, ...], by: Array) -> Array:
+        late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
+        return again(segments_of(late)) - solved.theta
+
+    clocks = skew.causes(campaign.runs, campaign.channels)
+    courses = [way * course for course in skew.courses(campaign.trials) for way in (1.0, -1.0)]
+    shifts = [[changed(names, bound * course) for course in courses] for names, bound in clocks.items()]
+    return np.array(shifts).reshape(len(clocks), len(courses), len(solved.theta))
+
+
+def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:
+    """The strokes that have segments, each up to a moment after its last one."""
+    pieces = []
+    for number in np.unique(segments.trial):
+        samples, trial = campaign.samples[number], campaign.trials[number]
+        begins = np.searchsorted(samples.t, segments.t[segments.trial == number])
+        for rows in strokes(trial):
+            mine = begins[(begins >= rows.start) & (begins < rows.stop)]
+            if len(mine):
+                stop = int(mine.max()) + segments.v.shape[1] + round(AFTER * campaign.rate)
+                pieces.append((samples, slice(rows.start, min(rows.stop, stop))))
+    return pieces
+
+
+def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+    """The primary method's coefficients at the tested pressures, and curves through them."""
+    told = Told(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
+    estimates = values(told)
+    curves: list[Curve] = []
+    for symbol in SYMBOLS:
+        known = [e for e in estimates if e.symbol == symbol and e.value is not None]
+        places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
+        for order in ORDERS[symbol]:
+            through = curve(known, order, pooled.trust, places)
+            if through is not None:
+                curves.append(through)
+    return estimates, curves
+
+
+def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:
+    """Trials without a segment, and why: the load is more than the muscle lifts, or it moves too little."""
+    used = set(pooled.segments.trial.tolist())
+    dropped = []
+    for number, trial in enumerate(campaign.trials):
+        if number in used:
+            continue
+        samples = campaign.samples[number]
+        P, load = trial.point["pressure"], trial.point.get("load", 0.0)
+        pull = float(pooled.fit.values("F_ce", np.array([P]))[0])
+        if load >= pull:
+            reason = f"the load, {show(load, 'force', 4)}, is not below F_ce = {show(pull, 'force', 4)}"
+        else:
+            moved = float(np.max(samples.x[samples.ok])) - float(np.min(samples.x[samples.ok]))
+            reason = f"too little motion: {show(moved, 'length', 3)} with F_ce - F_L = {show(pull - load, 'force', 3)}"
+        dropped.append(Dropped(campaign.name(number), trial.point, reason))
+    return dropped

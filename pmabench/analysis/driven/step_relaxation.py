@@ -1,0 +1,182 @@
+"""One step of displacement: force before, at its peak and relaxed, how force and pressure come back; no campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from pmabench.analysis.driven.ramp_loop import on_time
+from pmabench.analysis.driven.sine_loop import UNUSABLE_SHARE, NotUsable
+from pmabench.analysis.loops.oscillation import noise_of
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+LAST = 0.2
+"""Share of each rest at its end whose mean counts as relaxed."""
+SEEN = 6.0
+"""A recovery counts where it is larger than so many standard deviations of the noise."""
+THERE = 0.01
+"""Share of the step by which the displacement may still be off when its motion counts as over."""
+FEWEST = 8
+"""Samples that a recovery needs within three time constants."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """y = end + size exp(-t/tau) after the motion; size as y, tau [s]."""
+
+    size: float
+    tau: float
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """One step, there or back. Forces [N], pressures [Pa]; above 0 it contracts."""
+
+    moved: float
+    """Measured displacement of the step [m]."""
+    before: float
+    peak: float
+    relaxed: float
+    drift: float
+    """What the relaxed force still changes by over the last fifth of the rest [N]."""
+    pressure_peak: float
+    """Largest difference of the pressure from that before; nan where it is not recorded."""
+    force_back: Recovery | None
+    pressure_back: Recovery | None
+    noise: float
+    """Of the force [N]."""
+
+    @property
+    def static(self) -> float:
+        """Stiffness from relaxed forces [N/m]."""
+        return -(self.relaxed - self.before) / self.moved
+
+    @property
+    def instant(self) -> float:
+        """Stiffness from the peak [N/m]: damping and pressure are in it."""
+        return -(self.peak - self.before) / self.moved
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The steps of one trial, and the samples around the last step away from the start."""
+
+    there: tuple[Relaxation, ...]
+    back: tuple[Relaxation, ...]
+    last: dict[str, Array]
+    """`t` from the command on [s], `force`, `displacement`, `pressure` where it is recorded."""
+
+
+def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps:
+    """One trial from its samples, without the cycles at its start that `options`, else the plan, `discard`.
+
+    Raises `NotUsable` where it ended early, lacks a channel or a whole step.
+    """
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    missing = [name for name in ("displacement", "force") if name not in trial.channels]
+    if missing:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
+        raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
+    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in _PHASES]
+    if not ramps:
+        raise NotUsable("it holds no step")
+    ends = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
+    begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
+    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    found: dict[str, list[Relaxation]] = {"step": [], "back": []}
+    for ramp, begin, end in zip(ramps, begins, ends, strict=True):
+        found[ramp.phase].append(_one(trial, values, ramp, begin, end))
+    discard = int({**(run.plan.get("settings") or {}), **options}.get("discard", 1))
+    found = {phase: steps[discard:] for phase, steps in found.items()}
+    if not found["step"] or not found["back"]:
+        raise NotUsable("it holds no step there and back beyond those left out")
+    place = max(i for i, ramp in enumerate(ramps) if ramp.phase == "step")
+    rows = (trial.t >= ramps[place].t - 0.1 * (ends[place] - ramps[place].t)) & (trial.t < ends[place]) & trial.usable
+    last = {name: column[rows] for name, column in values.items() if np.isfinite(column).all()}
+    return Steps(tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last})
+
+
+_PHASES = ("step", "back")
+
+
+def _one(trial: TrialData, values: dict[str, Array], ramp: Command, begin: float, end: float) -> Relaxation:
+    """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
+    rate = ramp.data.get("rate", 0.0)
+    arrived = ramp.t + (abs(ramp.value - ramp.before) / rate if rate > 0 else 0.0)
+    t, good = trial.t, trial.usable
+    before = good & (t >= ramp.t - LAST * (ramp.t - begin)) & (t < ramp.t - 1e-9)
+    after = good & (t >= end - LAST * (end - arrived)) & (t < end)
+    moving = good & (t >= ramp.t) & (t < end)
+    rest = good & (t > arrived + 1e-9) & (t < end)
+    if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
+        raise NotUsable("fewer than 3 samples at the end of a rest")
+    x, F, P = values["displacement"], values["force"], values["pressure"]
+    level, relaxed = float(F[before].mean()), float(F[after].mean())
+    moved = float(x[after].mean() - x[before].mean())
+    noise = noise_of(F[rest])
+    if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
+        raise NotUsable("the displacement does not move above its noise")
+    away = F[moving] - level
+    peak = level + float(away[np.argmax(-np.sign(moved) * away)])
+    half = np.flatnonzero(after)
+    middle = len(half) // 2
+    drift = 2 * float(F[half[middle:]].mean() - F[half[:middle]].mean())
+    known = bool(np.isfinite(P).all())
+    still = rest & (t > _arrival(t[moving], x[moving], float(x[after].mean()), abs(moved), arrived))
+    if still.sum() < 2 * FEWEST:
+        raise NotUsable("the displacement comes to rest too late")
+    since = t[still] - t[still][0]
+    pressure_peak = float("nan")
+    if known:
+        off = P[moving] - float(P[before].mean())
+        pressure_peak = float(off[np.argmax(np.abs(off))])
+    return Relaxation(
+        moved=moved,
+        before=level,
+        peak=peak,
+        relaxed=relaxed,
+        drift=drift,
+        pressure_peak=pressure_peak,
+        force_back=recovery(since, F[still]),
+        pressure_back=recovery(since, P[still]) if known else None,
+        noise=noise,
+    )
+
+
+def _arrival(t: Array, x: Array, end: float, size: float, arrived: float) -> float:
+    """When the measured motion is over [s]: from then on it stays within `THERE` of its end; not before the command."""
+    late = t[np.abs(x - end) > THERE * size]
+    return max(float(late[-1]), arrived) if len(late) else arrived
+
+
+def recovery(t: Array, y: Array) -> Recovery | None:
+    """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
+    noise = noise_of(y)
+
+    def solve(tau: float) -> tuple[Array, float]:
+        design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+        terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+        return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
+
+    step = float(np.median(np.diff(t)))
+    grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
+    costs = [solve(float(np.exp(s)))[1] for s in grid]
+    best = int(np.argmin(costs))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        lambda s: solve(float(np.exp(s)))[1], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
+    )
+    tau = float(np.exp(found.x))
+    terms, left = solve(tau)
+    size = float(terms[1])
+    if best in (0, len(grid) - 1) or np.count_nonzero(t < 3 * tau) < FEWEST:
+        return None
+    if abs(size) < max(SEEN * noise, 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
+        return None
+    return Recovery(size, tau)

@@ -1,0 +1,331 @@
+"""A model of the library fitted to measured rows: unknown inputs with intervals, residual, what cannot be told apart.
+
+Least squares in scipy's trust region within the domains of the inputs, from several starts; intervals from the profile
+of the sum of squares (Bates and Watts 1988, chapter 6). Knows no file and no units; all values SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.fitting.identifiability import Spread, spread_of, told_apart
+from pmabench.analysis.fitting.model_problem import FEW, End, Problem, acting, solve, starts_of
+from pmabench.analysis.results import Finding
+from pmabench.analysis.shared import student
+from pmabench.model.library import Model
+from pmabench.store.records import Array
+
+EXACT = 1e-7
+"""Residual rms as a share of the output's span below which data are the model's own."""
+ENOUGH = 4
+"""Starts that ended as low as the best, after which no more are tried."""
+SAME = 1e-6
+ALIKE = 0.5
+"""Correlation of neighbouring residuals from which on rows do not count as independent."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A fitted input [SI]."""
+
+    name: str
+    value: float
+    standard_error: float | None
+    """From the Jacobian; None where it is not identifiable."""
+    ci95: tuple[float | None, float | None] | None
+    """Ends of the 95 % interval; one that is None is not reached within the domain."""
+    start: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Follows:
+    """Another output of the model that is one number for all rows [SI]; no error where the unknowns do not move it."""
+
+    name: str
+    value: float
+    standard_error: float | None
+    ci95: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """What a fit gave."""
+
+    model: Model
+    output: str
+    unknowns: tuple[Unknown, ...]
+    follows: tuple[Follows, ...]
+    fixed: Mapping[str, Any]
+    """Inputs that were given or stayed at their reference values."""
+    idle: tuple[str, ...]
+    """Those of them that change nothing here."""
+    columns: Mapping[str, Array]
+    measured: Array
+    computed: Array
+    covariance: Array
+    """Of the unknowns, in their order; NaN where not identifiable."""
+    correlation: Array
+    residual_rms: float
+    """With the degrees of freedom [SI of the output]."""
+    freedom: int
+    starts: int
+    agreeing: int
+    """How many of the starts ended at the values that are given."""
+    converged: bool
+    method: str
+    """Of the intervals: `profile` or `jacobian`."""
+    findings: tuple[Finding, ...] = ()
+
+    def band(self, values: Mapping[str, Any]) -> tuple[Array, Array | None]:
+        """The output at other inputs and the half width of its 95 % confidence band; None without degrees of freedom.
+
+        Raises OutsideDomain where the model does not hold.
+        """
+        at = np.array([u.value for u in self.unknowns])
+        names = [u.name for u in self.unknowns]
+        problem = Problem(self.model, self.output, names, dict(self.fixed) | dict(values), None)
+        middle = problem.output_at(at)
+        if not np.isfinite(self.covariance).all():
+            return middle, None
+        slope = problem.slopes(at)
+        return middle, float(student.ppf(0.975, self.freedom)) * np.sqrt(
+            np.maximum(np.einsum("ij,jk,ik->i", slope, self.covariance, slope), 0)
+        )
+
+
+def fit_model(
+    model: Model,
+    output: str,
+    columns: Mapping[str, Array],
+    fixed: Mapping[str, Any],
+    measured: Array,
+    unknown: Sequence[str],
+    *,
+    start: Mapping[str, float] | None = None,
+    seed: int = 0,
+) -> ModelFit:
+    """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
+
+    `start` replaces reference values as the first start. Raises ValueError where there are fewer rows than unknowns or
+    the model holds at none of the starts.
+    """
+    known = {p.name: p for p in model.parameters}
+    problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
+    if len(measured) < len(unknown):
+        rows = f"{len(measured)} row{'s' if len(measured) != 1 else ''}"
+        raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
+    first = np.array([float((start or {}).get(name, known[name].value)) for name in unknown])
+    first = np.clip(first, problem.low, problem.high)
+    begun = [at for at in starts_of(problem, first, seed) if np.isfinite(problem.residuals(at)).all()]
+    if not begun:
+        raise ValueError("the model holds at none of the start values; give better ones with --start")
+    ends: list[End] = []
+    for at in begun:
+        ends.append(solve(problem, at))
+        best = min(ends, key=lambda end: end[0])
+        if sum(_as_low(end, best) for end in ends) >= ENOUGH:
+            break
+    tried = len(ends)
+    freedom = len(measured) - len(unknown)
+    spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
+    method = "jacobian"
+    intervals: list[tuple[float | None, float | None] | None] = [_wald(v, s, freedom) for v, s in zip(
+        best[1], spread.errors, strict=True)]  # fmt: skip
+    exact = sqrt(best[0] / len(measured)) < EXACT
+    if freedom > 0 and len(unknown) <= FEW and not exact:
+        method = "profile"
+        for _ in range(3):
+            profiled, better = _profiles(problem, best, spread, freedom)
+            if better is None:
+                intervals = profiled
+                break
+            best = min(solve(problem, better), best, key=lambda end: end[0])
+            ends = [best, *ends]
+            spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
+    computed = problem.output_at(best[1])
+    agreeing = sum(_same(end, best, spread, problem.size) for end in ends[-tried:])
+    at_end = [_at_end(problem, i, float(value)) for i, value in enumerate(best[1])]
+    findings = told_apart(unknown, spread, intervals, at_end)
+    findings += _other_minima(unknown, ends, best, spread, problem, freedom)
+    findings += _of_residuals(computed - measured, exact=exact, freedom=freedom)
+    if not best[2]:
+        findings.insert(0, Finding("fault", "the fit did not converge; give start values with --start or fix some"))
+    return ModelFit(
+        model=model,
+        output=output,
+        unknowns=tuple(
+            Unknown(name, float(best[1][i]), spread.errors[i], intervals[i], float(first[i]), at_end[i])
+            for i, name in enumerate(unknown)
+        ),
+        follows=_follows(problem, best[1], spread, freedom),
+        fixed={name: value for name, value in fixed.items() if name not in unknown},
+        idle=_idle(problem, fixed, best[1]),
+        columns=dict(columns),
+        measured=measured,
+        computed=computed,
+        covariance=spread.covariance,
+        correlation=spread.correlation,
+        residual_rms=sqrt(best[0] / max(1, freedom)) * problem.span,
+        freedom=freedom,
+        starts=tried,
+        agreeing=agreeing,
+        converged=best[2],
+        method=method,
+        findings=tuple(findings),
+    )
+
+
+def _wald(value: float, error: float | None, freedom: int) -> tuple[float | None, float | None] | None:
+    if error is None or freedom < 1:
+        return None
+    half = float(student.ppf(0.975, freedom)) * error
+    return float(value) - half, float(value) + half
+
+
+def _profiles(
+    problem: Problem, best: End, spread: Spread, freedom: int
+) -> tuple[list[tuple[float | None, float | None] | None], Array | None]:
+    """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
+    limit = float(student.ppf(0.975, freedom))
+    variance = best[0] / freedom
+    found: list[tuple[float | None, float | None] | None] = []
+    for i, error in enumerate(spread.errors):
+        if error is None:
+            found.append(None)
+            continue
+        ends: list[float | None] = []
+        for way in (-1.0, 1.0):
+            end, better = _end(problem, best, spread, i, way * limit * error, limit, variance)
+            if better is not None:
+                return found, better
+            ends.append(end)
+        found.append((ends[0], ends[1]))
+    return found, None
+
+
+def _end(
+    problem: Problem, best: End, spread: Spread, i: int, reach: float, limit: float, variance: float
+) -> tuple[float | None, Array | None]:
+    """One end of a profile interval, by secants; None where the domain ends before."""
+    middle, stop = float(best[1][i]), float(problem.high[i] if reach > 0 else problem.low[i])
+    along = np.nan_to_num(spread.covariance[:, i] / spread.covariance[i, i])
+    warm, at = best[1], middle
+    for _ in range(8):
+        wanted = middle + reach
+        ended = (wanted - stop) * np.sign(reach) >= 0
+        wanted = stop if ended else wanted
+        guess = np.clip(warm + along * (wanted - at), problem.low, problem.high)
+        guess[i] = wanted
+        if not np.isfinite(problem.residuals(guess)).all():
+            guess = best[1].copy()
+            guess[i] = wanted
+            if not np.isfinite(problem.residuals(guess)).all():  # a refusal ends the domain here
+                reach *= 0.5
+                continue
+        cost, point, _ = solve(problem, guess, held=i)
+        if cost < best[0] * (1 - 1e-4):
+            return None, point
+        rise = sqrt(max(cost - best[0], 0.0) / variance)
+        if ended and rise < limit:
+            return None, None
+        if abs(rise - limit) < 0.01 * limit:
+            return wanted, None
+        warm, at = point, wanted
+        reach = (wanted - middle) * min(3.0, limit / rise if rise > 0 else 3.0)
+    return middle + reach, None
+
+
+def _as_low(end: End, best: End) -> bool:
+    return end[0] <= best[0] * (1 + 1e-4) + 1e-14
+
+
+def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
+    """Whether a start ended at the best values."""
+    if not _as_low(end, best):
+        return False
+    errors = np.array([0.0 if e is None else e for e in spread.errors])
+    free = np.array([e is not None for e in spread.errors])
+    return bool(
+        (np.abs(end[1] - best[1]) <= 0.1 * errors + 1e-4 * np.maximum(np.abs(best[1]), 1e-3 * size))[free].all()
+    )
+
+
+def _at_end(problem: Problem, i: int, value: float) -> str:
+    for end, word in ((problem.low[i], "lower"), (problem.high[i], "upper")):
+        if isfinite(end) and abs(value - end) < SAME * problem.size[i]:
+            return f"at the {word} end of its domain"
+    return ""
+
+
+def _other_minima(
+    names: Sequence[str], ends: Sequence[End], best: End, spread: Spread, problem: Problem, freedom: int
+) -> list[Finding]:
+    """A doubt where another start ended elsewhere, nearly as well."""
+    if freedom < 1 or any(e is None for e in spread.errors):
+        return []
+    ratio = 1 + 4 * len(names) / freedom
+    for end in ends:
+        far = [
+            name
+            for name, one, other, error in zip(names, best[1], end[1], spread.errors, strict=True)
+            if abs(other - one) > 5 * (error or 0.0) + 1e-3 * abs(one)
+        ]
+        if end[2] and best[0] < end[0] * (1 - 1e-6) and end[0] < best[0] * ratio and far:
+            more = sqrt(end[0] / best[0])
+            text = f"other values of {_list(far)} fit nearly as well (residual {more:.3g} times as large)"
+            return [Finding("doubt", f"{text}; data over a wider range would tell them apart")]
+    return []
+
+
+def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding]:
+    """Notes on rows that are no independent measurements."""
+    if freedom < 1:
+        return [Finding("doubt", "as many rows as unknowns: nothing is left to take an interval from")]
+    if exact:
+        return [Finding("note", "the data follow the model to rounding: the intervals say nothing of a measurement")]
+    off = residual - residual.mean()
+    power = float(off @ off)
+    alike = float(off[1:] @ off[:-1]) / power if power > 0 else 0.0
+    if len(residual) >= 20 and alike > ALIKE:
+        text = f"residuals of neighbouring rows are alike (correlation {alike:.2f})"
+        return [Finding("doubt", f"{text}: the model misses something, and the intervals are too narrow")]
+    return []
+
+
+def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, ...]:
+    """Numbers among the fixed inputs that do not move the output at the best values."""
+    names = [p.name for p in problem.model.parameters if p.name in fixed and not p.choices]
+    inputs = {**problem.inputs, **dict(zip(problem.names, at.tolist(), strict=True))}
+    held = {name: float(fixed[name]) for name in names}
+    moving = acting(problem.model, problem.output, names, inputs, held)
+    return tuple(name for name in names if name not in moving)
+
+
+def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:
+    """Outputs that the unknowns settle for all rows alike."""
+    found = []
+    for output in problem.model.outputs:
+        other = Problem(problem.model, output.name, problem.names, problem.inputs, None)
+        values = other.output_at(at)
+        size = float(np.abs(values).max())
+        if output.name == problem.output or not np.isfinite(values).all() or float(np.ptp(values)) > 1e-9 * size:
+            continue
+        slope = other.slopes(at)[0]
+        error = half = None
+        power = float(slope @ spread.covariance @ slope) if np.isfinite(spread.covariance).all() else float("nan")
+        if np.any(slope) and isfinite(power) and freedom > 0:
+            error = sqrt(max(power, 0.0))
+            half = float(student.ppf(0.975, freedom)) * error
+        value = float(values[0])
+        found.append(Follows(output.name, value, error, None if half is None else (value - half, value + half)))
+    return tuple(found)
+
+
+def _list(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

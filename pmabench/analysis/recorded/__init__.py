@@ -1,0 +1,6 @@
+"""Files of other programs, reduced as they were recorded.
+
+- isometric, recorded-pull: `isometric`; recorded-step: `recorded_steps`, with `driven_motion`; recorded-sine:
+  `recorded_sines`
+- what imports say beside their samples: `imported`
+"""

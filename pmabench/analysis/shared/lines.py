@@ -1,0 +1,95 @@
+"""Straight lines and means over repeated points, with intervals that do not pretend: knows no test kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan, sqrt
+
+import numpy as np
+
+from pmabench.analysis.shared import student
+from pmabench.store.records import Array
+
+PROPORTIONAL = 2e-3
+"""Floor of a point's error as a share of its size: nothing on a bench is known better."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """y = start + slope s, with half widths of the 95 % intervals; None where nothing is there to take them from."""
+
+    start: float
+    slope: float
+    half_start: float | None
+    half_slope: float | None
+
+
+def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = None) -> Line:
+    """Weighted least squares of y = start + slope s (no slope where `s` is None); weights 1/(share of `size`)^2.
+
+    `group` tells repeats from each other. Intervals by Student's t, once from all points and once from the means of
+    the groups, the wider of the two: points of one frequency share what the line cannot follow there.
+    """
+    size = np.abs(y) if size is None else size
+    floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())
+    error = np.hypot(floor, _scatter(group, y))
+    weight = 1.0 / error if error.min() > 0 else np.ones_like(error)
+    columns = 1 if s is None else 2
+    names = np.unique(group)
+    if len(names) < columns:
+        return Line(nan, nan, None, None)
+
+    def solve(design: Array, values: Array, w: Array) -> tuple[Array, list[float] | None]:
+        inverse = np.linalg.inv((design * w[:, None] ** 2).T @ design)
+        fitted = inverse @ (design * w[:, None] ** 2).T @ values
+        freedom = len(values) - columns
+        if freedom < 1:
+            return fitted, None
+        residual = (values - design @ fitted) * w
+        spread = float(residual @ residual) / freedom
+        half = float(student.ppf(0.975, freedom)) * np.sqrt(spread * np.diag(inverse))
+        return fitted, [float(value) for value in half]
+
+    design = np.ones((len(y), 1)) if s is None else np.column_stack([np.ones_like(y), s])
+    fitted, points = solve(design, y, weight)
+    rows = [group == name for name in names]
+    means = np.array([design[row].mean(axis=0) for row in rows])
+    _, grouped = solve(means, np.array([y[r].mean() for r in rows]), np.array([weight[r].mean() for r in rows]))
+    both = [half for half in (points, grouped) if half is not None]
+    wider = [max(half[i] for half in both) for i in range(columns)] if both else [None] * columns
+    if s is None:
+        return Line(float(fitted[0]), nan, wider[0], None)
+    return Line(float(fitted[0]), float(fitted[1]), wider[0], wider[1])
+
+
+def _scatter(group: Array, y: Array) -> float:
+    """Standard deviation of repeats at one frequency [as y], pooled; 0 without repeats."""
+    squares, freedom = 0.0, 0
+    for name in np.unique(group):
+        values = y[group == name]
+        squares += float(np.sum((values - values.mean()) ** 2))
+        freedom += len(values) - 1
+    return sqrt(squares / freedom) if freedom else 0.0
+
+
+def mean_half(values: Array, by_cycle: Sequence[Array]) -> float | None:
+    """Half width of the 95 % interval of the mean of `values`, one per trial, with their cycles `by_cycle`.
+
+    Cycles of one trial are not independent: their scatter is widened by the correlation of neighbours. With repeats,
+    the larger of that and of the scatter between trials counts.
+    """
+    halves = []
+    for cycles in by_cycle:
+        n = len(cycles)
+        if n < 2:
+            continue
+        off = cycles - cycles.mean()
+        power = float(off @ off)
+        rho = min(max(float(off[1:] @ off[:-1]) / power, 0.0), 0.9) if n > 3 and power > 0 else 0.0
+        halves.append(float(student.ppf(0.975, n - 1)) * sqrt(power / (n - 1) / n * (1 + rho) / (1 - rho)))
+    within = sqrt(float(np.mean(np.square(halves))) / len(values)) if halves else None
+    if len(values) < 2:
+        return within
+    between = float(student.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / sqrt(len(values))
+    return between if within is None else max(between, within)

@@ -1,0 +1,116 @@
+"""What streams with clocks of their own make of a result: how far their channels may be apart in time; knows no test.
+
+A stream's clock is known within +-u over the whole run (95 %, `ClockInfo.uncertainty`), by a straight line of time. So
+what is left of its error is a straight line, too, and lies between two: u all the time, and from -u to u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from pmabench.analysis.results import Estimate, Finding, Parts
+from pmabench.analysis.shared.calibration import sentences
+from pmabench.store.records import Array, RunData, TrialData
+
+WIDE = 0.25
+"""A coefficient is not told where the skew alone is worth more than this share of it, and more than all else."""
+REFUSED = "not identifiable in time"
+EQUAL, ARRIVALS = "stated equal", "host arrivals"
+"""`ClockInfo.how`."""
+NO_JITTER = 1e-6
+"""Arrivals that scatter less than this about a device's own stamps [s] are those stamps."""
+
+
+def apart(runs: Iterable[RunData], channels: Sequence[str]) -> float:
+    """Bound of the time between any two of the channels [s], the largest of several runs; 0 in one stream."""
+    known = [(run, [name for name in channels if name in run.channels]) for run in runs]
+    return round(max((run.skew(*pair) for run, names in known for pair in combinations(names, 2)), default=0.0), 9)
+
+
+def off(runs: Iterable[RunData], channel: str) -> float:
+    """Bound of the time between a channel and the commands, which stand on the time of the run [s]."""
+    streams = [(run, run.channels[channel].stream) for run in runs if channel in run.channels]
+    bounds = [run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks]
+    return round(max(bounds, default=0.0), 9)
+
+
+def causes(runs: Iterable[RunData], channels: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Channels that share a clock -> how far that may be off [s]; empty where all channels share one in every run."""
+    found: dict[tuple[str, ...], float] = {}
+    for run in runs:
+        names = [name for name in channels if name in run.channels]
+        streams = {run.channels[name].stream for name in names}
+        for stream in streams if len(streams) > 1 else ():
+            group = tuple(name for name in names if run.channels[name].stream == stream)
+            found[group] = max(found.get(group, 0.0), run.clocks[stream].uncertainty)
+    return {group: bound for group, bound in found.items() if bound >= 1e-9}
+
+
+def courses(trials: Sequence[TrialData]) -> Array:
+    """Both extreme courses of a clock's error over its bound, at each trial; shape (2, trials)."""
+    place = np.zeros(len(trials))
+    for run in {trial.run for trial in trials}:
+        mine = np.array([trial.run == run for trial in trials])
+        begins = np.array([trial.t[0] for trial in trials])[mine]
+        place[mine] = 2.0 * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9) - 1.0
+    return np.array([np.ones(len(trials)), place])
+
+
+def milliseconds(skew: float) -> str:
+    """A time [s] in ms, for people."""
+    return f"{1e3 * skew:.3g} ms"
+
+
+def settled(estimate: Estimate, between: str, skew: float) -> Estimate:
+    """The estimate, or the same without a value where its skew part does not allow one.
+
+    `between` names the channels, `skew` is the bound of the time between them [s].
+    """
+    part, value = estimate.parts.skew, estimate.value
+    if value is None or part <= WIDE * abs(value):
+        return estimate
+    rest = replace(estimate.parts, skew=0.0, repeats=estimate.parts.repeats or 0.0).combined or 0.0
+    if part <= rest:
+        return estimate
+    worth = f"worth {part / abs(value):.0%} of it" if value else "worth more than it"
+    note = f"{REFUSED}: {between} may be {milliseconds(skew)} apart, {worth}"
+    note = sentences(note, estimate.note)
+    return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
+
+
+def findings(
+    runs: Sequence[RunData], channels: Sequence[str], skew: float, estimates: Iterable[Estimate]
+) -> list[Finding]:
+    """What has no value for the `skew` between the channels [s], and where nothing bounds it."""
+    said = []
+    none = [e for e in estimates if e.value is None and e.note.startswith(REFUSED)]
+    if none:
+        symbols = _and(list(dict.fromkeys(e.symbol for e in none)))
+        text = f"{symbols} not told: {_and(channels)} may be {milliseconds(skew)} apart in time"
+        said.append(Finding("doubt", f"{text}; record them with one device, or with clocks that are known better"))
+    pairs = {
+        tuple(sorted((one, other)))
+        for run in runs
+        for one, other in combinations([name for name in channels if name in run.channels], 2)
+        if run.channels[one].stream != run.channels[other].stream
+        and any(_unbounded(run, run.channels[name].stream) for name in (one, other))
+    }
+    if pairs:
+        names = _and(sorted({name for pair in pairs for name in pair}))
+        text = f"{names} come from different devices, and nothing bounds the time between them: clocks are stated equal"
+        said.append(Finding("doubt", f"{text}, or samples are stamped as they come in, however long they took"))
+    return said
+
+
+def _unbounded(run: RunData, stream: str) -> bool:
+    """Whether a stream's clock is only said to be that of the run, or its stamps are the arrivals themselves."""
+    clock = run.clocks.get(stream)
+    return clock is None or clock.how == EQUAL or (clock.how == ARRIVALS and clock.uncertainty < NO_JITTER)
+
+
+def _and(names: Sequence[str]) -> str:
+    return ", ".join(names[:-1]) + (" and " if names[:-1] else "") + names[-1]

@@ -1,0 +1,240 @@
+"""Lines F = m P + c at set contractions: the tests, the line through all their samples, its intervals and estimates.
+
+Knows trials with pressure and force at a set contraction; neither where they come from nor which samples to use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.results import Dropped, Estimate, Parts
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+METHOD = "isometric-line"
+FEWEST = 50
+"""Samples that a line needs."""
+SAME = 4
+"""Contractions that agree to so many decimals of a metre are one."""
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One trial: its usable samples in the wanted phases, and which phase each is in."""
+
+    run: RunData
+    trial: TrialData
+    t: Array
+    P: Array
+    F: Array
+    x: Array
+    """Displacement [m]; NaN where it was not recorded."""
+    phase: Array
+    """Index into the phase names, shape (n,); -1 where none is known."""
+
+    @property
+    def name(self) -> str:
+        """`run/index`."""
+        return self.trial.name
+
+
+Used = Callable[[Test], Mask]
+"""Which samples of a test enter the line."""
+Groups = dict[float, list[Test]]
+"""Contraction [m] -> its tests."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """F = m P + c."""
+
+    m: float
+    c: float
+    n: int
+    r2: float
+    rms: float
+    low: float
+    high: float
+    """Range of pressures [Pa]."""
+
+    def __call__(self, P: Array) -> Array:
+        """F [N] at P [Pa]."""
+        return np.asarray(self.m * P + self.c)
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """The line through the samples of all tests at one contraction, and the line of each test that has one."""
+
+    line: Line
+    each: tuple[Line, ...]
+    names: tuple[str, ...]
+    """The tests that `each` is of."""
+    repeats: tuple[tuple[float, float], ...]
+    """m and c of each repeat: the mean of its sides where the contraction was reached from both, else of one test."""
+
+    @property
+    def rms(self) -> float:
+        """Residual of the tests from their own lines [N]."""
+        return sqrt(sum(line.n * line.rms**2 for line in self.each) / max(1, sum(line.n for line in self.each)))
+
+    def half(self, of: str) -> float | None:
+        """Half width of the 95 % interval of `m` or `c` from the scatter between repeats, Student's t."""
+        return spread([pair["mc".index(of)] for pair in self.repeats])
+
+
+def spread(values: Sequence[float] | Array) -> float | None:
+    """Half width of the 95 % interval of the mean of repeats by Student's t; None for fewer than two."""
+    n = len(values)
+    return float(student.ppf(0.975, n - 1) * np.std(values, ddof=1) / sqrt(n)) if n > 1 else None
+
+
+def tests_of(
+    runs: Sequence[RunData], phases: Sequence[str], lacks: Callable[[Test], str]
+) -> tuple[Groups, list[Dropped]]:
+    """Usable tests by contraction, and the trials that are none; `lacks` says what a test lacks, or nothing."""
+    groups: Groups = {}
+    dropped: list[Dropped] = []
+    for run in runs:
+        for trial in run.trials:
+            test, reason = as_test(run, trial, phases)
+            reason = reason if test is None else lacks(test)
+            if test is None or reason:
+                dropped.append(Dropped(trial.name, trial.point, reason))
+            else:
+                groups.setdefault(round(trial.point["contraction"], SAME), []).append(test)
+    return groups, dropped
+
+
+def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
+    """The samples of a trial that can be used, or why there are none."""
+    missing = [name for name in ("pressure", "force") if name not in trial.channels]
+    if missing:
+        return None, f"{' and '.join(missing)} not recorded"
+    if "contraction" not in trial.point:
+        return None, "its point names no contraction"
+    if trial.status != "finished":
+        return None, f"the trial is {trial.status}"
+    phase = _phase_of(run, trial, phases)
+    wanted = trial.usable & ((phase >= 0) | (not phases))
+    wanted &= np.isfinite(trial.channels["pressure"]) & np.isfinite(trial.channels["force"])
+    P, F = trial.channels["pressure"][wanted], trial.channels["force"][wanted]
+    x = trial.channels.get("displacement", np.full(len(trial.t), np.nan))[wanted]
+    return Test(run, trial, trial.t[wanted], P, F, x, phase[wanted]), ""
+
+
+def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
+    """Index of the phase of each sample, from `phase` events of imports, else from the commands of a bench.
+
+    Without either, all samples are in the first wanted phase.
+    """
+    told = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
+    begun = [(e.t, str(e.data.get("name"))) for e in told]
+    for command in () if begun else trial.commands:
+        begun.append((command.t, command.phase))
+        if command.kind == "ramp" and command.data.get("rate"):
+            begun.append((ends(command), ""))
+    begun.sort()
+    if not begun:
+        return np.zeros(len(trial.t))
+    index = np.full(len(trial.t), -1.0)
+    for at, name in begun:
+        index[trial.t >= at - 1e-9] = phases.index(name) if name in phases else -1
+    return index
+
+
+def ends(command: Command) -> float:
+    """When a commanded ramp is over [s]."""
+    return command.t + abs(command.value - command.before) / command.data["rate"]
+
+
+def line_of(P: Array, F: Array) -> Line | None:
+    """Least squares of F = m P + c; None where there are too few samples, or one pressure only."""
+    if len(P) < FEWEST or np.ptp(P) == 0:
+        return None
+    middle = float(P.mean())
+    off, pull = P - middle, F - float(F.mean())
+    # Sums and not dot products: BLAS hands these to threads, which is slow on a busy machine.
+    m = float(np.sum(off * pull) / np.sum(off * off))
+    residual = pull - m * off
+    total = float(np.sum(pull * pull))
+    return Line(
+        m=m,
+        c=float(F.mean()) - m * middle,
+        n=len(P),
+        r2=1.0 - float(np.sum(residual * residual)) / total if total > 0 else 0.0,
+        rms=float(np.sqrt(np.mean(residual**2))),
+        low=float(P.min()),
+        high=float(P.max()),
+    )
+
+
+def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
+    """The line through the `used` samples of all tests, and that of each; None where they are too few."""
+    masks = [used(test) for test in tests]
+    parts = [(test.P[mask], test.F[mask]) for test, mask in zip(tests, masks, strict=True)]
+    whole = line_of(np.concatenate([P for P, _ in parts]), np.concatenate([F for _, F in parts]))
+    if whole is None:
+        return None
+    with_line = [(test, line) for test, part in zip(tests, parts, strict=True) if (line := line_of(*part)) is not None]
+    tests_with, each = [test for test, _ in with_line], tuple(line for _, line in with_line)
+    m, c = (by_repeat(tests_with, [getattr(line, of) for line in each]) for of in ("m", "c"))
+    names = tuple(test.name for test in tests_with)
+    return Pooled(whole, each, names, tuple(zip(m.tolist(), c.tolist(), strict=True)))
+
+
+def by_repeat(tests: Sequence[Test], values: Sequence[float] | Array) -> Array:
+    """Mean of the values of each repeat: of both sides where it was reached from both, else of one test."""
+    groups: dict[object, list[float]] = {}
+    for number, (test, value) in enumerate(zip(tests, values, strict=True)):
+        repeat = (test.run.id, test.trial.repeat) if "side" in test.trial.point else number
+        groups.setdefault(repeat, []).append(float(value))
+    return np.array([np.mean(group) for group in groups.values()])
+
+
+def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[str, float]:
+    """Slope [N/Pa] in each phase alone."""
+    found = {}
+    for index, name in enumerate(phases):
+        masks = [used(test) & (test.phase == index) for test in tests]
+        P = np.concatenate([test.P[mask] for test, mask in zip(tests, masks, strict=True)])
+        F = np.concatenate([test.F[mask] for test, mask in zip(tests, masks, strict=True)])
+        if (line := line_of(P, F)) is not None:
+            found[name] = line.m
+    return found
+
+
+def estimates_of(
+    pooled: Pooled,
+    tests: Sequence[Test],
+    at: Mapping[str, float],
+    method: str = METHOD,
+    range_of: Line | None = None,
+) -> tuple[Estimate, Estimate]:
+    """The slope m [N/Pa] and the intercept c [N] with the interval parts of repeats and calibration.
+
+    The method part is the distance from `range_of`, the line through other samples that might have been chosen.
+    """
+    line = pooled.line
+    scales = Scales.of([test.run for test in tests])
+    slope = scales.part({"force": line.m, "pressure": line.m})
+    start = scales.part({"force": line.c}, {"force": 1.0, "pressure": line.m})
+    note = "no repeats part: one test only" if len(pooled.repeats) < 2 else ""
+    parents = tuple(test.name for test in tests)
+
+    def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float | None) -> Estimate:
+        other = None if range_of is None else abs(float(getattr(range_of, symbol)) - value)
+        parts = Parts(repeats=pooled.half(symbol), method=other, calibration=calibration)
+        return Estimate(
+            symbol, value, unit, quantity, method, at, parts, len(pooled.each), note=note, trials=parents,
+            coordinate={"m": "slope", "c": "intercept"}[symbol],
+        )  # fmt: skip
+
+    return estimate("m", line.m, "N/Pa", "force per pressure", slope), estimate("c", line.c, "N", "force", start)

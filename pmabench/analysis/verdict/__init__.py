@@ -1,0 +1,7 @@
+"""What speaks for or against a result, and results beside each other.
+
+- beside its residual: `checks`, `contraction_checks`; limits of a protocol: `acceptance`
+- independent tests of one specimen against each other: `agreement`
+- two analyses coefficient by coefficient (`compare`): `comparison`; what recalibration changed: `changes`
+- a specimen over its runs (`history`): `life`, `control_chart`
+"""

@@ -1,0 +1,180 @@
+"""Limits of a protocol against an analysis: one sentence for each that is not kept, with limit, value and place.
+
+Limits come as the plan holds them (`accept`), which may be a file that anybody wrote: what is no limit is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.verdict.checks import NAMES, checks_of
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.store.records import RunData
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One limit: of a coefficient, a check or R2."""
+
+    what: str
+    measure: str
+    """`relative_interval`, `of_specimen`, `at_most` or `at_least`."""
+    limit: float
+    place: str
+    """File and line of the protocol."""
+    expected: tuple[tuple[float, float], ...] = ()
+    """What the specimen file expects over pressure [Pa], in SI."""
+    everywhere: float | None = None
+    """The same for what does not depend on pressure."""
+
+    @property
+    def asked(self) -> str:
+        """The limit in words, with its place."""
+        sign = {"relative_interval": "+-", "of_specimen": "+-", "at_most": "at most ", "at_least": "at least "}
+        size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
+        place = f" ({self.place})" if self.place else ""
+        return f"accepted {sign[self.measure]}{size}{place}"
+
+    @property
+    def short(self) -> str:
+        """What is limited and how, for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
+        sign = {"relative_interval": "±", "of_specimen": "±", "at_most": "≤", "at_least": "≥"}[self.measure]
+        size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
+        of = " of the specimen file" if self.measure == "of_specimen" else ""
+        return f"{self.what.replace('_', ' ') if self.measure == 'at_most' else self.what} {sign} {size}{of}"
+
+
+def limits_of(run: RunData) -> list[Limit]:
+    """The limits in a run's plan; of plans from before there were several kinds, the widest intervals."""
+    told = run.plan.get("accept")
+    if not isinstance(told, Mapping):
+        return []
+    found = [limit for entry in _list(told.get("limits")) if (limit := _limit(entry)) is not None]
+    known = {limit.what for limit in found if limit.measure == "relative_interval"}
+    found += [
+        Limit(str(name), "relative_interval", float(widest), "")
+        for name, widest in told.items()
+        if name not in known and _are_numbers(widest)
+    ]
+    return found
+
+
+def _list(value: Any) -> Iterable[Any]:
+    return value if isinstance(value, list | tuple) else ()
+
+
+def _limit(entry: Any) -> Limit | None:
+    if not isinstance(entry, Mapping):
+        return None
+    limit: Any
+    what, measure, limit, place = (entry.get(name) for name in ("what", "measure", "limit", "place"))
+    if measure not in ("relative_interval", "of_specimen", "at_most", "at_least"):
+        return None
+    if not _are_numbers(limit) or not isinstance(what, str):
+        return None
+    told = entry.get("expected")
+    everywhere = float(told) if isinstance(told, int | float) else None
+    pairs = [point for point in _list(told) if isinstance(point, list | tuple) and len(point) == 2]
+    points = tuple((float(P), float(value)) for P, value in pairs if _are_numbers(P, value))
+    return Limit(what, measure, float(limit), str(place or ""), points, everywhere)
+
+
+def _are_numbers(*values: Any) -> bool:
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def not_accepted(runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]) -> Iterator[str]:
+    """One sentence for each limit of the analysis' runs that is not kept; `named` gives a coefficient's words.
+
+    Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
+    is not judged by it.
+    """
+    limits = dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run))
+    primary: dict[str, str] = {}
+    for estimate in analysis.estimates:
+        primary.setdefault(estimate.symbol, estimate.method)
+    for limit in limits:
+        if limit.measure in ("relative_interval", "of_specimen"):
+            mine = [e for e in analysis.estimates if e.symbol == limit.what and e.method == primary[e.symbol]]
+            judge = _interval if limit.measure == "relative_interval" else _of_specimen
+            known = any(e.value is not None for e in mine)
+            for estimate in mine:
+                if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
+                    yield f"{named(estimate)}: {why}"
+        elif limit.measure == "at_least":
+            yield from _r2(analysis, limit, primary)
+        elif why := _check(analysis, limit):
+            yield why
+
+
+def _interval(e: Estimate, limit: Limit, *, known: bool) -> str:
+    half = e.parts.combined
+    if e.value is None or not e.value:
+        return "" if known else f"not identifiable, {limit.asked}"
+    if half is None:
+        return f"no interval, {limit.asked}; {e.note}"
+    if half > limit.limit * abs(e.value):
+        relative = 100 * half / abs(e.value)
+        wide = f"{relative:.2g}" if relative < 10 else f"{relative:.0f}"
+        return f"interval +-{wide} %, {limit.asked}"
+    return ""
+
+
+def _of_specimen(e: Estimate, limit: Limit, *, known: bool) -> str:
+    if e.value is None:
+        return "" if known else f"not identifiable, {limit.asked} of the specimen file"
+    expected = _expected(limit, e.at.get("pressure"))
+    if not expected:
+        return ""
+    off = e.value / expected - 1.0
+    if abs(off) <= limit.limit:
+        return ""
+    half = e.parts.combined
+    value, reference = (show(v, e.quantity, 4) if e.quantity in QUANTITIES else f"{v:.4g}" for v in (e.value, expected))
+    within = half is not None and abs(e.value - expected) - half <= limit.limit * abs(expected)
+    unsure = "; its interval reaches into what is accepted" if within else ""
+    size = f"{100 * abs(off):.2g}" if abs(off) < 0.1 else f"{100 * abs(off):.0f}"
+    where = "above" if off > 0 else "below"
+    return f"{value} is {size} % {where} the specimen file's {reference}, {limit.asked}{unsure}"
+
+
+def _expected(limit: Limit, pressure: float | None) -> float | None:
+    """What the specimen file expects there, on straight lines between its points; None outside them."""
+    if limit.everywhere is not None or not limit.expected:
+        return limit.everywhere
+    P, values = (np.array(column) for column in zip(*sorted(limit.expected), strict=True))
+    if pressure is None or not P[0] - 1.0 <= pressure <= P[-1] + 1.0:
+        return None
+    return float(np.interp(pressure, P, values))
+
+
+def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:
+    """R2 of each coefficient over pressure, by its best curve."""
+    best: dict[str, Curve] = {}
+    for curve in analysis.curves:
+        before = best.get(curve.symbol)
+        if curve.method == primary.get(curve.symbol, curve.method) and not (before and before.r2 >= curve.r2):
+            best[curve.symbol] = curve
+    if not best:
+        yield f"R2: there is no curve over pressure, {limit.asked}"
+    for symbol, curve in best.items():
+        if not curve.r2 >= limit.limit:
+            yield f"R2 of {symbol} over pressure ({curve.form}): {curve.r2:.4g}, {limit.asked}"
+
+
+def _check(analysis: Analysis, limit: Limit) -> str:
+    words = limit.what.replace("_", " ")
+    check = next((check for check in checks_of(analysis) if check.name == limit.what), None)
+    if check is None:
+        return (
+            f"{words}: not known, {limit.asked}; it is the {NAMES.get(limit.what, words)}, and needs repeats or loads"
+        )
+    if abs(check.value) <= limit.limit:
+        return ""
+    size = 100 * check.value
+    return f"{words}: {f'{size:.2g}' if abs(size) < 10 else f'{size:.0f}'} %, {limit.asked}"

@@ -1,0 +1,294 @@
+"""What speaks for or against an analysis beside its residual: named numbers with a sentence each; fits no coefficient.
+
+A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
+themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
+the pooled fit come from `contraction_checks`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Finding
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.reference import stroke_of
+from pmabench.base.quantities import QUANTITIES
+from pmabench.store.records import Array, RunData, TrialData
+
+SPREAD = 0.03
+"""Spread of repeats, as a share of their mean, from which on they are doubted [1]."""
+FIRST = 0.01
+"""Difference of the first repeat from later ones that is doubted where it is beyond its interval [1]."""
+DRIFT = 0.02
+"""Change from the first to the last trial that is doubted where it is beyond its interval [1]."""
+APART = 0.1
+"""Repeats tell a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
+LEAST = 0.05
+"""Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
+FEWEST = 3
+"""Fewest cells for a first-repeat effect and fewest trials beyond the number of cells for a drift."""
+
+Point = tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number with its sentence."""
+
+    name: str
+    """Key of `NAMES`."""
+    value: float
+    """[SI]"""
+    quantity: str
+    level: str
+    """`note` or `doubt`."""
+    text: str
+
+
+NAMES = {
+    "repeat_spread": "standard deviation between repeats of an operating point, of their mean",
+    "first_repeat": "what the first repeat is above the later ones, of their mean",
+    "drift": "change from the first to the last trial, of the mean",
+    "held_out": "error of loads that were left out of the fit, of the largest load",
+    "other_direction": "what relaxation is missed by with K and F_ce of contraction, of the largest load",
+}
+"""Every check that a protocol can limit, and what it is."""
+
+
+def with_checks(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
+    """The analysis with the checks of its trials, and a finding for every check."""
+    known = checks_of(analysis)
+    own = trial_checks(analysis.kind, runs)
+    if not known and not own:
+        return analysis
+    every = (*known, *own)
+    return replace(
+        analysis,
+        findings=(*analysis.findings, *(Finding(check.level, check.text) for check in every)),
+        facts={**analysis.facts, "checks": [asdict(check) for check in every]},
+    )
+
+
+def checks_of(analysis: Analysis) -> tuple[Check, ...]:
+    """The checks in an analysis' facts, which may come from a file: what is none is left out."""
+    told = analysis.facts.get("checks")
+    found = []
+    for entry in told if isinstance(told, list | tuple) else ():
+        if isinstance(entry, Mapping) and set(entry) == set(Check.__dataclass_fields__):
+            value = entry["value"]
+            texts = [entry[name] for name in ("name", "quantity", "level", "text")]
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if number and all(isinstance(text, str) for text in texts) and entry["quantity"] in QUANTITIES:
+                found.append(Check(**entry))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """One value of each of n trials: arrays of shape (n,). `cell` numbers operating points, `t` orders trials [s]."""
+
+    what: str
+    cell: Array
+    repeat: Array
+    t: Array
+    value: Array
+
+    @property
+    def off(self) -> Array:
+        """Each value's relative distance from the mean of its operating point."""
+        return self.value / self.means(self.value) - 1.0
+
+    def means(self, of: Array) -> Array:
+        """The mean over its operating point at each trial, shape (n,)."""
+        cell = self.cell.astype(np.intp)
+        return np.asarray((np.bincount(cell, of) / np.maximum(np.bincount(cell), 1))[cell])
+
+    @property
+    def free(self) -> int:
+        """Degrees of freedom within operating points."""
+        return len(self.value) - len(np.unique(self.cell))
+
+
+def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
+    """Spread of repeats, first-repeat effect and drift over the run, of the kinds in `VALUES`."""
+    if kind not in VALUES:
+        return []
+    what, value_of = VALUES[kind]
+    begun, told = 0.0, list[tuple[Point, RunData, TrialData, float]]()
+    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+        for trial in run.trials:
+            if trial.status == "finished" and not trial.again and len(trial.t):
+                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
+                told.append((point, run, trial, begun + float(trial.t[0])))
+        begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
+    times = Counter(point for point, *_ in told)
+    rows: list[tuple[Point, int, float, float]] = []
+    for point, run, trial, t in told:
+        value = value_of(run, trial) if times[point] > 1 else None
+        if value is not None and np.isfinite(value) and value > 0:
+            rows.append((point, -1 if trial.reference else trial.repeat, t, value))
+    largest = max((row[3] for row in rows), default=0.0)
+    rows = [row for row in rows if row[3] > LEAST * largest]
+    if len(rows) < 2:
+        return []
+    numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
+    cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
+    columns = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
+    repeats = Repeats(what, cell, *columns)
+    return [check for check in (spread(repeats), first_repeat(repeats), drift(repeats)) if check is not None]
+
+
+def spread(r: Repeats) -> Check | None:
+    """Pooled standard deviation of repeats, relative; None where nothing is repeated.
+
+    s = sqrt(sum (v / mean of its cell - 1)^2 / (trials - cells)).
+    """
+    if r.free < 1:
+        return None
+    s = sqrt(float(r.off @ r.off) / r.free)
+    text = f"repeats of an operating point scatter by {100 * s:.2g} % of the {r.what} ({r.free} degrees of freedom)"
+    return Check("repeat_spread", s, "ratio", "doubt" if s > SPREAD else "note", text)
+
+
+def first_repeat(r: Repeats) -> Check | None:
+    """Mean over operating points of first / mean of the later ones - 1, with Student's t; None with fewer than three.
+
+    Reference trials, which are far apart in time, are none.
+    """
+    apart = []
+    for number in np.unique(r.cell):
+        mine = (r.cell == number) & (r.repeat >= 0)
+        first, later = r.value[mine & (r.repeat == 0)], r.value[mine & (r.repeat > 0)]
+        if len(first) == 1 and len(later):
+            apart.append(float(first[0] / later.mean() - 1.0))
+    if len(apart) < FEWEST:
+        return None
+    mean = float(np.mean(apart))
+    half = float(student.ppf(0.975, len(apart) - 1)) * float(np.std(apart, ddof=1)) / sqrt(len(apart))
+    differs = abs(mean) > half
+    size = f"{100 * mean:+.2g} ± {100 * half:.2g} % of the {r.what} over {len(apart)} operating points"
+    if differs and abs(mean) > FIRST:
+        text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
+        return Check("first_repeat", mean, "ratio", "doubt", text)
+    told = "differs a little from" if differs else "is like the"
+    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {told} later ones: {size}")
+
+
+def drift(r: Repeats) -> Check | None:
+    """Straight line through the distances from the operating points' means over time, from first to last trial.
+
+    The slope is that of least squares within operating points (each has a mean of its own); None with too few repeats,
+    or where they lie together in time.
+    """
+    within = r.t - r.means(r.t)
+    lever = float(within @ within)
+    left = r.free - 1
+    length = float(r.t.max() - r.t.min())
+    if left < FEWEST or lever <= len(within) * (APART * length) ** 2:
+        return None
+    slope = float(within @ r.off) / lever
+    residual = r.off - slope * within
+    half = float(student.ppf(0.975, left)) * sqrt(float(residual @ residual) / left / lever) * length
+    whole = slope * length
+    drifts = abs(whole) > half
+    size = f"{100 * whole:+.2g} ± {100 * half:.2g} % of the {r.what} from the first trial to the last"
+    told = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
+    level = "doubt" if drifts and abs(whole) > DRIFT else "note"
+    return Check("drift", whole, "ratio", level, f"{told}: {size}")
+
+
+def _stroke(run: RunData, trial: TrialData) -> float | None:
+    return stroke_of(trial) if "displacement" in trial.channels else None
+
+
+def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
+    """Mean of the pressures at which a load lifts and sets down [Pa]."""
+    told = [(trial.found.get(phase) or {}).get("pressure") for phase in ("lift", "set-down")]
+    known = [float(value) for value in told if isinstance(value, int | float)]
+    return sum(known) / 2 if len(known) == 2 else None
+
+
+def _sine(run: RunData, trial: TrialData) -> float | None:
+    """Stiffness of a sine [N/m]."""
+    from pmabench.analysis.driven.sine_loop import NotUsable, measure
+
+    try:
+        return measure(run, trial, float(_settings(run).get("discard", 1))).stiffness
+    except NotUsable:
+        return None
+
+
+def _ramp(run: RunData, trial: TrialData) -> float | None:
+    """Slope of the mean curve of a slow ramp [N/m]."""
+    from pmabench.analysis.driven.ramp_loop import measure_as_planned
+    from pmabench.analysis.driven.sine_loop import NotUsable
+
+    try:
+        loop = measure_as_planned(run, trial, {})
+    except NotUsable:
+        return None
+    return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])
+
+
+def _rest(run: RunData, trial: TrialData) -> float | None:
+    """Contraction at rest without load [m]."""
+    from pmabench.analysis.statics.free_contraction import NotUsable, measure
+
+    try:
+        return measure(run, trial).x
+    except NotUsable:
+        return None
+
+
+def _step(run: RunData, trial: TrialData) -> float | None:
+    """Stiffness of the relaxed forces of steps away from the start [N/m]."""
+    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.driven.step_relaxation import measure
+
+    try:
+        return float(np.mean([step.static for step in measure(run, trial, {}).there]))
+    except NotUsable:
+        return None
+
+
+def _top(run: RunData, trial: TrialData) -> float | None:
+    """Largest force of a muscle held at one length [N]."""
+    from pmabench.analysis.statics.isometric_curve import PHASES
+    from pmabench.analysis.statics.isometric_lines import as_test
+
+    test, _ = as_test(run, trial, PHASES)
+    return float(test.F.max()) if test is not None and len(test.F) else None
+
+
+def _window(run: RunData, trial: TrialData) -> float | None:
+    """Mean contraction in the window of a validation [m]."""
+    from pmabench.analysis.loops.validation import inside_window, unusable
+
+    if unusable(run, trial):
+        return None
+    x = trial.channels["displacement"][inside_window(run, trial)]
+    return float(x.mean()) if len(x) else None
+
+
+def _settings(run: RunData) -> Mapping[str, Any]:
+    told = run.plan.get("settings")
+    return told if isinstance(told, Mapping) else {}
+
+
+VALUES: dict[str, tuple[str, Callable[[RunData, TrialData], float | None]]] = {
+    "contraction-relaxation": ("stroke", _stroke),
+    "static-load": ("pressure at which the load is lifted", _mean_pressure),
+    "sinusoidal-displacement": ("stiffness", _sine),
+    "isobaric-ramp": ("stiffness", _ramp),
+    "free-contraction": ("contraction", _rest),
+    "isometric-pressurisation": ("largest force", _top),
+    "validation": ("contraction", _window),
+    "step-displacement": ("stiffness", _step),
+}
+"""Kind of test -> the value of a trial that tells repeats apart, in words, and where it comes from; None: unusable."""

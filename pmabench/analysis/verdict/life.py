@@ -1,0 +1,273 @@
+"""One specimen over its life: cycles and time at pressure from commands, coefficients against them; fits nothing.
+
+A pressure cycle is one rise of the commanded pressure from 50 kPa or less to 100 kPa or more. What a closed loop does
+between two commands (ultimate gain, positioning) is not commanded and not counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import hypot
+
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding
+from pmabench.analysis.shared.reference import stroke_of
+from pmabench.analysis.verdict.comparison import Difference, named, percent
+from pmabench.analysis.verdict.control_chart import Chart, chart
+from pmabench.base.quantities import in_words, show
+from pmabench.store.records import Event, RunData
+
+LOW, HIGH = 50e3, 100e3
+"""Commanded pressures between which a cycle is counted [Pa]."""
+SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
+"""What is followed over a life, in this order."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """What one run did to the specimen."""
+
+    cycles: int = 0
+    strokes: float = 0.0
+    """Cycles of a driven end: of sines, and ramps by two."""
+    at_pressure: float = 0.0
+    """Time with a commanded pressure above `LOW` [s]."""
+    highest: float = 0.0
+    """[Pa]"""
+
+
+def use_of(events: Sequence[Event]) -> Use:
+    """Cycles, strokes and time at pressure of a run, from its commands.
+
+    A ramp counts as being at its end from its beginning on. A vent takes the pressure away.
+    """
+    cycles, strokes, time, highest = 0, 0.0, 0.0, 0.0
+    pressure, since, emptied = 0.0, 0.0, True
+    for event in events:
+        data = event.data
+        output, value = data.get("output"), data.get("value")
+        if event.kind == "command" and output == "displacement":
+            turns = data.get("cycles")
+            sine = data.get("type") == "sine" and isinstance(turns, int | float)
+            strokes += float(turns) if sine and turns is not None else 0.5 * (data.get("type") == "ramp")
+        commanded = event.kind == "command" and output == "pressure" and isinstance(value, int | float)
+        if not commanded and event.kind not in ("vent", "end"):
+            continue
+        time += event.t - since if pressure > LOW else 0.0
+        since, pressure = event.t, float(value) if commanded and value is not None else 0.0
+        highest = max(highest, pressure)
+        if pressure <= LOW:
+            emptied = True
+        elif pressure >= HIGH and emptied:
+            cycles, emptied = cycles + 1, False
+    if events and pressure > LOW:
+        time += max(0.0, events[-1].t - since)
+    return Use(cycles, strokes, time, highest)
+
+
+@dataclass(frozen=True)
+class Past:
+    """One run of the specimen."""
+
+    run: str
+    date: str
+    """Start, UTC, ISO 8601."""
+    kind: str
+    bench: str
+    status: str
+    simulated: bool
+    use: Use
+    before: int
+    """Pressure cycles before it: those that the specimen file tells, and those of earlier runs."""
+
+
+def pasts(rows: Iterable[tuple[str, str, str, str, str, bool, int, Use]]) -> list[Past]:
+    """Runs (id, date, kind, bench, status, simulated, cycles before by the specimen file, use) in order of time.
+
+    The specimen file's number counts where it is more than what the runs have made until then: the muscle was used
+    elsewhere.
+    """
+    found: list[Past] = []
+    counted = 0
+    for run, date, kind, bench, status, simulated, told, use in sorted(rows, key=lambda row: (row[1], row[0])):
+        counted = max(counted, told)
+        found.append(Past(run, date, kind, bench, status, simulated, use, counted))
+        counted += use.cycles
+    return found
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A value at one time of the life."""
+
+    date: str
+    cycles: int
+    estimate: Estimate
+    run: str
+
+
+@dataclass(frozen=True)
+class Series:
+    """One coefficient at one operating point by one method, in order of time."""
+
+    kind: str
+    moments: tuple[Moment, ...]
+
+    @property
+    def first(self) -> Estimate:
+        """The first value."""
+        return self.moments[0].estimate
+
+    @property
+    def values(self) -> list[float]:
+        """All values [SI]."""
+        return [moment.estimate.value or 0.0 for moment in self.moments]
+
+    @property
+    def change(self) -> Difference:
+        """The last value against the first."""
+        last = self.moments[-1].estimate
+        halves = [half for e in (last, self.first) if (half := e.parts.combined) is not None]
+        return Difference(self.kind, last, self.first, hypot(*halves) if len(halves) == 2 else None)
+
+    @property
+    def title(self) -> str:
+        """`K at 300 kPa`."""
+        return named(self.change)
+
+
+def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series]:
+    """The values of `SYMBOLS` over the life, each by the first method that gives it in a kind of test.
+
+    An analysis stands where its first run does; of two analyses of the same runs the last one given counts.
+    """
+    place = {past.run: past for past in life}
+    latest = {(analysis.kind, tuple(sorted(analysis.runs))): analysis for analysis in analyses}
+    found: dict[tuple[object, ...], list[Moment]] = {}
+    for analysis in latest.values():
+        runs = [place[run] for run in analysis.runs if run in place]
+        if not runs:
+            continue
+        past = min(runs, key=lambda run: (run.date, run.run))
+        methods: dict[str, str] = {}
+        for e in (*analysis.estimates, *_leak(analysis)):
+            if e.symbol not in SYMBOLS or e.coordinate not in ("", "slope"):
+                continue
+            if methods.setdefault(e.symbol, e.method) != e.method:
+                continue
+            if e.value is not None:
+                at = tuple((name, float(f"{value:.6g}")) for name, value in sorted(e.at.items()) if name != "mass")
+                key = (analysis.kind, e.symbol, e.coordinate, e.method, at)
+                found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
+    made = [
+        Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run)))) for key, moments in found.items()
+    ]
+    return sorted(made, key=lambda s: SYMBOLS.index(s.first.symbol))
+
+
+def _leak(analysis: Analysis) -> Iterator[Estimate]:
+    """Share of the air that is lost over a trial, where a test of the closed muscle tells it."""
+    leak = analysis.facts.get("leak")
+    if isinstance(leak, int | float) and not isinstance(leak, bool):
+        yield Estimate("leak", float(leak), "1", "ratio", analysis.kind)
+
+
+def chosen(series: Sequence[Series]) -> list[Series]:
+    """One series for each symbol of each kind: the one with most values, of several the one in the middle."""
+    groups: dict[tuple[str, str], list[Series]] = {}
+    for one in series:
+        groups.setdefault((one.kind, one.first.symbol), []).append(one)
+    picked = []
+    for group in groups.values():
+        most = max(len(one.moments) for one in group)
+        longest = sorted((one for one in group if len(one.moments) == most), key=lambda s: sorted(s.first.at.items()))
+        picked.append(longest[(len(longest) - 1) // 2])
+    return picked
+
+
+@dataclass(frozen=True)
+class References:
+    """Strokes of the reference trial at one operating point, in order of time."""
+
+    point: tuple[tuple[str, float], ...]
+    moments: tuple[tuple[str, int, float, str], ...]
+    """Date, cycles before the run, stroke [m], trial."""
+
+    @property
+    def title(self) -> str:
+        """`reference trial at load 157 N, pressure 300 kPa`."""
+        told = (f"{name} {show(v, POINT_QUANTITIES[name], 4)}" for name, v in self.point if name in POINT_QUANTITIES)
+        return f"reference trial at {', '.join(told)}"
+
+    @property
+    def chart(self) -> Chart | None:
+        """Its control chart; None with too few."""
+        return chart([stroke for _, _, stroke, _ in self.moments])
+
+
+def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[References]:
+    """The reference trials of all runs by operating point, those that were done again included.
+
+    One run is held at a time where `runs` loads them one by one.
+    """
+    place = {past.run: past for past in life}
+    found: dict[tuple[tuple[str, float], ...], list[tuple[str, int, float, str]]] = {}
+    for run in runs:
+        past = place[run.id]
+        for trial in run.trials:
+            if not trial.reference or trial.status != "finished" or "displacement" not in trial.channels:
+                continue
+            stroke = stroke_of(trial)
+            if stroke is not None:
+                point = tuple((n, float(f"{v:.6g}")) for n, v in sorted(trial.point.items()) if n != "mass")
+                found.setdefault(point, []).append((past.date, past.before, stroke, trial.name))
+    return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
+
+
+def findings(life: Sequence[Past], series: Sequence[Series], references: Sequence[References]) -> Iterator[Finding]:
+    """How much it was used, how coefficients changed, what the reference trials say."""
+    last = life[-1]
+    total, time = last.before + last.use.cycles, sum(past.use.at_pressure for past in life)
+    text = f"{len(life)} runs from {life[0].date[:10]} to {last.date[:10]}: {total:,} pressure cycles, "
+    highest = max(past.use.highest for past in life)
+    elsewhere = total - sum(past.use.cycles for past in life)
+    own = f" ({elsewhere:,} of them before or beside these runs, by the specimen file)" if elsewhere else ""
+    yield Finding("note", f"{text}{in_words(time)} at pressure, at most {show(highest, 'pressure', 4)}{own}")
+    silent = sum(past.use.highest == 0 for past in life)
+    if silent:
+        what = "commands no pressure" if silent == 1 else "command no pressure"
+        yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
+    for one in series:
+        if len(one.moments) > 1:
+            yield _change(one)
+    for reference in references:
+        yield _reference(reference)
+
+
+def _change(one: Series) -> Finding:
+    change = one.change
+    cycles = one.moments[-1].cycles - one.moments[0].cycles
+    size = f"{percent(change.relative)} %" if change.relative is not None else show(change.value, one.first.quantity, 3)
+    over = f"over {cycles:,} cycles, {len(one.moments)} values"
+    if change.score is None:
+        return Finding("note", f"{one.title}: {size} {over}; no interval tells whether that is more than chance")
+    told = "within their interval" if change.agrees else "more than their interval"
+    level = "note" if change.agrees else "doubt"
+    return Finding(level, f"{one.title}: {size} {over}, last against first {told} (E_n {change.score:+.2f})")
+
+
+def _reference(one: References) -> Finding:
+    limits = one.chart
+    values = [stroke for _, _, stroke, _ in one.moments]
+    ends = f"{show(values[0], 'length', 4)} at first, {show(values[-1], 'length', 4)} at last"
+    if limits is None:
+        return Finding("note", f"{one.title}: {len(values)} times, {ends}; too few for control limits")
+    alarm = limits.first_alarm
+    if alarm is None:
+        return Finding("note", f"{one.title}: {len(values)} times, {ends}; all within the control limits")
+    date, cycles, _, trial = one.moments[alarm]
+    what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
+    when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
+    return Finding(
+        "doubt", f"{one.title}: {len(values)} times, {ends}; {what}, {when}: the specimen is not what it was"
+    )

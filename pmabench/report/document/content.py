@@ -1,0 +1,279 @@
+"""What a characterisation report says, before any format: texts, tables and figures in their order; no estimate.
+
+HTML, PDF and workbook are made from this. Every text in it is untrusted and stays text in each of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pmabench import __version__
+from pmabench.analysis.reduce import verdicts
+from pmabench.analysis.results import Analysis
+from pmabench.analysis.verdict.acceptance import limits_of
+from pmabench.report.document import provenance, tables
+from pmabench.report.document.budget_tables import budget_table
+from pmabench.report.document.checklist import Issuer, Item, checklist
+from pmabench.report.document.citation import citation, methods_paragraph
+from pmabench.report.document.deviations import deviations
+from pmabench.report.document.front import Tile, Verdict, first_findings, tiles_of, verdict_of
+from pmabench.report.document.grids import Grid, grid
+from pmabench.report.document.parents import Parents
+from pmabench.report.document.run_notes import Said, notes_of
+from pmabench.report.figures import overlays
+from pmabench.report.figures.figures import front_pictures, kind_pictures
+from pmabench.report.figures.pictures import Picture
+from pmabench.report.words import wording
+from pmabench.report.words.method_words import described
+from pmabench.store.folder import plain
+from pmabench.store.records import RunData
+
+LEVELS = {"fault": "Fault", "doubt": "Doubt", "note": "Note"}
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """A figure with its number and its numbers."""
+
+    n: int
+    picture: Picture
+    grid: Grid
+
+
+@dataclass
+class Section:
+    """What one kind of test adds to the report."""
+
+    title: str
+    simulated: bool
+    counts: str
+    tables: list[Grid] = field(default_factory=list)
+    figures: list[Numbered] = field(default_factory=list)
+    parts: Grid | None = None
+    budget: Grid | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """All of a report; tables are grids of text, figures carry their SVG and their numbers."""
+
+    title: str
+    version: str
+    report_id: str
+    simulated: bool
+    mixed: bool
+    specimens: list[tuple[str, str]]
+    benches: list[tuple[str, str]]
+    tested: str
+    when: str
+    operators: str
+    statuses: str
+    missing: list[str]
+    verdict: Verdict
+    failed: list[str]
+    accept: list[str]
+    verdicts: list[tuple[str, str, str]]
+    """Level, test and text of the findings of the first page."""
+    more_findings: int
+    findings: list[list[str]]
+    tiles: list[Tile]
+    front: list[Numbered]
+    protocol: Grid
+    deviations: list[str]
+    notes: list[Said]
+    coefficients: Grid
+    compared: list[Grid]
+    curves: Grid
+    polynomials: Grid
+    sections: list[Section]
+    published: Grid
+    publishers: list[tuple[str, str]]
+    tuning: list[Grid]
+    dropped: Grid
+    methods: list[tuple[str, str]]
+    run_details: list[list[tuple[str, str]]]
+    calibrations: Grid
+    versions: list[str]
+    parents: list[Grid]
+    """Sets of trials that numbers come from, and notes to them, by code."""
+    issuer: Issuer
+    checklist: list[Item]
+    paragraph: str
+    """Methods, ready to paste."""
+    cite: tuple[str, str]
+    """A line, and a BibTeX entry."""
+
+
+def content_of(
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    *,
+    title: str | None = None,
+    published: Sequence[overlays.Published] = (),
+    issuer: Issuer | None = None,
+) -> Content:
+    """What there is to say of `analyses` and of the `runs` behind them, with `published` tables beside.
+
+    Raises InvalidFile for a published table that matches no figure.
+    """
+    order = wording.in_order((a.kind for a in analyses), wording.KINDS)
+    analyses = sorted(analyses, key=lambda a: order.index(a.kind))
+    runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
+    ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
+    names = {run: f"R{n}" for n, run in enumerate(ids, 1)}
+    simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
+    figures, parents = _Figures(), Parents(names)
+    identity = _identity(analyses, runs, published)
+    analyses, theirs, compared = overlays.beside(analyses, published, overlays.length_of(runs))
+    front, used = front_pictures([*analyses, *theirs])
+    first_page = [figures.add(p) for p in front]
+    sections = [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
+    limits = {run.id: limits_of(run) for run in runs}
+    failed = [wording.clean(text) for text in verdicts([run for run in runs if limits[run.id]], analyses)]
+    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
+    findings = tables.findings_table(analyses)
+    shown, more = first_findings(findings)
+    specimens = provenance.specimens(runs)
+    kinds = [wording.kind_title(a.kind) for a in analyses if a.kind != wording.AGREEMENT]
+    name = (
+        wording.clean(title, 200)
+        if title
+        else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
+    )
+    when = provenance.when(runs)
+    remarks = deviations(runs, names)
+    who = (issuer or Issuer()).cleaned()
+    details = provenance.run_table(runs, names).to_dict("records")
+    return Content(
+        title=name,
+        version=__version__,
+        report_id=identity,
+        simulated=any(simulated),
+        mixed=any(simulated) and not all(simulated),
+        specimens=specimens,
+        benches=provenance.benches(runs),
+        tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
+        when=when,
+        operators=provenance.operators(runs),
+        statuses=provenance.statuses(runs),
+        missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
+        verdict=verdict_of(analyses, runs, failed, accepted=bool(accept)),
+        failed=failed,
+        accept=accept,
+        verdicts=shown,
+        more_findings=more,
+        findings=findings.to_numpy().tolist(),
+        tiles=tiles_of(analyses),
+        front=first_page,
+        protocol=grid(provenance.protocol_table(runs, names)),
+        deviations=remarks,
+        notes=notes_of(runs, names),
+        coefficients=grid(*tables.primary_table(analyses)),
+        compared=[grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
+        curves=grid(tables.curves_table(analyses), group=True),
+        polynomials=grid(tables.polynomials_table(analyses), group=True),
+        sections=sections,
+        published=grid(overlays.comparison_table(compared)),
+        publishers=[(wording.clean(p.label, 80), wording.clean(p.source, 600)) for p in published],
+        tuning=_tuning(analyses),
+        dropped=_dropped(analyses, names),
+        methods=_methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
+        run_details=[[(str(head), str(text)) for head, text in row.items()] for row in details],
+        calibrations=grid(provenance.calibration_table(runs, names), group=False),
+        versions=provenance.versions(runs),
+        parents=[
+            grid(parents.trials.table(), "Sets of trials that the values come from"),
+            grid(parents.notes.table(), "Notes"),
+        ],
+        issuer=who,
+        checklist=checklist(
+            analyses,
+            runs,
+            who,
+            specimen=specimens[0][0] if specimens else "",
+            when=when,
+            deviations=remarks,
+            accepted=bool(accept),
+        ),
+        paragraph=methods_paragraph(analyses, runs),
+        cite=citation(name, identity, when, any(simulated)),
+    )
+
+
+class _Figures:
+    """Numbers figures in the order in which they come, and knows which are there already."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.drawn: set[str] = set()
+
+    def add(self, picture: Picture) -> Numbered:
+        self.count += 1
+        self.drawn.add(picture.svg)
+        return Numbered(self.count, picture, grid(picture.table))
+
+
+def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: Sequence[overlays.Published]) -> str:
+    data = plain({"analyses": [a.to_dict() for a in analyses], "runs": [run.id for run in runs]})
+    if published:
+        data["published"] = [
+            [p.label, {name: values.tolist() for name, values in p.columns.items()}] for p in published
+        ]
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents: Parents) -> Section:
+    trials = analysis.facts.get("trials_used", analysis.facts.get("trials"))
+    dropped = len(analysis.dropped)
+    counts = f"{len(analysis.runs)} run{'s' if len(analysis.runs) != 1 else ''}"
+    if isinstance(trials, int) and not isinstance(trials, bool):
+        counts += f", {trials} trials used"
+    counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
+    section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
+    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in tables.other_tables(analysis)]
+    section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
+    parts = tables.parts_table(analysis, parents.of)
+    section.parts = grid(parts) if len(parts) else None
+    budget = budget_table(analysis)
+    section.budget = grid(budget.frame, budget.caption) if budget else None
+    return section
+
+
+def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
+    """For each operating point a table of settings, and one of margins where a model is known."""
+    frame = tables.tuning_table(analyses)
+    found = []
+    for point in dict.fromkeys(str(point) for point in frame["operating point"]) if len(frame) else ():
+        rows = frame[frame["operating point"] == point].drop(columns="operating point")
+        settings = [
+            c for c in rows.columns if c == "rule" or c.partition(" [")[0] in ("K_p", "T_i", "T_d", "K_i", "K_d")
+        ]
+        margins = ["rule", *(c for c in rows.columns if c not in settings)]
+        where = f" at {point}" if point else ""
+        found.append(grid(rows[settings], f"Settings{where}"))
+        if len(margins) > 1 and (rows[margins[1:]] != "").any(axis=None):
+            found.append(grid(rows[margins], f"Margins with these settings{where}"))
+    return found
+
+
+def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and descriptions; methods with one description stand together."""
+    found: dict[str, list[str]] = {}
+    for method in methods:
+        told = described(method) or "Not described here."
+        found.setdefault(told, []).append(wording.clean(method, 120))
+    return [("; ".join(names), told) for told, names in found.items()]
+
+
+def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
+    frame = tables.dropped_table(analyses)
+    frame["trial"] = [_short(trial, names) for trial in frame["trial"]]
+    return grid(frame.rename(columns={"test": "method"})) if len(frame) else grid(frame)
+
+
+def _short(trial: str, names: Mapping[str, str]) -> str:
+    run, slash, index = trial.rpartition("/")
+    return f"{names[run]} / {index}" if slash and run in names else trial

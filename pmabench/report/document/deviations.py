@@ -1,0 +1,128 @@
+"""What did not go as the protocol says, found in the record of each run, a sentence each; nothing is computed twice.
+
+Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from pmabench.report.document.provenance import get, text_of
+from pmabench.report.words.wording import clean, number, shown
+from pmabench.store.records import RunData, TrialData
+
+RATE_OFF = 0.01
+"""Share by which a sample rate differs from the planned one before it is told."""
+PRESSURE_OFF = 0.02
+"""Share of the largest commanded pressure by which the pressure at rest is off its command before it is told."""
+AT_REST = 0.5
+"""The last so many seconds of a command that stands still four times as long are rest [s]."""
+
+
+def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
+    """What did not go as the protocol says, and what the bench lacks, a sentence each, with the runs in front."""
+    lines: dict[str, list[str]] = {}
+    for run in runs:
+        for text in [*_told(run), *_trials(run), *_samples(run), *_end(run)]:
+            lines.setdefault(clean(text, 500), []).append(names.get(run.id, "?"))
+    return [f"{', '.join(where)}: {text}" for text, where in lines.items()]
+
+
+def _told(run: RunData) -> Iterator[str]:
+    """What the program that recorded the run says itself."""
+    if run.status != "finished":
+        why = text_of(run.manifest.get("why"))
+        yield f"ended “{run.status}”" + (f": {why}" if why else "")
+    for key, words in (("deviations", ""), ("hazards", "hazard: "), ("lacks", "the bench lacks: ")):
+        told = run.manifest.get(key)
+        for item in told if isinstance(told, list | tuple) else [told] if told else []:
+            yield f"{words}{text_of(item)}"
+
+
+def _trials(run: RunData) -> Iterator[str]:
+    """Trials that ended otherwise, are missing, came twice or in another order, or are excluded by a note."""
+    count: dict[str, int] = {}
+    for trial in run.trials:
+        if trial.status != "finished":
+            count[trial.status] = count.get(trial.status, 0) + 1
+    if count:
+        yield "trials: " + ", ".join(f"{n} {status}" for status, n in count.items())
+    planned = run.manifest.get("trials_planned")
+    kept = {trial.index for trial in run.trials if trial.status in ("finished", "excluded")}
+    if isinstance(planned, int) and not isinstance(planned, bool) and len(kept) < planned:
+        yield f"{planned - len(kept)} of {planned} planned trials are not finished"
+    again = [str(trial.number) for trial in run.trials if trial.attempt > 1]
+    if again:
+        yield f"begun again: trial{'s' if len(again) > 1 else ''} {', '.join(again[:12])}"
+    begun = [trial.index for trial in sorted(run.trials, key=_begin) if trial.attempt == 1 and not trial.again]
+    if begun != sorted(begun):
+        yield "trials were not done in the planned order"
+    for note in run.notes:
+        if note.exclude is not None:
+            yield f"trial {note.excluded} is left out by {clean(note.operator, 120)}: {clean(note.because, 300)}"
+
+
+def _begin(trial: TrialData) -> float:
+    return float(trial.t[0]) if len(trial.t) else float("inf")
+
+
+def _samples(run: RunData) -> Iterator[str]:
+    """Flagged samples, another rate than planned, channels that are missing, pressure off its command at rest."""
+    for counts in (get(run.manifest, "end", "counts"), get(run.manifest, "imported", "flagged")):
+        for name, n in counts.items() if isinstance(counts, Mapping) else ():
+            if name not in ("rows", "slack") and isinstance(n, int) and n > 0:
+                yield f"samples flagged {text_of(name)}: {n}"
+    planned = run.plan.get("rate")
+    rates = [1 / dt for trial in run.trials if len(trial.t) > 2 and (dt := float(np.median(np.diff(trial.t)))) > 0]
+    if isinstance(planned, int | float) and planned > 0 and rates:
+        rate = float(np.median(rates))
+        if abs(rate / planned - 1) > RATE_OFF:
+            yield f"sampled at {number(rate)} Hz; {number(planned)} Hz was planned"
+    wanted = run.plan.get("record")
+    lacking = [name for name in wanted if isinstance(name, str)] if isinstance(wanted, list | tuple) else []
+    lacking = [clean(name, 60) for name in lacking if run.trials and not any(name in t.channels for t in run.trials)]
+    if lacking:
+        yield f"planned but not recorded: {', '.join(lacking)}"
+    off, most, where = _pressure_off(run)
+    if most > 0 and off > PRESSURE_OFF * most:
+        unit = shown("pressure")
+        told = f"{number(float(f'{off / unit.scale:.2g}'))} {unit.unit}"
+        yield f"the pressure at rest was up to {told} off its command (trial {where})"
+    for channel, how in run.interpolated.items():
+        yield f"{text_of(channel)}: {how}"
+
+
+def _pressure_off(run: RunData) -> tuple[float, float, int]:
+    """Largest difference of measured and commanded pressure at rest, largest command [Pa], number of the trial."""
+    worst, most, where = 0.0, 0.0, 0
+    for trial in run.trials:
+        P, command = (trial.channels.get(name) for name in ("pressure", "pressure_command"))
+        if trial.status != "finished" or P is None or command is None or len(trial.t) < 3:
+            continue
+        most = max(most, float(np.nanmax(command, initial=0.0)))
+        cuts = np.concatenate(([0], np.flatnonzero(np.diff(command) != 0) + 1, [len(command)]))
+        long = trial.t[cuts[1:] - 1] - trial.t[cuts[:-1]] > 4 * AT_REST
+        for first, last in zip(cuts[:-1][long], cuts[1:][long], strict=True):
+            begin = max(first, int(np.searchsorted(trial.t, trial.t[last - 1] - AT_REST)))
+            good = trial.usable[begin:last]
+            if good.sum() < 3:
+                continue
+            off = abs(float(np.median((P[begin:last] - command[begin:last])[good])))
+            if off > worst:
+                worst, where = off, trial.number
+    return worst, most, where
+
+
+def _end(run: RunData) -> Iterator[str]:
+    """How it was watched and ended."""
+    answered = sum(e.kind == "answer" and "--yes" in str(e.data.get("answer", "")) for e in run.events)
+    if answered:
+        yield f"prompts to the operator confirmed beforehand (--yes): {answered}"
+    if run.manifest.get("guard"):
+        result = text_of(get(run.manifest, "guard", "vent", "result"))
+        yield f"the program died; the guard vented the bench after that: {result}"
+    vent = get(run.manifest, "end", "vent", "result")
+    if vent not in (None, "confirmed"):
+        yield f"the safe state at the end was {text_of(vent)}"

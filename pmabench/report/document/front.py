@@ -1,0 +1,115 @@
+"""The first page for a busy person: is it good, the key numbers, the gravest findings; computes no estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.report.document import tables
+from pmabench.report.words import wording
+from pmabench.report.words.rounding import rounded
+from pmabench.store.records import RunData
+
+TILES = 8
+FRONT_FINDINGS = 3
+MOST_FRONT_FINDINGS = 9
+"""Where so many are faults or doubts."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key number of the first page."""
+
+    symbol: str
+    name: str
+    value: str
+    unit: str
+    where: str
+    reach: str
+
+
+def first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]], int]:
+    """The findings for the first page, gravest first, and how many more there are."""
+    rows = [(level, test, text) for level, test, text in findings.to_numpy().tolist()]
+    grave = sum(level in ("fault", "doubt") for level, _, _ in rows)
+    shown_there = min(len(rows), max(FRONT_FINDINGS, min(grave, MOST_FRONT_FINDINGS)))
+    return rows[:shown_there], len(rows) - shown_there
+
+
+def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
+    """Key numbers: each headline symbol by the method of its test that comes first, at the middle of what was tested.
+
+    Where that method found none (no limit cycle) there is none: what others give, as a simulation, is no key number.
+    """
+    found = []
+    for symbol in wording.HEADLINES:
+        for analysis in analyses:
+            told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
+            known = [e for e in told if e.value is not None and e.method == told[0].method]
+            members = [e for e in known if set(e.at) == set(known[0].at)]
+            if members:
+                found.append(_tile(members))
+                break
+    if any(tile.symbol in ("B_c", "B_r") for tile in found):
+        found = [tile for tile in found if tile.symbol != "B"]
+    return found[:TILES]
+
+
+def _tile(members: list[Estimate]) -> Tile:
+    varying = [
+        name for name in wording.in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1
+    ]
+    members = sorted(members, key=lambda e: [e.at[name] for name in varying])
+    middle = members[len(members) // 2]
+    unit = wording.shown(middle.quantity, middle.unit)
+    value = tables.cell(middle)
+    shown_at = {
+        name: middle.at[name] for name in (varying or wording.in_order(middle.at, ("pressure", "setpoint"))[:1])
+    }
+    reach = ""
+    if len(members) > 1 and len(varying) == 1:
+        _, at_unit = wording.point_shown(varying[0])
+        ends = [(e.value or 0.0) / unit.scale for e in (members[0], members[-1])]
+        places = [wording.number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
+        reach = (
+            f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} from {places[0]} to {places[1]} {at_unit.unit}"
+        )
+    name = wording.SYMBOLS.get(middle.symbol, "")
+    where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)
+    return Tile(wording.symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the results are good, in a word and a sentence; `level` is `good`, `doubt` or `fault`."""
+
+    level: str
+    word: str
+    text: str
+
+
+def verdict_of(
+    analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str], *, accepted: bool
+) -> Verdict:
+    """The worst that is known: acceptance, faults, runs that did not finish, doubts; `accepted`: limits were given."""
+    faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
+    unfinished = sum(run.status != "finished" for run in runs)
+    told = [_many(len(failed), "acceptance limit is not met", "acceptance limits are not met")] if failed else []
+    told += [_many(faults, "fault", "faults")] if faults else []
+    told += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
+    told += [_many(doubts, "doubt", "doubts")] if doubts else []
+    if not any(e.value is not None for a in analyses for e in a.estimates):
+        return Verdict("fault", "No result", "; ".join(["no coefficient came out", *told]) + ".")
+    if failed or faults:
+        return Verdict("fault", "Not accepted" if failed else "Faults were found", "; ".join(told) + ".")
+    if told:
+        return Verdict("doubt", "Usable with care", "; ".join(told) + ".")
+    limits = "The acceptance limits of the protocol are met" if accepted else "The protocol sets no acceptance limits"
+    return Verdict("good", "Accepted" if accepted else "No doubt", f"{limits}; no fault and no doubt was found.")
+
+
+def _many(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"

@@ -1,0 +1,103 @@
+"""Tables ready for a page: frames of text with aligned columns, `a ± b` split, rows grouped; knows no format."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import pandas as pd
+
+from pmabench.report.words.rounding import UNRESOLVED
+
+MOST_ROWS = 600
+BRIEF = 32
+"""Letters of a text that is kept on one line."""
+SHORT = 16
+"""Rows of a table that is not broken across pages."""
+FEWEST_IN_GROUP = 3
+"""Rows a method, from which on methods become headings of groups of rows instead of a column."""
+MUTED = ("not identifiable", UNRESOLVED)
+"""Texts that stand in place of a number."""
+_PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
+_NUMBER = re.compile(r"[−-]?[\d.,]+(×10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell: its text, or value and half width apart so that columns align at the sign."""
+
+    text: str
+    half: str = ""
+    muted: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a column is set."""
+
+    head: str
+    align: str
+    """`pair`, `number`, `brief` (not to be broken into lines) or `text`."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table ready for the template; `groups` are (heading or empty, rows)."""
+
+    columns: list[Column]
+    groups: list[tuple[str, list[list[Cell]]]]
+    caption: str = ""
+
+    @property
+    def width(self) -> int:
+        """Number of HTML columns."""
+        return sum(2 if column.align == "pair" else 1 for column in self.columns)
+
+    @property
+    def short(self) -> bool:
+        """Whether it can be kept on one page."""
+        return sum(len(rows) for _, rows in self.groups) <= SHORT
+
+
+def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -> Grid:
+    """A frame of text as a table: columns of `a ± b` split, empty columns left out.
+
+    Methods become headings of groups of rows with `group`, or where it is None and that makes few headings.
+    """
+    if len(frame) > MOST_ROWS:
+        caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
+        frame = frame.head(MOST_ROWS)
+    if not frame.columns.is_unique:
+        heads = [str(c) for c in frame.columns]
+        frame = frame.set_axis([f"{c} ({heads[: n + 1].count(c)})" for n, c in enumerate(heads)], axis=1)
+    shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
+    methods = frame["method"].nunique() if "method" in shown_columns else 0
+    few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods
+    grouped = methods > 0 and (few if group is None else group)
+    columns = []
+    for name in shown_columns:
+        if grouped and name == "method":
+            continue
+        values = [str(v) for v in frame[name] if str(v) not in ("", *MUTED)]
+        align = "text"
+        if values and all(_PAIR.fullmatch(v) for v in values):
+            align = "pair"
+        elif values and all(_NUMBER.fullmatch(v) for v in values) and name not in ("run", "trial"):
+            align = "number"
+        elif all(len(str(v)) <= BRIEF for v in frame[name]):
+            align = "brief"
+        columns.append(Column(str(name), align))
+    groups: list[tuple[str, list[list[Cell]]]] = []
+    for record in frame.to_dict("records"):
+        heading = str(record["method"]) if grouped else ""
+        if not groups or groups[-1][0] != heading:
+            groups.append((heading, []))
+        groups[-1][1].append([_cell(str(record[c.head]), c.align) for c in columns])
+    return Grid(columns, groups, caption)
+
+
+def _cell(text: str, align: str) -> Cell:
+    pair = _PAIR.fullmatch(text) if align == "pair" else None
+    if pair:
+        return Cell(pair[1], pair[2])
+    return Cell(text, muted=text in MUTED)

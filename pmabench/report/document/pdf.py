@@ -1,0 +1,209 @@
+"""A report as a tagged PDF (PDF/UA-1), set by typst from the same content; every text is data and never markup.
+
+Needs the extra `pdf`. Fonts are those that matplotlib brings, and where these lack a sign also those of the machine.
+The same report gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from warnings import catch_warnings, simplefilter
+
+from pmabench.base.errors import PmaError, RecordError, UsageError
+from pmabench.report.document.content import LEVELS, Content, Numbered
+from pmabench.report.document.grids import Grid
+from pmabench.report.document.run_notes import Said
+from pmabench.report.figures.svg import symbol_parts
+from pmabench.report.words.wording import clean
+
+FONT = "DejaVu Sans"
+
+
+def write_pdf(content: Content, path: Path) -> Path:
+    """Write the report; UsageError without the extra, RecordError where it cannot be written."""
+    data = pdf_bytes(content)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise RecordError(f"{path}: the PDF cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def pdf_bytes(content: Content) -> bytes:
+    """The report as the bytes of a PDF."""
+    try:
+        import typst
+    except ImportError as error:
+        raise UsageError('--pdf needs typst: pip install "pmabench[pdf]"') from error
+    import matplotlib as mpl
+    from matplotlib.ft2font import FT2Font
+
+    with TemporaryDirectory(prefix="pmabench-pdf-") as place:
+        folder = Path(place)
+        told = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
+        (folder / "content.json").write_text(told, encoding="utf-8")
+        source = files("pmabench.report").joinpath("templates", "report.typ").read_text(encoding="utf-8")
+        (folder / "report.typ").write_text(source, encoding="utf-8")
+        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
+        known = FT2Font(str(fonts / "DejaVuSans.ttf")).get_charmap()
+        try:
+            return bytes(
+                typst.compile(
+                    str(folder / "report.typ"),
+                    root=str(folder),
+                    font_paths=[str(fonts)],
+                    ignore_system_fonts=all(ord(sign) in known for sign in set(told)),
+                    format="pdf",
+                    pdf_standards="ua-1",
+                    timestamp=0,
+                )
+            )
+        except (RuntimeError, typst.TypstError) as error:
+            raise PmaError(f"typst could not set the PDF: {clean(error, 300)}; write the HTML page alone") from error
+
+
+class _Data:
+    """The content as JSON for the template, its pictures as files in `folder`."""
+
+    def __init__(self, content: Content, folder: Path) -> None:
+        self.content, self.folder = content, folder
+        self.files = 0
+
+    def all(self) -> dict[str, Any]:
+        c = self.content
+        banner = "Some of these results come" if c.mixed else "All of these results come"
+        facts = [("Specimen", f"{name} ({about})" if about else name) for name, about in c.specimens]
+        facts += [("Bench", "; ".join(name for name, _ in c.benches)), ("Tested", c.tested or "nothing")]
+        facts += [("Date", c.when), ("Laboratory", c.issuer.laboratory), ("Customer", c.issuer.customer)]
+        facts += [("Operator", c.operators), ("Record", c.statuses)]
+        front = [("fault", "Not accepted", text) for text in c.failed]
+        if c.accept and not c.failed:
+            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
+        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
+        if c.more_findings:
+            front.append(("note", "", f"{c.more_findings} more under Findings."))
+        return {
+            "title": c.title,
+            "report_id": c.report_id,
+            "version": c.version,
+            "simulated": c.simulated,
+            "banner": f"{banner} from a simulated bench, not from a real muscle.",
+            "verdict": vars(c.verdict),
+            "facts": self.pairs(facts),
+            "front_findings": [{"level": _level(level), "word": w, "text": symbol_parts(t)} for level, w, t in front],
+            "tiles": [
+                {**vars(tile), "symbol": symbol_parts(tile.symbol), "where": symbol_parts(tile.where)}
+                for tile in c.tiles
+            ],
+            "front": self.figures(c.front),
+            "protocol": self.grid(c.protocol, "What was tested"),
+            "benches": self.pairs([(name, about or "No devices are told.") for name, about in c.benches]),
+            "deviations": [symbol_parts(text) for text in c.deviations],
+            "missing": ", ".join(c.missing),
+            "notes": [self.note(note) for note in c.notes],
+            "coefficients": self.grid(c.coefficients, "Primary methods, by pressure"),
+            "compared": [self.grid(grid) for grid in c.compared],
+            "curves": self.grid(c.curves, "Fitted curves over pressure; valid inside their range only"),
+            "polynomials": self.grid(c.polynomials, "Fitted polynomials, terms by power of z"),
+            "sections": [
+                {
+                    "title": s.title + (" (simulated)" if s.simulated else ""),
+                    "counts": f"{s.counts}.",
+                    "tables": [self.grid(grid) for grid in s.tables],
+                    "figures": self.figures(s.figures),
+                }
+                for s in c.sections
+            ],
+            "published": self.grid(c.published, "Mean relative differences"),
+            "publishers": self.pairs([(n, about or "The file names no source.") for n, about in c.publishers]),
+            "tuning": [self.grid(grid) for grid in c.tuning],
+            "dropped": self.grid(c.dropped),
+            "findings": [
+                {"level": _level(level), "word": LEVELS.get(level, level), "test": test, "text": symbol_parts(text)}
+                for level, test, text in c.findings
+            ],
+            "methods": self.pairs(c.methods),
+            "run_details": [self.pairs([(head, text) for head, text in run if text]) for run in c.run_details],
+            "calibrations": self.grid(c.calibrations, "Calibrations of the channels"),
+            "authorised_by": c.issuer.authorised_by,
+            "issued": c.issuer.issued,
+            "checklist": [vars(item) for item in c.checklist],
+            "paragraph": symbol_parts(c.paragraph),
+            "cite": list(c.cite),
+            "parts": [self.grid(s.parts, f"{s.title}: half widths by cause") for s in c.sections if s.parts],
+            "budgets": [self.grid(s.budget) for s in c.sections if s.budget],
+            "parents": [self.grid(grid) for grid in c.parents],
+        }
+
+    def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
+        return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
+
+    def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
+        told = "; ".join(part for part in (caption, grid.caption) if part)
+        return {
+            "caption": symbol_parts(told),
+            "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
+            "groups": [
+                {
+                    "heading": symbol_parts(heading),
+                    "rows": [
+                        [{"value": c.text, "text": symbol_parts(c.text), "half": c.half, "muted": c.muted} for c in row]
+                        for row in rows
+                    ],
+                }
+                for heading, rows in grid.groups
+            ],
+        }
+
+    def figures(self, items: Sequence[Numbered]) -> list[dict[str, Any]]:
+        found = []
+        for item in items:
+            p = item.picture
+            name = f"figure-{item.n}.svg"
+            head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" '
+            (self.folder / name).write_text(p.svg.replace("<svg ", head, 1), encoding="utf-8")
+            title, caption = symbol_parts(p.title), symbol_parts(p.caption)
+            told = {"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide}
+            found.append(told)
+        return found
+
+    def note(self, note: Said) -> dict[str, Any]:
+        """A note with its pictures; one that cannot be read is only named, as other files are."""
+        photos, files = [], list(note.files)
+        for name, uri in note.pictures:
+            file = self.photo(uri)
+            if file:
+                photos.append({"file": file, "alt": f"Picture {name}"})
+            else:
+                files.append(name)
+        attached = f" (attached: {', '.join(files)})" if files else ""
+        return {"said": f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{attached}", "photos": photos}
+
+    def photo(self, uri: str) -> str:
+        """The name of the picture's file; empty for one that is damaged or too large to be unpacked."""
+        from matplotlib.image import imread
+
+        head, _, data = uri.partition(";base64,")
+        kind = "png" if head.endswith("png") else "jpg"
+        raw = base64.b64decode(data)
+        try:
+            with catch_warnings():
+                simplefilter("error")
+                imread(BytesIO(raw), format=kind)
+        except (OSError, ValueError, SyntaxError, RuntimeError, Warning):
+            return ""
+        self.files += 1
+        (self.folder / f"photo-{self.files}.{kind}").write_bytes(raw)
+        return f"photo-{self.files}.{kind}"
+
+
+def _level(level: str) -> str:
+    return level if level in ("good", "doubt", "fault") else "note"

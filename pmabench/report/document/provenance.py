@@ -1,0 +1,225 @@
+"""What runs tell of themselves, as text for a page: specimen, bench, protocol, deviations, hashes, calibrations.
+
+Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pmabench.report.words.wording import POINTS, clean, in_order, kind_title, number, point_shown, shown
+from pmabench.store.records import RunData
+
+LISTED = 8
+"""Values of a swept coordinate that are listed; of more, the ends and the count are."""
+LONGEST_SEAL = 10_000_000
+SPECIMEN: tuple[tuple[str, str, str], ...] = (
+    ("nominal_length", "nominal length", "length"),
+    ("inner_diameter", "inner diameter", "length"),
+    ("braid_angle", "braid angle", "angle"),
+    ("mass", "mass", "mass"),
+)
+
+
+def text_of(value: Any, longest: int = 300) -> str:
+    """Whatever a manifest holds, as one line of text."""
+    if value is None:
+        return ""
+    if isinstance(value, Mapping):
+        return "; ".join(f"{clean(k, 60)} {text_of(v)}".strip() for k, v in value.items() if v not in (None, "", {}))
+    if isinstance(value, list | tuple):
+        return ", ".join(text_of(item) for item in value)
+    if isinstance(value, float):
+        return number(value)
+    return clean(value, longest)
+
+
+def get(data: Any, *names: str) -> Any:
+    """A nested entry, or None."""
+    for name in names:
+        data = data.get(name) if isinstance(data, Mapping) else None
+    return data
+
+
+def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
+    """Name and description of every specimen."""
+    found: dict[str, str] = {}
+    for run in runs:
+        told = run.manifest.get("specimen")
+        if isinstance(told, Mapping):
+            name = " ".join(text_of(told.get(key)) for key in ("make", "type") if told.get(key))
+            serial = text_of(told.get("serial"))
+            name = f"{name}, serial {serial}" if serial and name else name or serial
+            found.setdefault(name or "not named", _specimen(told))
+        elif told:
+            found.setdefault(text_of(told), "")
+    return list(found.items())
+
+
+def _specimen(told: Mapping[str, Any]) -> str:
+    lines = []
+    for key, words, quantity in SPECIMEN:
+        value = told.get(key)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            unit = shown(quantity)
+            lines.append(f"{words} {number(value / unit.scale)} {unit.unit}")
+    length = get(told, "mounted", "length")
+    if isinstance(length, int | float):
+        at = text_of(get(told, "mounted", "at"))
+        lines.append(f"mounted at {number(length / shown('length').scale)} mm" + (f" ({at})" if at else ""))
+    if isinstance(told.get("cycles_before"), int | float):
+        lines.append(f"{number(told['cycles_before'])} cycles before these runs")
+    return ", ".join(lines)
+
+
+def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
+    """Name of every bench, and its devices."""
+    found: dict[str, str] = {}
+    for run in runs:
+        told = run.manifest.get("bench")
+        name = text_of(told.get("name") if isinstance(told, Mapping) and told.get("name") else told)
+        if not name:
+            continue
+        devices = run.manifest.get("devices")
+        lines = []
+        for device_name, device in devices.items() if isinstance(devices, Mapping) else ():
+            if isinstance(device, Mapping):
+                parts = [text_of(device.get(key), 60) for key in ("maker", "model")]
+                parts += [f"{key} {text_of(device[key], 60)}" for key in ("serial", "firmware") if device.get(key)]
+                tried = text_of(get(run.manifest, "drivers", device_name, "verified"), 120)
+                if tried and not device.get("simulated"):
+                    parts.append(f"(driver verified: {tried})")
+                lines.append(" ".join(part for part in parts if part))
+        found.setdefault(name, "; ".join(lines))
+    return list(found.items())
+
+
+def when(runs: Sequence[RunData]) -> str:
+    """First and last day of the runs, UTC."""
+    days = sorted({text_of(run.manifest.get("started_utc"), 40)[:10] for run in runs} - {""})
+    if not days:
+        return ""
+    return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+
+
+def operators(runs: Sequence[RunData]) -> str:
+    """Everyone who was at the bench."""
+    return ", ".join(
+        dict.fromkeys(text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator"))
+    )
+
+
+def statuses(runs: Sequence[RunData]) -> str:
+    """How the runs ended, in a phrase."""
+    counts: dict[str, int] = {}
+    for run in runs:
+        counts[clean(run.status, 40)] = counts.get(clean(run.status, 40), 0) + 1
+    told = ", ".join(f"{count} {status}" for status, count in counts.items())
+    return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {told}" if runs else "the runs are not at hand"
+
+
+def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+    """One row a run: what was tested, where, for how long; `names` are the short names of runs."""
+    rows = []
+    for run in runs:
+        planned = run.manifest.get("trials_planned")
+        done = sum(trial.status == "finished" and not trial.again for trial in run.trials)
+        rows.append(
+            {
+                "run": names.get(run.id, ""),
+                "test": kind_title(run.kind),
+                "protocol": _protocol(run),
+                "operating points": _points(run),
+                "trials": f"{done} of {planned}" if isinstance(planned, int) else str(done),
+                "rate": f"{run.rate:.4g} Hz" if run.rate else "",
+                "duration": _duration(run.manifest.get("duration")),
+                "status": clean(run.status, 40),
+            }
+        )
+    return pd.DataFrame(rows, dtype=object)
+
+
+def _protocol(run: RunData) -> str:
+    told = run.manifest.get("protocol")
+    name = text_of(told.get("name") if isinstance(told, Mapping) and told.get("name") else told)
+    source = text_of(run.manifest.get("source"))
+    return f"{name} (after: {source})" if source else name
+
+
+def _duration(value: Any) -> str:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return ""
+    return f"{value / 60:.0f} min" if value >= 120 else f"{value:.0f} s"
+
+
+def _points(run: RunData) -> str:
+    told = []
+    points = [trial.point for trial in run.trials]
+    for name in in_order((key for point in points for key in point), POINTS):
+        if name in ("mass", "cycles"):
+            continue
+        label, unit = point_shown(name)
+        values = sorted({round(point[name] / unit.scale, 6) for point in points if name in point})
+        listed = ", ".join(number(value) for value in values)
+        if len(values) > LISTED:
+            listed = f"{number(values[0])} to {number(values[-1])} ({len(values)} values)"
+        told.append(f"{label} = {listed} {unit.unit}".rstrip())
+    repeats = {trial.repeat for trial in run.trials}
+    return "; ".join(told) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
+
+
+def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+    """Identity of every run: id, when, and the hashes that tell whether it was changed."""
+    rows = []
+    for run in runs:
+        row = {
+            "run": names.get(run.id, ""),
+            "id": clean(run.id, 200),
+            "started (UTC)": text_of(run.manifest.get("started_utc"), 40)[:19].replace("T", " "),
+            "closed (UTC)": text_of(run.manifest.get("closed_utc"), 40)[:19].replace("T", " "),
+            "status": clean(run.status, 40),
+            "sha256 of plan.json": text_of(run.manifest.get("plan_sha256"), 64),
+            "sha256 of seal.json": _seal(run),
+        }
+        imported = run.manifest.get("imported")
+        if isinstance(imported, Mapping):
+            row["imported file"] = text_of(imported.get("file"), 120)
+            row["sha256 of that file"] = text_of(imported.get("sha256"), 64)
+        rows.append(row)
+    return pd.DataFrame(rows, dtype=object).fillna("")
+
+
+def _seal(run: RunData) -> str:
+    path = Path(run.path) / "seal.json"
+    try:
+        if run.path and path.is_file() and path.stat().st_size < LONGEST_SEAL:
+            return hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError):
+        return ""
+    return ""
+
+
+def versions(runs: Sequence[RunData]) -> list[str]:
+    """The programs that recorded the runs, each combination once."""
+    return list(dict.fromkeys(text_of(run.manifest.get("versions")) for run in runs if run.manifest.get("versions")))
+
+
+def calibration_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+    """Channel, calibration and its expanded uncertainty, with the runs that used it."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for run in runs:
+        for info in run.channels.values():
+            unit = shown(info.quantity, info.unit)
+            offset = f"{info.offset_uncertainty / unit.scale:.3g} {unit.unit}" if info.offset_uncertainty else ""
+            gain = f"{info.gain_uncertainty:.2%}" if info.gain_uncertainty else ""
+            lag = f"{info.sensor_lag * 1e3:.3g} ms" if info.sensor_lag else ""
+            key = (clean(info.name, 60), clean(info.calibration, 80) or "none", offset, gain, lag)
+            rows.setdefault(key, []).append(names.get(run.id, "?"))
+    heads = ("channel", "calibration", "offset, 95 %", "gain, 95 %", "sensor lag")
+    frame = pd.DataFrame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
+    return frame.loc[:, lambda f: (f != "").any()] if len(frame) else frame

@@ -1,0 +1,356 @@
+"""Tables of what analyses found, as pandas frames of text; computes no estimate, draws nothing.
+
+Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pandas as pd
+
+from pmabench.analysis.results import Analysis, Estimate
+from pmabench.base.quantities import QUANTITIES
+from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, cut, half_width, rounded
+from pmabench.report.words.wording import (
+    AGREEMENT,
+    POINTS,
+    SYMBOLS,
+    clean,
+    in_order,
+    kind_title,
+    number,
+    point_shown,
+    point_text,
+    shown,
+    spoken,
+    symbol_text,
+)
+
+LONGEST_JOINT = 60
+COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
+"""A method that gives one of these over pressure belongs in the coefficient table."""
+PLACES = {"pressure", "mean", "amplitude"}
+"""Coordinates of the table of primary methods; what has others (a frequency, a set-point) stands under its test."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A frame of text cells with a caption."""
+
+    caption: str
+    frame: pd.DataFrame
+
+
+def cell(estimate: Estimate) -> str:
+    """An estimate as text in its display unit, without the unit: `7.552 ± 0.021`."""
+    scale = shown(estimate.quantity, estimate.unit).scale
+    half = estimate.parts.combined
+    if estimate.value is None:
+        return "not identifiable"
+    if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):
+        return UNRESOLVED
+    if half is not None and estimate.positive and 0 <= estimate.value < half:
+        return cut(estimate.value / scale, half / scale)
+    return rounded(estimate.value / scale, None if half is None else half / scale)
+
+
+def least(estimate: Estimate) -> float:
+    """What can be told at all of an estimate, in its display unit; terms of curves have units of their own: 0."""
+    return RESOLVED if estimate.quantity in QUANTITIES else 0.0
+
+
+def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
+    chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
+    return pivot_table([e for e in chosen if e.method in methods])
+
+
+def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
+    """The coefficients of each test's primary method, which comes first in it: one row per operating point; text.
+
+    Beside the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
+    text says where it was one.
+    """
+    chosen = [
+        e
+        for a in analyses
+        for e in a.estimates
+        if "pressure" in e.at and set(e.at) <= PLACES and not e.coordinate and e.method == a.estimates[0].method
+    ]
+    by = {
+        symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
+        for symbol in {e.symbol for e in chosen}
+    }
+    met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
+    alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
+    slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
+    frame = _beside(slim, lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+    methods = ", ".join(dict.fromkeys(e.method for e in chosen if set(e.at) & set(alike)))
+    return frame, f"{clean(methods)} at {point_text(alike)}" if alike else ""
+
+
+def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
+    """For each coefficient that several methods give, one row per pressure and one column per method; text."""
+    chosen = [e for a in analyses for e in a.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    tables = []
+    for symbol in in_order((e.symbol for e in chosen), SYMBOLS):
+        members = [e for e in chosen if e.symbol == symbol]
+        if symbol in COEFFICIENTS and len({e.method for e in members}) > 1:
+            name = f"{_column(members[0])}, {SYMBOLS[symbol]}"
+            tables.append(Table(name, _beside(members, lambda e: clean(e.method))))
+    return tables
+
+
+def _beside(estimates: Sequence[Estimate], column: Callable[[Estimate], str]) -> pd.DataFrame:
+    """One row per operating point, the columns in the order of symbols."""
+    order = in_order((e.symbol for e in estimates), SYMBOLS)
+    estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
+    points = in_order((name for e in estimates for name in e.at), POINTS)
+    heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
+    rows: dict[tuple[float, ...], dict[str, str]] = {}
+    for e in estimates:
+        at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
+        place = tuple(at.get(name, float("-inf")) for name in points)
+        rows.setdefault(place, {heads[name]: number(at[name]) for name in at})[column(e)] = cell(e)
+    columns = list(dict.fromkeys([*heads.values(), *(column(e) for e in estimates)]))
+    return pd.DataFrame([rows[place] for place in sorted(rows)], columns=columns, dtype=object).fillna("")
+
+
+def other_tables(analysis: Analysis) -> list[Table]:
+    """All estimates that are not in the coefficient table, one table for each kind of operating point."""
+    chosen = [e for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
+    groups: dict[tuple[str, ...], list[Estimate]] = {}
+    for e in analysis.estimates:
+        if set(e.at) == {"pressure"} and not e.coordinate and e.method in methods:
+            continue
+        groups.setdefault(tuple(sorted(e.at)), []).append(e)
+    tables = []
+    for names, members in groups.items():
+        if not names:
+            tables.append(Table("Values for the whole campaign", whole_table(members)))
+            continue
+        constant = {name: members[0].at[name] for name in names if len({e.at[name] for e in members}) == 1}
+        if len(constant) == len(names):
+            del constant[in_order(names, POINTS)[0]]
+        told = point_text(constant)
+        moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
+        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (f", at {told}" if told else "")
+        slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
+        tables.append(Table(caption, pivot_table(_merged(slim))))
+    return tables
+
+
+def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
+    """The same under one joint name of method, where no two methods give the same symbol: fewer, fuller rows."""
+    methods: dict[str, set[str]] = {}
+    for e in estimates:
+        methods.setdefault(_column(e), set()).add(e.method)
+    if any(len(names) > 1 for names in methods.values()):
+        return estimates
+    joint = ", ".join(dict.fromkeys(e.method for e in estimates))
+    joint = joint if len(joint) <= LONGEST_JOINT else "several methods"
+    return [replace(e, method=joint) for e in estimates]
+
+
+def _column(e: Estimate) -> str:
+    return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
+
+
+def pivot_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
+    """One row per method and operating point, one column per symbol; text cells."""
+    names = in_order((name for e in estimates for name in e.at), POINTS)
+    symbols = in_order((e.symbol for e in estimates), SYMBOLS)
+    columns = list(dict.fromkeys(_column(e) for s in symbols for e in estimates if e.symbol == s))
+    methods = list(dict.fromkeys(e.method for e in estimates))
+    rows: dict[tuple[int, tuple[float, ...]], dict[str, str]] = {}
+    for e in estimates:
+        place = tuple(e.at.get(name, float("-inf")) for name in names)
+        row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
+        for name in names:
+            label, unit = point_shown(name)
+            row[unit.label(label)] = number(e.at[name] / unit.scale) if name in e.at else ""
+        row[_column(e)] = cell(e)
+    heads = [point_shown(name)[1].label(point_shown(name)[0]) for name in names]
+    frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
+    return frame.fillna("")
+
+
+def whole_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
+    """Estimates without an operating point, a row each."""
+    rows = [
+        {
+            "symbol": symbol_text(e.symbol, e.coordinate),
+            "quantity": SYMBOLS.get(e.symbol, ""),
+            "value": cell(e),
+            "unit": shown(e.quantity, e.unit).unit,
+            "method": clean(e.method),
+            "trials": str(e.n),
+        }
+        for e in estimates
+    ]
+    return pd.DataFrame(rows, dtype=object)
+
+
+def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> pd.DataFrame:
+    """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
+
+    The column `skew` is there where streams have clocks of their own; `parents` gives the trials
+    and the note of an estimate in short.
+    """
+    rows = []
+    skewed = any(e.parts.skew for e in analysis.estimates)
+    for e in analysis.estimates:
+        unit = shown(e.quantity, e.unit)
+
+        def half(value: float | None, scale: float = unit.scale, floor: float = least(e)) -> str:
+            return "" if value is None else half_width(value / scale, floor)
+
+        bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
+        if e.bias and abs(e.bias) / unit.scale < least(e):
+            bias = UNRESOLVED
+        told = parents(e) if parents else ("", clean(e.note if e.note != e.coordinate else ""))
+        rows.append(
+            {
+                "method": clean(e.method),
+                "symbol": symbol_text(e.symbol, e.coordinate),
+                "at": point_text(e.at),
+                "value": cell(e),
+                "unit": unit.unit,
+                "repeats": half(e.parts.repeats),
+                "by method": half(e.parts.method),
+                "calibration": half(e.parts.calibration),
+                **({"skew": half(None if e.value is None else e.parts.skew)} if skewed else {}),
+                "bias": bias if e.corrected or not bias else f"{bias} left",
+                "trials": str(e.n),
+                "from": told[0],
+                "note": told[1],
+            }
+        )
+    return pd.DataFrame(rows, dtype=object)
+
+
+def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Regression coefficients of every curve in its own coordinate, with interval, domain, R2 and residual; text."""
+    rows = []
+    for curve in (c for analysis in analyses for c in analysis.curves if not c.normalised):
+        label, unit = point_shown(curve.against)
+        low, high = (f"{end / unit.scale:.4g}" for end in curve.domain)
+        first = shown(curve.terms[0].quantity, curve.terms[0].unit) if curve.terms else shown("", "")
+        row = {"coefficient": clean(curve.symbol), "method": clean(curve.method), "form": clean(curve.form)}
+        row["at"] = point_text(curve.terms[0].at) if curve.terms else ""
+        for power, term in enumerate(curve.terms):
+            head = ("constant", f"× {label}", f"× {label}²")[power] if power < 3 else f"× {label}^{power}"
+            row[head] = f"{cell(term)} {shown(term.quantity, term.unit).unit}".strip()
+        row[unit.label(f"valid for {label}")] = f"{low} to {high}"
+        row["R²"] = _r2(curve.r2)
+        row["residual rms"] = f"{half_width(curve.residual_rms / first.scale)} {first.unit}".strip()
+        rows.append(row)
+    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
+    tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
+    columns = [head for head in heads if head not in tail] + tail
+    return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
+
+
+def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Terms of every polynomial in z = (coordinate - centre) / scale, powers from 0 up, one unit a row; text."""
+    rows = []
+    for curve in (c for analysis in analyses for c in analysis.curves if c.normalised and c.terms):
+        label, unit = point_shown(curve.against)
+        first = shown(curve.terms[0].quantity, curve.terms[0].unit)
+        low, high, centre, scale = (f"{x / unit.scale:.5g}" for x in (*curve.domain, curve.centre, curve.scale))
+        row = {"coefficient": clean(curve.symbol), "unit": first.unit}
+        row["method"] = (
+            f"{clean(curve.method)}; z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}".strip()
+        )
+        for n, term in enumerate(curve.terms):
+            row["1" if n == 0 else "z" + str(n).translate(RAISED) * (n > 1)] = cell(term)
+        row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
+        rows.append(row)
+    heads = in_order((head for row in rows for head in row), ("coefficient", "method", "unit"))
+    columns = [head for head in heads if head not in ("R²", "rms")] + ["R²", "rms"]
+    return pd.DataFrame(rows, columns=columns if rows else [], dtype=object).fillna("")
+
+
+def _r2(value: float) -> str:
+    return f"{value:.5f}" if not 0.999995 <= value < 1 else ">\u202f0.99999"
+
+
+def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Trials that did not enter a fit, with their operating point and the reason; text."""
+    rows = [
+        {"test": kind_title(a.kind), "trial": clean(d.trial), "at": point_text(d.point), "reason": clean(d.reason)}
+        for a in analyses
+        for d in a.dropped
+    ]
+    return pd.DataFrame(rows, columns=["test", "trial", "at", "reason"], dtype=object)
+
+
+def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Findings of all analyses, faults first, then doubts, then what is said of the agreement of tests; text."""
+    rank = {"fault": 0, "doubt": 1}
+    found = [(rank.get(f.level, 2 if a.kind == AGREEMENT else 3), a, f) for a in analyses for f in a.findings]
+    rows = [
+        {"level": clean(f.level), "test": kind_title(a.kind), "finding": clean(f.text)}
+        for _, a, f in sorted(found, key=lambda entry: entry[0])
+    ]
+    return pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
+
+
+def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+    """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
+    rows = []
+    for entry in (e for a in analyses for e in _mappings(a.facts.get("tuning"))):
+        row = {
+            "operating point": point_text(_numbers(entry.get("at"))),
+            "rule": clean(entry.get("rule", "")),
+        }
+        gains = entry.get("gains")
+        for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
+            if not isinstance(found, Mapping):
+                continue
+            unit = shown(str(found.get("quantity", "")), str(found.get("unit", "")))
+            value, ends = found.get("value"), found.get("ci95")
+            if not isinstance(value, int | float):
+                continue
+            half = None
+            if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
+                half = (ends[1] - ends[0]) / 2
+            row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
+        margins = _numbers(entry.get("margins"))
+        for name, head, scale in _MARGINS:
+            if name in margins:
+                row[head] = rounded(margins[name] / scale, None, 3)
+        if isinstance(entry.get("overshoot"), int | float):
+            row["overshoot [%]"] = rounded(entry["overshoot"] * 100, None, 2)
+        if isinstance(entry.get("settling"), int | float):
+            row["settling [s]"] = rounded(entry["settling"], None, 2)
+        rows.append(row)
+    wanted = ("operating point", "rule", "K_p", "T_i", "T_d", "K_i", "K_d", *(head for _, head, _ in _MARGINS))
+    heads = list(dict.fromkeys(head for row in rows for head in row))
+    rank = {name: place for place, name in enumerate(wanted)}
+    heads.sort(key=lambda head: rank.get(head, rank.get(head.partition(" [")[0], len(rank))))
+    return pd.DataFrame(rows, columns=heads, dtype=object).fillna("")
+
+
+_MARGINS = (
+    ("M_s", "M_s", 1.0),
+    ("gain_margin", "gain margin [×]", 1.0),
+    ("phase_margin", "phase margin [deg]", 0.0174532925199433),
+)
+
+
+def _mappings(value: Any) -> list[Mapping[str, Any]]:
+    """The mappings in a list; facts may hold anything."""
+    return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
+
+
+def _numbers(value: Any) -> dict[str, float]:
+    """The numbers of a mapping; facts may hold anything."""
+    if not isinstance(value, Mapping):
+        return {}
+    return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}

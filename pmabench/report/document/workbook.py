@@ -1,0 +1,183 @@
+"""A report as a workbook: the same content, numbers as numbers in display units, every text inert; no estimate.
+
+Needs the extra `xlsx`. The same report gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from pmabench.analysis.results import Analysis
+from pmabench.base.errors import RecordError, UsageError
+from pmabench.report.document.content import Content
+from pmabench.report.document.grids import Grid
+from pmabench.report.files.csv_files import coefficient_rows, curve_rows, estimate_rows, inert
+from pmabench.report.words.wording import clean, kind_title, shown
+
+EPOCH = datetime(2000, 1, 1)
+"""What the file says of when it was made: nothing, so that it can be compared."""
+WIDEST = 60
+"""Letters that a column shows at once."""
+LONGEST = 32_000
+"""Letters of a cell; a spreadsheet takes 32,767."""
+NAME = 31
+"""Letters of a sheet's name."""
+
+
+def write_workbook(content: Content, analyses: Sequence[Analysis], path: Path) -> Path:
+    """Write the workbook; UsageError without the extra, RecordError where it cannot be written."""
+    data = workbook_bytes(content, analyses)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise RecordError(f"{path}: the workbook cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def workbook_bytes(content: Content, analyses: Sequence[Analysis]) -> bytes:
+    """The workbook as bytes."""
+    try:
+        import xlsxwriter
+    except ImportError as error:
+        raise UsageError('--xlsx needs xlsxwriter: pip install "pmabench[xlsx]"') from error
+    buffer = BytesIO()
+    options = {"in_memory": True, "strings_to_formulas": False, "strings_to_urls": False, "strings_to_numbers": False}
+    book = xlsxwriter.Workbook(buffer, options | {"nan_inf_to_errors": True})
+    book.set_properties(
+        {"title": clean(content.title, 200), "created": EPOCH, "comments": f"report {content.report_id}"}
+    )
+    sheets = _Sheets(book, content)
+    sheets.lines("Summary", _summary(content))
+    for analysis in analyses:
+        sheets.rows(kind_title(analysis.kind), coefficient_rows(analysis.estimates), simulated=analysis.simulated)
+    simulated = content.simulated
+    sheets.rows("Estimates", estimate_rows(analyses), simulated=simulated)
+    sheets.rows("Curves", curve_rows(curve for a in analyses for curve in a.curves), simulated=simulated)
+    sheets.rows("Budgets", _budgets(analyses), simulated=simulated)
+    sheets.rows("Findings", [dict(zip(("level", "test", "finding"), row, strict=True)) for row in content.findings])
+    sheets.grid("Not used", content.dropped)
+    sheets.grid("Protocol", content.protocol)
+    sheets.rows("Deviations", [{"deviation or remark": text} for text in content.deviations])
+    notes = [{"run": n.run, "utc": n.utc, "operator": n.operator, "note": n.text} for n in content.notes]
+    sheets.rows("Notes", notes)
+    sheets.rows("Runs", [dict(run) for run in content.run_details])
+    sheets.grid("Calibrations", content.calibrations)
+    sheets.rows("Methods", [{"method": name, "what it does": text} for name, text in content.methods])
+    told = [(i.clause, i.asked, "there" if i.there else "missing", i.said) for i in content.checklist]
+    heads = ("clause", "asked for", "here", "where, or what to do")
+    sheets.rows("Checklist", [dict(zip(heads, row, strict=True)) for row in told])
+    book.close()
+    return buffer.getvalue()
+
+
+def _summary(content: Content) -> list[tuple[str, str]]:
+    lines = [("Report", content.title), ("Verdict", f"{content.verdict.word}: {content.verdict.text}")]
+    lines += [("Not accepted", text) for text in content.failed]
+    lines += [("Specimen", f"{name} ({about})" if about else name) for name, about in content.specimens]
+    lines += [("Bench", f"{name} ({about})" if about else name) for name, about in content.benches]
+    who = content.issuer
+    lines += [("Tested", content.tested), ("When", content.when), ("Operator", content.operators)]
+    lines += [("Laboratory", who.laboratory), ("Customer", who.customer), ("Authorised by", who.authorised_by)]
+    lines += [("Issued", who.issued), ("Record", content.statuses)]
+    for tile in content.tiles:
+        lines.append((f"{tile.symbol}, {tile.name}", f"{tile.value} {tile.unit} ({tile.where})"))
+    lines += [("Methods", content.paragraph), ("Citation", content.cite[0])]
+    lines += [("Evaluated with", f"pmabench {content.version}; report {content.report_id}")]
+    return [(head, text) for head, text in lines if text]
+
+
+def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
+    """Sources of the interval of every estimate that has a budget, a row each."""
+    rows = []
+    for analysis in analyses:
+        for row, e in zip(estimate_rows([analysis]), analysis.estimates, strict=True):
+            keep = ("kind", "symbol", "coordinate", "method", "unit")
+            where = {head: value for head, value in row.items() if head in keep or "[" in head}
+            scale = shown(e.quantity, e.unit).scale
+            for source, share in zip(e.budget, e.shares, strict=True):
+                half = None if source.half is None else source.half / scale
+                told = {"source": source.name, "type": source.kind, "half width 95 %": half, "share": share}
+                rows.append(where | told | {"note": source.note})
+    return rows
+
+
+class _Sheets:
+    """Sheets of one workbook, in one look."""
+
+    def __init__(self, book: Any, content: Content) -> None:
+        self.book, self.content = book, content
+        self.names: set[str] = set()
+        self.title = book.add_format({"bold": True, "font_size": 13})
+        self.mark = book.add_format({"bold": True, "font_color": "#a14a00"})
+        self.head = book.add_format({"bold": True, "bottom": 1, "text_wrap": True, "valign": "bottom"})
+        self.text = book.add_format({"text_wrap": True, "valign": "top"})
+
+    def _sheet(self, name: str, *, simulated: bool) -> Any:
+        stem = "".join(c for c in clean(name, 80) if c not in "[]:*?/\\'")[:NAME].strip() or "Sheet"
+        unique, count = stem, 1
+        while unique.casefold() in self.names:
+            count += 1
+            unique = f"{stem[: NAME - 3]} {count}"
+        self.names.add(unique.casefold())
+        sheet = self.book.add_worksheet(unique)
+        sheet.hide_gridlines(2)
+        sheet.set_paper(9)
+        sheet.set_landscape()
+        sheet.fit_to_pages(1, 0)
+        sheet.set_footer(f"&LReport {self.content.report_id}&RPage &P of &N")
+        sheet.write_string(0, 0, inert(clean(name, 80)), self.title)
+        if simulated:
+            sheet.write_string(1, 0, "SIMULATED", self.mark)
+            sheet.set_tab_color("#d98e04")
+        return sheet
+
+    def lines(self, name: str, lines: Sequence[tuple[str, str]]) -> None:
+        """Pairs of a head and a text."""
+        sheet = self._sheet(name, simulated=self.content.simulated)
+        sheet.set_column(0, 0, 28)
+        sheet.set_column(1, 1, 110)
+        for row, (head, text) in enumerate(lines, 3):
+            sheet.write_string(row, 0, inert(clean(head, 200)), self.head)
+            sheet.write_string(row, 1, inert(clean(text, LONGEST)), self.text)
+
+    def rows(self, name: str, rows: Sequence[Mapping[str, Any]], *, simulated: bool | None = None) -> None:
+        """A table with all columns that any row has; nothing where there is no row."""
+        if not rows:
+            return
+        sheet = self._sheet(name, simulated=self.content.simulated if simulated is None else simulated)
+        columns = list(dict.fromkeys(head for row in rows for head in row))
+        for column, head in enumerate(columns):
+            sheet.write_string(3, column, inert(clean(head, 200)), self.head)
+            widths = [len(str(row.get(head, ""))) if isinstance(row.get(head), str) else 10 for row in rows]
+            sheet.set_column(column, column, min(WIDEST, max(9, *widths) + 1))
+        for line, row in enumerate(rows, 4):
+            for column, head in enumerate(columns):
+                self._cell(sheet, line, column, row.get(head))
+        sheet.freeze_panes(4, 0)
+        sheet.autofilter(3, 0, 3 + len(rows), len(columns) - 1)
+
+    def _cell(self, sheet: Any, line: int, column: int, value: Any) -> None:
+        if value is None or value == "":
+            return
+        if isinstance(value, bool):
+            sheet.write_boolean(line, column, value)
+        elif isinstance(value, int | float):
+            if value == value and abs(value) < 1e300:
+                sheet.write_number(line, column, value)
+        else:
+            sheet.write_string(line, column, inert(clean(value, LONGEST)), self.text)
+
+    def grid(self, name: str, grid: Grid) -> None:
+        """A table of a page, as text."""
+        rows = []
+        for heading, members in grid.groups:
+            for cells in members:
+                texts = [f"{cell.text} ± {cell.half}" if cell.half else cell.text for cell in cells]
+                row = dict(zip([column.head for column in grid.columns], texts, strict=True))
+                rows.append({"of": heading} | row if heading else row)
+        self.rows(name, rows)

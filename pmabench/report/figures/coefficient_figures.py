@@ -1,0 +1,220 @@
+"""Figures of coefficients over an operating point: values with 95 % bars, curves with bands, methods side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, log10, nan
+
+import numpy as np
+import pandas as pd
+
+from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
+from pmabench.report.document.tables import cell, least
+from pmabench.report.figures import plots
+from pmabench.report.figures.pictures import Picture, picture
+from pmabench.report.figures.plots import Array, Points
+from pmabench.report.words.rounding import RAISED
+from pmabench.report.words.wording import (
+    GROUPS,
+    POINTS,
+    SYMBOLS,
+    Shown,
+    clean,
+    in_order,
+    number,
+    point_shown,
+    shown,
+    spoken,
+    symbol_text,
+)
+
+BESIDE = {"pressure", "mean", "amplitude"}
+"""Coordinates that a value in a plot over pressure may have: means and amplitudes of sines stand side by side."""
+MOST_SERIES = 8
+FEWEST = 3
+"""Places that a plot of further coefficients needs; fewer stand in the tables well enough."""
+CURVE_POINTS = 60
+
+
+def over_pressure(analyses: Sequence[Analysis]) -> list[Picture]:
+    """K, damping and F_ce over pressure, of all tests and methods together."""
+    found = []
+    for symbols in list(GROUPS)[:3]:
+        members = [
+            (analysis, e)
+            for analysis in analyses
+            for e in analysis.estimates
+            if e.symbol in symbols and "pressure" in e.at and set(e.at) <= BESIDE and not e.coordinate
+        ]
+        drawn = _figure(symbols, "pressure", members)
+        if drawn is not None:
+            found.append(drawn)
+    return found
+
+
+def others(analysis: Analysis) -> list[Picture]:
+    """Every further coefficient of an analysis that varies with exactly one coordinate of its operating point."""
+    found = []
+    symbols = in_order((e.symbol for e in analysis.estimates), SYMBOLS)
+    groups = [group for group in GROUPS if set(group) & set(symbols)]
+    groups += [(symbol,) for symbol in symbols if not any(symbol in group for group in GROUPS)]
+    for group in groups:
+        members = [e for e in analysis.estimates if e.symbol in group and e.at]
+        over = _varying(members)
+        shown_already = over == "pressure" and group in list(GROUPS)[:3]
+        if over is None or shown_already or (over == "frequency" and any(t.figure == "bode" for t in analysis.traces)):
+            continue
+        if group == ("m",) and any(t.figure == "section" for t in analysis.traces):
+            continue
+        if len({e.at[over] for e in members}) < FEWEST:
+            continue
+        drawn = _figure(group, over, [(analysis, e) for e in members])
+        if drawn is not None:
+            found.append(drawn)
+    return found
+
+
+def _varying(estimates: Sequence[Estimate]) -> str | None:
+    """The one coordinate that varies; None for none or several."""
+    names = in_order((name for e in estimates for name in e.at), POINTS)
+    varying = [name for name in names if name != "mass" and len({e.at.get(name) for e in estimates}) > 1]
+    return varying[0] if len(varying) == 1 and all(varying[0] in e.at for e in estimates) else None
+
+
+def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis, Estimate]]) -> Picture | None:
+    """One plot; None where fewer than two values can be drawn."""
+    known = [e for _, e in members if e.value is not None]
+    units = {shown(e.quantity, e.unit) for e in known}
+    if len(known) < 2 or len({e.at[over] for e in known}) < 2 or len(units) != 1:
+        return None
+    if all(abs(e.value or 0.0) < least(e) * shown(e.quantity, e.unit).scale for e in known):
+        return None
+    unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
+    series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
+    for analysis, e in members:
+        if e.value is not None:
+            series.setdefault((e.symbol, e.coordinate, e.method), []).append((analysis, e))
+    several = len({(symbol, coordinate) for symbol, coordinate, _ in series}) > 1
+    variants = list(dict.fromkeys(key[:2] for key in series))
+    methods = list(dict.fromkeys(key[2] for key in series))
+    first = {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
+    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
+    theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
+    keys = [key for key in keys if key not in theirs][:MOST_SERIES] + theirs
+    points: list[Points] = []
+    for key in keys:
+        symbol, coordinate, method = key
+        told = symbol_text(symbol, coordinate)
+        name = clean(method, 60)
+        at = sorted(series[key], key=lambda member: member[1].at[over])
+        reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
+        x = np.array([e.at[over] for _, e in at])
+        points.append(
+            Points(
+                label=(told if len(methods) == 1 else f"{told}, {name}") if several else name,
+                x=x / x_unit.scale,
+                y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
+                below=reach_of[:, 0],
+                above=reach_of[:, 1],
+                primary=key not in theirs and (method in first or len(methods) == 1),
+                group=variants.index(key[:2]) if several else methods.index(method),
+                mark=theirs.index(key)
+                if key in theirs
+                else methods.index(method)
+                if several and len(methods) > 1
+                else len(points),
+                curve=_curve(at, over, unit.scale, x_unit.scale),
+                published=key in theirs,
+            )
+        )
+    names = _and([f"{SYMBOLS.get(s, '')} {s}".strip() for s in dict.fromkeys(e.symbol for e in known)])
+    y_label = unit.label(", ".join(in_order({e.symbol for e in known}, SYMBOLS)))
+    simulated = any(analysis.simulated for analysis, _ in members)
+    ends = sorted(e.at[over] / x_unit.scale for e in known)
+    values = sorted((e.value or 0.0) / unit.scale for e in known)
+    reach = f"from {number(ends[0])} to {number(ends[-1])} {x_unit.unit}".rstrip()
+    alt = (
+        f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
+        f"by {_and([clean(m, 60) for m in methods])}. The numbers are in the table below the figure."
+    )
+    bars = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
+    caption = f"{bars}; filled: primary method of each test, open: others."
+    if all(p.primary or p.published for p in points):
+        caption = f"{bars}."
+    if theirs:
+        caption += f" Crosses: {_and(list(dict.fromkeys(clean(key[2], 60) for key in theirs)))}, not measured here."
+    missing = [e for _, e in members if e.value is None]
+    if missing:
+        places = _and([f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]])
+        caption += f" Not identifiable: {places}{' and others' if len(missing) > 6 else ''}."
+    named = names[:1].upper() + names[1:] if symbols[0] in SYMBOLS else names
+    title = f"{GROUPS.get(tuple(symbols), named)} over {spoken(over)}"
+    return picture(
+        lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
+        title,
+        caption,
+        alt,
+        _table([e for _, e in members], over),
+        wide=False,
+        simulated=simulated,
+    )
+
+
+def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
+    """The unit with a power of ten before it where values would ask for an exponent at the axis."""
+    largest = max(abs(e.value or 0.0) for e in known) / unit.scale
+    if largest == 0 or 1e-3 <= largest < 1e5:
+        return unit
+    power = 3 * floor(log10(largest) / 3)
+    told = f"10{str(power).translate(RAISED)}"
+    return Shown(f"{told} {unit.unit}".rstrip(), unit.scale * 10.0**power)
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
+
+
+def _reach(e: Estimate) -> tuple[float, float]:
+    """How far the interval reaches below and above the value [SI]; NaN without one."""
+    ends = e.ci95
+    return (nan, nan) if ends is None or e.value is None else (max(0.0, e.value - ends[0]), ends[1] - e.value)
+
+
+def _curve(
+    members: Sequence[tuple[Analysis, Estimate]], over: str, scale: float, x_scale: float
+) -> tuple[Array, Array, Array] | None:
+    """The analysis' closest curve through these points with its band, in display units; None without one.
+
+    Half width of the band: that of the points, joined by straight lines, and 1.96 times the residual, as squares.
+    """
+    analysis, first = members[0]
+    matching: list[Curve] = [
+        c
+        for c in analysis.curves
+        if c.symbol == first.symbol and c.method == first.method and c.against == over and c.domain[0] < c.domain[1]
+    ]
+    if not matching or any(term.value is None for term in matching[0].terms):
+        return None
+    closest = min(matching, key=lambda c: c.residual_rms)
+    x = np.linspace(*closest.domain, CURVE_POINTS)
+    y = closest.values(x)
+    at = np.array([e.at[over] for _, e in members])
+    half = np.interp(x, at, [_reach(e)[1] for _, e in members])
+    residual = closest.residual_rms if np.isfinite(closest.residual_rms) else 0.0
+    band = np.hypot(half, 1.96 * residual)
+    return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)
+
+
+def _table(estimates: Sequence[Estimate], over: str) -> pd.DataFrame:
+    head, unit = point_shown(over)
+    rows = [
+        {
+            "method": clean(e.method),
+            "symbol": symbol_text(e.symbol, e.coordinate),
+            unit.label(head): number(e.at[over] / unit.scale),
+            shown(e.quantity, e.unit).label("value"): cell(e),
+            "trials": str(e.n),
+        }
+        for e in estimates
+    ]
+    return pd.DataFrame(rows, dtype=object).fillna("")

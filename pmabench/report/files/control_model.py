@@ -1,0 +1,201 @@
+"""An analysis as a model for python-control: its coefficients, the law that joins them, and how far it is off.
+
+The deviation is found by running the exported law along the pressures of the analysis' own free runs.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pmabench import __version__
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.base.errors import UsageError
+from pmabench.report.figures.pictures import has
+from pmabench.report.files.control_law import rates
+from pmabench.report.words.wording import clean
+from pmabench.store.records import Array, RunData
+
+GRAVITY = 9.80665
+SLOW = 1e-6
+"""Speed within which the friction of the exported model turns [m/s]."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What the exported model is off: from the fitted muscle of the analysis, and from what was measured [m]."""
+
+    runs: int
+    rms: float
+    largest: float
+    measured_rms: float
+
+
+@dataclass(frozen=True)
+class ControlModel:
+    """Parameters of `control_law.rates`, and how well they do."""
+
+    params: dict[str, Any]
+    method: str
+    notes: list[str]
+    deviation: Deviation | None
+
+
+def suits(analysis: Analysis) -> bool:
+    """Whether `control_model` can make a model of an analysis."""
+    told = _told(analysis)
+    return bool(set(told.get("F_ce", {})) & set(told.get("K", {}))) and "B_c" in told
+
+
+def _told(analysis: Analysis) -> dict[str, dict[float, float]]:
+    """Values of the primary method over pressure, by symbol."""
+    told: dict[str, dict[float, float]] = {}
+    for e in analysis.estimates:
+        mine = e.method == analysis.estimates[0].method and set(e.at) == {"pressure"} and not e.coordinate
+        if mine and e.value is not None:
+            told.setdefault(e.symbol, {})[e.at["pressure"]] = e.value
+    return told
+
+
+def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
+    """The model of an analysis that has F_ce, K and damping over pressure; UsageError for one that has not.
+
+    `runs` tell the moving mass; without them it is the load over gravity.
+    """
+    primary = analysis.estimates[0].method if analysis.estimates else ""
+    told = _told(analysis)
+    shared = sorted(set(told.get("F_ce", {})) & set(told.get("K", {})))
+    if not suits(analysis):
+        raise UsageError(
+            f"an analysis of {clean(analysis.kind, 60)} has no F_ce, K and B_c over pressure by one method; "
+            "give one of contraction-relaxation, or another --format"
+        )
+    P = np.array(shared)
+    notes = []
+    params: dict[str, Any] = {"P": P}
+    for symbol in ("F_ce", "K", "B_c", "B_r"):
+        known = told.get(symbol) or told["B_c"]
+        if symbol not in told:
+            notes.append("B_r is not known; B_c stands in its place")
+        lacking = [f"{at / 1e3:g} kPa" for at in shared if at not in known]
+        if lacking and symbol in told:
+            notes.append(f"{symbol} is not known at {', '.join(lacking)}: taken from the pressures beside it")
+        places = sorted(known)
+        params[symbol] = _joined(P, places, [known[at] for at in places])
+    friction = [
+        e.value for e in analysis.estimates if e.symbol == "F_c" and e.method == primary and e.value is not None
+    ]
+    params["F_c"] = friction[0] if friction else 0.0
+    if not friction:
+        notes.append("Coulomb friction is not known and left out")
+    traces = [t for t in analysis.traces if t.figure == "overlay" and "load" in t.marks]
+    traces = [t for t in traces if has(t, "t", "pressure", "displacement", "model")]
+    masses = _masses(runs)
+    params["M"] = next(iter(masses.values()), None) or (traces[0].marks["load"] / GRAVITY if traces else 1.0)
+    params["v_0"] = SLOW
+    return ControlModel(params, clean(primary, 80), notes, _deviation(traces, params, masses))
+
+
+def _joined(P: Array, places: Sequence[float], values: Sequence[float]) -> Array:
+    """Values at P by straight lines between places, which go on beyond them."""
+    if len(places) == 1:
+        return np.full(len(P), values[0])
+    left = np.clip(np.searchsorted(places, P) - 1, 0, len(places) - 2)
+    x, y = np.asarray(places), np.asarray(values)
+    return np.asarray(y[left] + (P - x[left]) * (y[left + 1] - y[left]) / (x[left + 1] - x[left]))
+
+
+def _masses(runs: Sequence[RunData]) -> dict[float, float]:
+    """Moving mass [kg] by load [N]."""
+    points = [trial.point for run in runs for trial in run.trials]
+    return {round(p["load"], 3): p["mass"] for p in points if p.get("mass", 0.0) > 0 and "load" in p}
+
+
+def _deviation(traces: Sequence[Trace], params: dict[str, Any], masses: dict[float, float]) -> Deviation | None:
+    fitted, measured = [], []
+    for trace in traces:
+        load = trace.marks["load"]
+        mass = masses.get(round(load, 3)) or load / GRAVITY
+        if mass <= 0:
+            continue
+        columns = {name: np.asarray(values, dtype=np.float64) for name, values in trace.columns.items()}
+        x = simulated(columns["t"], columns["pressure"], load, params | {"M": mass}, float(columns["displacement"][0]))
+        known = np.isfinite(columns["model"]) & (columns["pressure"] >= params["P"][0])
+        fitted.append((x - columns["model"])[known])
+        measured.append((x - columns["displacement"])[known])
+    if not fitted or not sum(map(len, fitted)):
+        return None
+    off, out = np.concatenate(fitted), np.concatenate(measured)
+    rms, measured_rms = (float(np.sqrt(np.mean(values**2))) for values in (off, out))
+    return Deviation(len(fitted), rms, float(np.max(np.abs(off))), measured_rms)
+
+
+def simulated(t: Array, P: Array, load: float, params: dict[str, Any], x: float = 0.0) -> Array:
+    """Contraction [m], shape (n,), of the exported law from rest at `x` under pressures P [Pa] at times t [s]."""
+    from scipy.integrate import odeint
+
+    def law(state: Any, now: float) -> Any:
+        return rates(now, state, (np.interp(now, t, P), load), params)
+
+    step = float(np.min(np.diff(t))) if len(t) > 1 else 0.0
+    return np.asarray(odeint(law, [x, 0.0], t, rtol=1e-7, atol=1e-9, hmax=step, mxstep=20_000)[:, 0])
+
+
+def control_text(model: ControlModel, analysis: Analysis) -> str:
+    """The model as a Python file that needs numpy and python-control; the same bytes for the same analysis."""
+    lines = ['"""A pneumatic muscle as fitted, for python-control.', ""]
+    mark = "SIMULATED. " if analysis.simulated else ""
+    lines += [f"{mark}Method {_inside(model.method)}, pmabench {__version__}; runs:"]
+    lines += [f"- {_inside(run)}" for run in analysis.runs]
+    if model.deviation is None:
+        lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]
+    else:
+        d = model.deviation
+        lines += [
+            "",
+            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
+        ]
+        lines += [
+            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms"
+        ]
+        lines += ["off the measured one."]
+    lines += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
+    lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
+    lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
+    lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
+    lines += [
+        "# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s]",
+        "PARAMETERS = {",
+    ]
+    for name, value in model.params.items():
+        told = f"np.array({[float(f'{v:.12g}') for v in value]})" if np.ndim(value) else f"{float(value):.12g}"
+        lines.append(f'    "{name}": {told},')
+    lines += ["}", "", "", inspect.getsource(rates).rstrip(), "", ""]
+    lines += [
+        "def law(t, state, inputs, params):",
+        '    """As `rates`, with what is given in place of `PARAMETERS`."""',
+        "    return rates(t, state, inputs, PARAMETERS | params)",
+        "",
+        "",
+        "muscle = control.nlsys(",
+        "    law,",
+        "    lambda t, state, inputs, params: state[:1],",
+        '    inputs=["P", "F_L"],',
+        '    outputs=["x"],',
+        '    states=["x", "v"],',
+        '    name="muscle",',
+        ")",
+        '"""Contraction x [m] under pressure P [Pa gauge] and load F_L [N]."""',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _inside(text: str) -> str:
+    """Text that cannot leave the docstring that it stands in."""
+    return "".join(
+        sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
+    )

@@ -1,0 +1,144 @@
+"""The CSV files of an analysis: the numbers of its tables in display units, unrounded; no text for people.
+
+Text cells are made inert: no spreadsheet can take one for a formula.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.report.words.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
+
+TABLES = ("coefficients", "estimates", "curves", "dropped", "findings")
+
+
+FORMULA = tuple("=+-@＝＋－＠")
+"""A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""
+
+
+def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
+    """CSV files in display units, the same bytes for the same analysis.
+
+    `coefficients` (a row per method and operating point, units in headers), `estimates` (a row per estimate, with the
+    interval in parts), `curves`, `dropped` and `findings`.
+    """
+    points = in_order((name for d in analysis.dropped for name in d.point), POINTS)
+    dropped = [
+        {"trial": d.trial}
+        | {_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
+        | {"reason": d.reason}
+        for d in analysis.dropped
+    ]
+    tables: dict[str, tuple[Sequence[Mapping[str, Any]], list[str]]] = {
+        "coefficients": (coefficient_rows(analysis.estimates), ["method"]),
+        "estimates": (estimate_rows([analysis]), ["kind", "symbol", "value", "unit"]),
+        "curves": (curve_rows(analysis.curves), ["symbol", "method", "form", "power", "value", "unit"]),
+        "dropped": (dropped, ["trial", "reason"]),
+        "findings": ([{"level": f.level, "text": f.text} for f in analysis.findings], ["level", "text"]),
+    }
+    paths = []
+    for name, (rows, heads) in tables.items():
+        path = folder / f"{name}.csv"
+        path.write_bytes(csv_text(rows, heads).encode())
+        paths.append(path)
+    return paths
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]], heads: Sequence[str]) -> str:
+    """Rows as CSV with all columns that any of them has, in the order in which they come; `heads` where there is none.
+
+    Numbers are written so that they read back as they are; what is not known is an empty cell. Text is inert.
+    """
+    columns = list(dict.fromkeys(name for row in rows for name in row)) or list(heads)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(map(inert, columns))
+    writer.writerows([_cell(row.get(name)) for name in columns] for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if value is None or value != value:
+        return ""
+    return inert(value)
+
+
+def inert(value: Any) -> Any:
+    """Text that a spreadsheet cannot take for a formula."""
+    if not isinstance(value, str):
+        return value
+    told = clean(value, 100_000)
+    return f"'{told}" if told.lstrip()[:1] in FORMULA else told
+
+
+def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
+    """One row per method and operating point; each symbol's value and half width as numbers in display units."""
+    names = in_order((name for e in estimates for name in e.at), POINTS)
+    rows: dict[tuple[str, tuple[float | None, ...]], dict[str, Any]] = {}
+    for e in estimates:
+        unit = shown(e.quantity, e.unit)
+        row = rows.setdefault((e.method, tuple(e.at.get(name) for name in names)), {"method": e.method})
+        for name in names:
+            row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+        symbol, half = symbol_text(e.symbol, e.coordinate), e.parts.combined
+        ascii_unit = f" [{plain_unit(unit.unit)}]" if unit.unit else ""
+        row[f"{symbol}{ascii_unit}"] = None if e.value is None else e.value / unit.scale
+        row[f"{symbol} half width 95 %{ascii_unit}"] = None if half is None else half / unit.scale
+    return list(rows.values())
+
+
+def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
+    """Every estimate as numbers: value, ends and parts of the interval in the unit of the row's `unit` column."""
+    names = in_order((name for a in analyses for e in a.estimates for name in e.at), POINTS)
+    rows = []
+    for analysis in analyses:
+        for e in analysis.estimates:
+            unit = shown(e.quantity, e.unit)
+            row: dict[str, Any] = {"kind": analysis.kind, "symbol": e.symbol, "coordinate": e.coordinate}
+            for name in names:
+                row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+            ends = e.ci95 or (None, None)
+            told = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
+            told |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
+            told["bias"] = e.bias
+            row |= {key: None if value is None else value / unit.scale for key, value in told.items()}
+            row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
+            rows.append(row | {"note": e.note, "trials": " ".join(e.trials)})
+    return rows
+
+
+def _head(name: str) -> str:
+    label, unit = point_shown(name)
+    return f"{label} [{plain_unit(unit.unit)}]" if unit.unit else label
+
+
+def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
+    """One row per term of each curve, numbers in the unit of the row."""
+    rows = []
+    for curve in curves:
+        _, against = point_shown(curve.against)
+        for power, term in enumerate(curve.terms):
+            unit = shown(term.quantity, term.unit)
+            ends = term.ci95 or (None, None)
+            told = {"value": term.value, "low95": ends[0], "high95": ends[1]}
+            rows.append(
+                {"symbol": curve.symbol, "method": curve.method, "form": curve.form, "power": power}
+                | {key: None if value is None else value / unit.scale for key, value in told.items()}
+                | {"unit": plain_unit(unit.unit), "against": curve.against}
+                | {
+                    f"{end} [{plain_unit(against.unit)}]": x / against.scale
+                    for end, x in zip(("from", "to"), curve.domain, strict=True)
+                }
+                | {
+                    f"{name} [{plain_unit(against.unit)}]": x / against.scale
+                    for name, x in (("centre", curve.centre), ("scale", curve.scale))
+                    if curve.normalised
+                }
+                | {"r2": curve.r2}
+            )
+    return rows

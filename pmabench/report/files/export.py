@@ -1,0 +1,205 @@
+"""Runs and analyses as files of other programs: CSV, Parquet, MATLAB, LaTeX, JSON, python-control; no estimate.
+
+Units stand in the heads of columns, in field metadata (Parquet) or in a struct `units` (MATLAB). Text is inert in each.
+The same input gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pmabench.analysis.results import Analysis
+from pmabench.base.errors import RecordError, UsageError
+from pmabench.notebook import Results, Run, estimates_frame
+from pmabench.report.document import tables
+from pmabench.report.files import latex
+from pmabench.report.files.analysis_folder import file_names
+from pmabench.report.files.control_model import control_model, control_text, suits
+from pmabench.report.files.csv_files import inert, write_tables
+from pmabench.report.words.wording import clean, kind_title
+from pmabench.store.folder import plain
+
+FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control")
+_UNIT = re.compile(r"(.*) \[([^\[\]]*)\]")
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def export_run(run: Run, form: str, out: Path) -> list[Path]:
+    """Samples and trials of a run: `csv` and `parquet` into the folder `out`, `mat` as the file `out`.
+
+    UsageError for a format of results; RecordError where it cannot be written.
+    """
+    frames = {name: run.stream(name) for name in run.streams}
+    frames["trials"] = run.trials.reset_index()
+    with _written(out):
+        if form == "csv":
+            return _csv(frames, out)
+        if form == "parquet":
+            return _parquet(frames, out, {"run": run.id, "simulated": str(run.simulated).lower()})
+        if form == "mat":
+            structs = {name: _struct(frame) for name, frame in zip(_fields(frames), frames.values(), strict=True)}
+            return [_mat(structs | {"run": run.id, "simulated": run.simulated}, out)]
+    raise UsageError(f"{form} is a format of results: give an analysis folder, or a run to be processed")
+
+
+def _csv(frames: Mapping[str, pd.DataFrame], out: Path) -> list[Path]:
+    from pmabench.store.arrow import pa
+
+    writer = import_module("pyarrow.csv")
+    out.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, frame in zip(file_names(list(frames)), frames.values(), strict=True):
+        path = out / f"{name}.csv"
+        texts = {c: frame[c].map(inert) for c in frame.columns if not pd.api.types.is_numeric_dtype(frame[c])}
+        table = pa.Table.from_pandas(frame.assign(**texts).rename(columns=inert), preserve_index=False)
+        writer.write_csv(table, path)
+        paths.append(path)
+    return paths
+
+
+def _parquet(frames: Mapping[str, pd.DataFrame], out: Path, about: Mapping[str, str]) -> list[Path]:
+    from pmabench.store.arrow import pa, pq
+
+    out.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, frame in zip(file_names(list(frames)), frames.values(), strict=True):
+        table = pa.Table.from_pandas(frame, preserve_index=False)
+        fields = [field.with_metadata({"unit": _split(field.name)[1]}) for field in table.schema]
+        table = table.cast(pa.schema(fields, metadata=dict(about)))
+        path = out / f"{name}.parquet"
+        pq.write_table(table, path, compression="zstd", compression_level=3)
+        paths.append(path)
+    return paths
+
+
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of a column's head."""
+    found = _UNIT.fullmatch(head)
+    return (found[1], found[2]) if found else (head, "")
+
+
+def _fields(names: Sequence[str] | Mapping[str, Any]) -> list[str]:
+    """Names as MATLAB allows them, each once."""
+    stems = [re.sub(r"[^A-Za-z0-9]+", "_", clean(name, 28)).strip("_") or "x" for name in names]
+    stems = [stem if stem[0].isalpha() else f"x{stem}" for stem in stems]
+    return [stem if stems.index(stem) == i else f"{stem[:24]}_{i + 1}" for i, stem in enumerate(stems)]
+
+
+def _struct(frame: pd.DataFrame) -> dict[str, Any]:
+    """A frame as a struct of columns with their units in a struct beside."""
+    columns, units = {}, {}
+    heads = [_split(str(c)) for c in frame.columns]
+    for field, (_, unit), column in zip(_fields([name for name, _ in heads]), heads, frame.columns, strict=True):
+        values = frame[column]
+        if pd.api.types.is_bool_dtype(values) or pd.api.types.is_numeric_dtype(values):
+            columns[field] = values.to_numpy()[:, None]
+        else:
+            columns[field] = np.array([clean(value, 2000) for value in values], dtype=object)[:, None]
+        units[field] = unit
+    return {**columns, "units": units}
+
+
+def _mat(data: dict[str, Any], path: Path) -> Path:
+    """A MATLAB 5 file; its head says no date, so that the same data gives the same bytes."""
+    from scipy.io import savemat
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    savemat(path, data, do_compression=True, long_field_names=True, oned_as="column")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 5.0 MAT-file, written by pmabench".ljust(116))
+    return path
+
+
+def export_results(results: Results, form: str, out: Path) -> list[Path]:
+    """Coefficients of analyses: `csv` and `parquet` into the folder `out`, the others as the file `out`.
+
+    RecordError where it cannot be written; UsageError where a model for python-control cannot be made.
+    """
+    with _written(out):
+        return _RESULTS[form](results, out)
+
+
+def _results_csv(results: Results, out: Path) -> list[Path]:
+    paths = []
+    for name, analysis in zip(_names(results.analyses), results.analyses, strict=True):
+        (out / name).mkdir(parents=True, exist_ok=True)
+        paths += write_tables(analysis, out / name)
+    return paths
+
+
+def _names(analyses: Sequence[Analysis]) -> list[str]:
+    return file_names([analysis.kind for analysis in analyses])
+
+
+def _texts(frame: pd.DataFrame) -> pd.DataFrame:
+    """Lists of trials as one text."""
+    return frame.assign(trials=[" ".join(trials) for trials in frame["trials"]]) if "trials" in frame else frame
+
+
+def _results_parquet(results: Results, out: Path) -> list[Path]:
+    frames = {"estimates": _texts(results.to_frame()), "findings": results.findings(), "dropped": results.dropped()}
+    return _parquet(frames, out, {"runs": " ".join(run for a in results.analyses for run in a.runs)})
+
+
+def _results_mat(results: Results, out: Path) -> list[Path]:
+    structs: dict[str, Any] = {}
+    for field, analysis in zip(_fields([a.kind for a in results.analyses]), results.analyses, strict=True):
+        structs[field] = {"estimates": _struct(_texts(estimates_frame([analysis]))), "simulated": analysis.simulated}
+    return [_mat(structs, out)]
+
+
+def _results_latex(results: Results, out: Path) -> list[Path]:
+    parts = []
+    for name, analysis in zip(_names(results.analyses), results.analyses, strict=True):
+        title = kind_title(analysis.kind) + (" (simulated)" if analysis.simulated else "")
+        found = [tables.Table("Coefficients over pressure", tables.coefficient_table([analysis]))]
+        for n, table in enumerate([*found, *tables.other_tables(analysis)], 1):
+            if len(table.frame):
+                texts = ("method", "symbol", "quantity", "unit")
+                parts.append(latex.table(table.frame, f"{title}: {table.caption}", f"tab:{name}-{n}", texts=texts))
+    return [_text("\n".join(parts), out)]
+
+
+def _results_json(results: Results, out: Path) -> list[Path]:
+    data = {"schema": "pmabench.coefficients/1", "analyses": [plain(a.to_dict()) for a in results.analyses]}
+    return [_text(json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n", out)]
+
+
+def _results_control(results: Results, out: Path) -> list[Path]:
+    able = [a for a in results.analyses if suits(a)] or list(results.analyses)[:1]
+    if not able:
+        raise UsageError("there is no analysis to make a model of")
+    runs = [run for run in results.runs if run.id in able[0].runs]
+    return [_text(control_text(control_model(able[0], runs), able[0]), out)]
+
+
+def _text(text: str, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="")
+    return path
+
+
+_RESULTS: dict[str, Callable[[Results, Path], list[Path]]] = {
+    "csv": _results_csv,
+    "parquet": _results_parquet,
+    "mat": _results_mat,
+    "latex": _results_latex,
+    "json": _results_json,
+    "python-control": _results_control,
+}

@@ -1,0 +1,126 @@
+"""Many runs, each on its own: what did not change is taken from the last time, the rest is worked out, in one order.
+
+Nothing heavy is imported here, so that a second pass over an archive costs no more than looking at it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pmabench.analysis.many import Pool, share
+from pmabench.base.errors import RecordError
+from pmabench.report.many import many_cache
+from pmabench.report.many.processed import lost, process_batch
+from pmabench.store.below import Task
+from pmabench.store.fingerprint import fingerprint, program
+
+Told = Callable[[int, int, int], None]
+"""Is told how many runs are done, of how many, and how many of them had not changed."""
+RESULTS = ("computed", "unchanged")
+"""States of entries with coefficients."""
+WORST = (7, 3, 1, 6)
+"""Exit codes, the worst first."""
+KEPT_EVERY = 200
+"""So many results at most are lost where the program is ended."""
+
+
+@dataclass(frozen=True)
+class Many:
+    """What came out, in the order of the tasks."""
+
+    out: Path
+    told: tuple[tuple[str, str, str], ...]
+    """Of each run: its path, its state (`computed`, `unchanged`, `skipped`, `failed`), and its entry as JSON."""
+    exit_code: int
+    """0; else the worst: record not written 7, a run that cannot be used 3, an error in the program 1, verdict 6."""
+
+    @property
+    def key(self) -> str:
+        """Hash of all results in their order, and of the program."""
+        digest = hashlib.sha256(program().encode())
+        for path, state, text in self.told:
+            if state in RESULTS:
+                digest.update(f"{path}\0{text}\0".encode())
+        return digest.hexdigest()
+
+    def of(self, *states: str) -> Iterator[dict[str, Any]]:
+        """Entries of these states, each with `path` and `state` before what `process_one` told."""
+        for path, state, text in self.told:
+            if state in states:
+                yield {"path": path, "state": state, **json.loads(text)}
+
+    def results(self) -> Iterator[dict[str, Any]]:
+        """Entries with coefficients."""
+        return self.of(*RESULTS)
+
+    def count(self, *states: str) -> int:
+        """Number of runs in these states."""
+        return sum(state in states for _, state, _ in self.told)
+
+
+def process_many(
+    tasks: Sequence[Task],
+    out: Path,
+    pool: Pool | None = None,
+    told: Told | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Many:
+    """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
+
+    `options`: kind -> those of its reduction, plain data. What is wrong with a run stands in its entry. Raises
+    RecordError where `out` cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{out}: cannot be made: {error.strerror or error}") from error
+    options = dict(options or {})
+    about = f"{program()} {json.dumps(options, sort_keys=True)}"
+    kept = many_cache.load(out)
+    keys = [fingerprint(task.chain, about) for task in tasks]
+    found: dict[int, tuple[str, str]] = {}
+    codes: set[int] = set()
+    for number, task in enumerate(tasks):
+        before = many_cache.entry(kept.get(task.place), keys[number], out)
+        if before is not None:
+            found[number] = ("skipped" if "skipped" in before else "unchanged", kept[task.place][1])
+            codes |= _code(before)
+    unchanged = len(found)
+    left = [number for number in range(len(tasks)) if number not in found]
+    here = str(out.absolute())
+    things = [
+        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place, "options": options}
+        for number in left
+    ]
+    fresh: dict[str, tuple[str, str]] = {}
+    if told is not None:
+        told(unchanged, len(tasks), unchanged)
+    try:
+        for index, entry in share(things, process_batch, lost, pool):
+            number = left[index]
+            text = json.dumps(entry, allow_nan=False)
+            state = "failed" if "error" in entry else "skipped" if "skipped" in entry else "computed"
+            found[number] = (state, text)
+            codes |= _code(entry)
+            if state != "failed" and keys[number]:
+                fresh[tasks[number].place] = (keys[number], text)
+            if len(fresh) >= KEPT_EVERY:
+                many_cache.store(out, fresh)
+                fresh.clear()
+            if told is not None:
+                told(len(found), len(tasks), unchanged)
+    finally:
+        if fresh:
+            many_cache.store(out, fresh)
+    entries = tuple((str(task.path), *found[number]) for number, task in enumerate(tasks))
+    return Many(out, entries, next((code for code in WORST if code in codes), max(codes, default=0)))
+
+
+def _code(entry: Mapping[str, Any]) -> set[int]:
+    """The exit code that an entry asks for."""
+    return {int(entry["exit_code"])} if "error" in entry else {6} if entry.get("verdicts") else set()

@@ -1,0 +1,114 @@
+"""A comparison as one HTML file: both sides over pressure, E_n numbers, the table; computes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from pmabench.analysis.results import PUBLISHED, Analysis
+from pmabench.analysis.verdict import comparison
+from pmabench.analysis.verdict.comparison import Difference, Side
+from pmabench.report.figures import plots
+from pmabench.report.figures.coefficient_figures import over_pressure
+from pmabench.report.figures.overlays import Comparison
+from pmabench.report.figures.pictures import Picture, drawable, picture
+from pmabench.report.pages.comparison_tables import curve_rows, rows_of
+from pmabench.report.pages.page import Page, TextTable, write_page
+from pmabench.report.words.wording import clean, in_order, spoken, symbol_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_SCORES = 24
+"""Rows of symbols in the figure of E_n numbers."""
+FAR = 5.0
+"""E_n numbers beyond are drawn at this size."""
+
+
+def write_comparison(
+    a: Side,
+    b: Side,
+    found: comparison.Comparison,
+    curves: Sequence[Comparison],
+    failed: Sequence[str],
+    path: Path,
+) -> Path:
+    """Write the page; raises RecordError where it cannot be."""
+    simulated = a.simulated or b.simulated
+    drawn = over_pressure([_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))])
+    scores = _scores(found.differences, simulated=simulated)
+    heads, rows = rows_of(a, b, found.differences)
+    curve_heads, beside = curve_rows(curves)
+    return write_page(
+        Page(
+            "Comparison",
+            f"{clean(a.name, 60)} against {clean(b.name, 60)}",
+            simulated,
+            [(clean(side.name, 60), clean(side.about, 600)) for side in (a, b)],
+            failed,
+            found.findings,
+            [*drawn, *([scores] if scores is not None else [])],
+            [
+                TextTable("Coefficient by coefficient", heads, rows, 3),
+                TextTable("Curves beside published points", curve_heads, beside, 3),
+            ],
+        ),
+        path,
+    )
+
+
+def _drawn(side: Side, differences: Sequence[Difference], which: str) -> Analysis:
+    """The compared values of a side as an analysis, whose method is the name of the side."""
+    estimates = [replace(getattr(d, which), method=side.name, coordinate=d.a.coordinate) for d in differences]
+    kind = PUBLISHED if side.published else "comparison"
+    return drawable(Analysis(kind, (), simulated=side.simulated, estimates=tuple(estimates)))
+
+
+def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | None:
+    """All E_n numbers, a row for each symbol; None without one."""
+    told: dict[str, list[float]] = {}
+    for d in differences:
+        if d.score is not None:
+            over = ", ".join(spoken(name) for name in d.a.at if name != "mass")
+            name = symbol_text(d.a.symbol, d.a.coordinate)
+            told.setdefault(f"{name} over {over}" if over else name, []).append(d.score)
+    names = in_order(told, ())[:MOST_SCORES]
+    if not names:
+        return None
+
+    def draw() -> Figure:
+        figure = plots.blank(plots.FULL, 0.75 + 0.2 * len(names))
+        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=1.9, bottom=0.42, top=0.1)[0])
+        axes.axvspan(-1, 1, color=plots.FAINT, alpha=0.25, linewidth=0)
+        axes.axvline(0, color=plots.QUIET, linewidth=0.6)
+        for row, name in enumerate(names):
+            for score in told[name]:
+                far = abs(score) > FAR
+                mark = "o" if not far else ">" if score > 0 else "<"
+                color = plots.BLUE if abs(score) <= 1 else plots.RED
+                axes.plot(max(-FAR, min(FAR, score)), row, mark, color=color, markersize=4, clip_on=False)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        axes.set_xlim(-FAR, FAR)
+        axes.set_xlabel("E_n")
+        return figure
+
+    every = [score for name in names for score in told[name]]
+    alt = (
+        f"E_n numbers of {len(every)} differences in a row for each coefficient; "
+        f"{sum(abs(score) > 1 for score in every)} lie outside −1 to 1. The numbers are in the table of coefficients."
+    )
+    rows = [{"coefficient": name, "E_n": ", ".join(f"{score:+.2f}" for score in told[name])} for name in names]
+    return picture(
+        draw,
+        "E_n numbers of all differences",
+        "Shaded: both values lie within their common 95 % interval. Arrows: further out than drawn.",
+        alt,
+        pd.DataFrame(rows, dtype=object),
+        wide=True,
+        simulated=simulated,
+    )

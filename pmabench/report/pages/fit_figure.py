@@ -1,0 +1,139 @@
+"""A fitted model as a picture: measured marks, fitted curve with its band, residual below; computes no estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.fitting.model_fit import ModelFit
+from pmabench.base.errors import RecordError
+from pmabench.model.library import OutsideDomain, Parameter
+from pmabench.report.figures import plots
+from pmabench.report.figures.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
+from pmabench.report.figures.svg import drawing, to_svg
+from pmabench.report.words.wording import clean, number, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_CURVES = 8
+"""Combinations of the other inputs up to which each has a curve; with more, computed is drawn over measured."""
+POINTS = 121
+MOST_MARKS = 400
+"""Marks of a curve that are drawn, evenly chosen."""
+ALONE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background: #fff"'
+"""What an SVG element needs to be a file."""
+
+
+def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
+    """Draw `fit` to an SVG file; `name` of the data and their `source` stand in its description. RecordError."""
+    outputs = {o.name: o for o in fit.model.outputs}
+    unit = shown(outputs[fit.output].quantity)
+    title = f"{fit.model.name} fitted to {clean(name, 60)}"
+    alt = (
+        f"{title}: {fit.output} of {len(fit.measured)} rows as marks, the fit as lines with its 95 % confidence band; "
+        f"below, measured less fitted, rms {fit.residual_rms / unit.scale:.3g} {unit.unit}. {clean(source, 300)}"
+    ).strip()
+    with drawing():
+        svg = to_svg(_draw(fit, title), alt)
+    told = svg.replace("<svg ", f"<svg {ALONE} ", 1)
+    try:
+        path.write_text(f"{told}\n", encoding="utf-8", newline="")
+    except OSError as error:
+        raise RecordError(f"{path}: the figure cannot be written: {error.strerror or error}") from error
+
+
+def _draw(fit: ModelFit, title: str) -> Figure:
+    known = {p.name: p for p in fit.model.parameters}
+    over = max(fit.columns, key=lambda name: len(np.unique(fit.columns[name])))
+    others = [name for name in fit.columns if name != over]
+    rows = np.column_stack([fit.columns[name] for name in others]) if others else np.zeros((len(fit.measured), 0))
+    groups, member = np.unique(np.round(rows, 9), axis=0, return_inverse=True)
+    figure = blank(FULL * 0.7, 3.6)
+    if len(groups) > MOST_CURVES:
+        _measured_over_computed(figure, fit, title)
+    else:
+        _curves(
+            figure,
+            fit,
+            title,
+            over,
+            [dict(zip(others, row, strict=True)) for row in groups],
+            np.asarray(member.ravel(), dtype=np.intp),
+            known,
+        )
+    return figure
+
+
+def _curves(
+    figure: Figure,
+    fit: ModelFit,
+    title: str,
+    over: str,
+    groups: list[dict[str, Any]],
+    member: NDArray[np.intp],
+    known: dict[str, Parameter],
+) -> None:
+    quantity = next(o.quantity for o in fit.model.outputs if o.name == fit.output)
+    unit, x_unit = shown(quantity), shown(known[over].quantity)
+    cells = grid(figure, 1, 1, left=0.6, top=0.32, right=1.35 if len(groups) > 1 else 0.12)[0]
+    inner = cells.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.12)
+    upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+    x, residual = fit.columns[over], fit.measured - fit.computed
+    for i, group in enumerate(groups):
+        color, mine = PALETTE[i % len(PALETTE)], member == i
+        fine = np.linspace(x[mine].min(), x[mine].max(), POINTS)
+        try:
+            middle, half = fit.band({**fit.columns, over: fine, **{k: np.full(POINTS, v) for k, v in group.items()}})
+        except OutsideDomain:
+            order = np.argsort(x[mine])
+            fine, middle, half = x[mine][order], fit.computed[mine][order], None
+        if half is not None:
+            ends = (middle - half) / unit.scale, (middle + half) / unit.scale
+            upper.fill_between(fine / x_unit.scale, *ends, color=color, alpha=0.2, linewidth=0)
+        upper.plot(fine / x_unit.scale, middle / unit.scale, color=color, linewidth=1.0)
+        label = ", ".join(
+            f"{known[name].symbol or name} = {number(value / shown(known[name].quantity).scale)} "
+            f"{shown(known[name].quantity).unit}".strip()
+            for name, value in group.items()
+        )
+        drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
+        for axes, y in ((upper, fit.measured), (lower, residual)):
+            axes.plot(
+                x[drawn] / x_unit.scale,
+                y[drawn] / unit.scale,
+                MARKERS[i % len(MARKERS)],
+                color=color,
+                markerfacecolor="white",
+                markersize=3.6,
+                markeredgewidth=0.9,
+                label=label,
+            )
+    lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
+    upper.set_title(title)
+    upper.set_ylabel(unit.label(fit.output))
+    upper.tick_params(labelbottom=False)
+    lower.set_ylabel(f"apart [{unit.unit}]" if unit.unit else "apart")
+    lower.set_xlabel(x_unit.label(over))
+    lower.set_xlim(upper.get_xlim())
+    few_ticks(upper)
+    few_ticks(lower, y=3)
+    figure.align_ylabels([upper, lower])
+    if len(groups) > 1:
+        upper.legend(loc="upper left", bbox_to_anchor=(1.02, 1))
+
+
+def _measured_over_computed(figure: Figure, fit: ModelFit, title: str) -> None:
+    quantity = next(o.quantity for o in fit.model.outputs if o.name == fit.output)
+    unit = shown(quantity)
+    axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.6, top=0.32)[0])
+    ends = np.array([min(fit.computed.min(), fit.measured.min()), max(fit.computed.max(), fit.measured.max())])
+    axes.plot(ends / unit.scale, ends / unit.scale, color=FAINT, linewidth=1.0)
+    axes.plot(fit.computed / unit.scale, fit.measured / unit.scale, ".", color=PALETTE[0], markersize=2.5)
+    axes.set_title(title)
+    axes.set_xlabel(unit.label(f"{fit.output}, fitted"))
+    axes.set_ylabel(unit.label(f"{fit.output}, measured"))
+    few_ticks(axes)

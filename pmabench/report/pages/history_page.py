@@ -1,0 +1,135 @@
+"""The life of a specimen as one HTML file: coefficients over cycles, control charts, tables; computes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pmabench.analysis.results import Finding
+from pmabench.analysis.verdict.life import Past, References, Series, chosen
+from pmabench.report.figures import plots
+from pmabench.report.figures.pictures import LARGEST, Picture, picture
+from pmabench.report.pages.history_tables import run_rows, value_rows
+from pmabench.report.pages.page import Page, TextTable, write_page
+from pmabench.report.words.rounding import rounded
+from pmabench.report.words.wording import SYMBOLS, clean, kind_title, point_text, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FEWEST = 2
+"""Values that a figure over the life needs."""
+
+
+def write_history(
+    title: str,
+    life: Sequence[Past],
+    series: Sequence[Series],
+    references: Sequence[References],
+    told: Sequence[Finding],
+    path: Path,
+) -> Path:
+    """Write the page; raises RecordError where it cannot be."""
+    simulated = any(past.simulated for past in life)
+    drawn = [_over_cycles(one, simulated=simulated) for one in chosen(series) if len(one.moments) >= FEWEST]
+    drawn += [_control(one, simulated=simulated) for one in references if len(one.moments) >= FEWEST]
+    facts = [
+        ("Specimen", clean(title, 200)),
+        ("Benches", ", ".join(dict.fromkeys(clean(past.bench, 80) for past in life))),
+        ("Runs", f"{len(life)}, {life[0].date[:10]} to {life[-1].date[:10]}"),
+    ]
+    tables = [TextTable("Coefficients over its life", *value_rows(life, series)), TextTable("Runs", *run_rows(life), 3)]
+    return write_page(Page("History of a specimen", clean(title, 200), simulated, facts, (), told, drawn, tables), path)
+
+
+def _over_cycles(one: Series, *, simulated: bool) -> Picture:
+    """A coefficient over cycles with 95 % bars; in order of time where no cycle is known."""
+    e = one.first
+    unit = shown(e.quantity, e.unit)
+    moments = [m for m in one.moments if abs(m.estimate.value or 0.0) < LARGEST]
+    x = np.array([m.cycles for m in moments], dtype=np.float64)
+    over, axis = "over pressure cycles", "pressure cycles"
+    if not np.ptp(x):
+        x, over, axis = np.arange(1.0, len(x) + 1), "in order of time", "value, in order of time"
+    y = np.array([m.estimate.value or 0.0 for m in moments]) / unit.scale
+    bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
+
+    def draw() -> Figure:
+        figure = plots.blank(plots.HALF, 2.4)
+        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.6, top=0.2)[0])
+        axes.errorbar(x, y, yerr=bars, fmt="o", color=plots.BLUE, markersize=4, capsize=2, linewidth=1)
+        axes.set_xlabel(axis)
+        axes.locator_params(axis="x", integer=True)
+        axes.set_ylabel(unit.label(clean(e.symbol, 20)))
+        return figure
+
+    at = point_text({name: value for name, value in e.at.items() if name != "mass"})
+    name = SYMBOLS.get(e.symbol, e.symbol)
+    told = "95 % intervals" if bars.any() else "values without intervals"
+    rows = [
+        {
+            "date": clean(m.date, 40)[:16].replace("T", " "),
+            "cycles": f"{m.cycles:,}",
+            unit.label(clean(e.symbol, 20)): rounded(v, half if half else None),
+        }
+        for m, v, half in zip(moments, y.tolist(), bars.tolist(), strict=True)
+    ]
+    return picture(
+        draw,
+        f"{name[:1].upper()}{name[1:]} {over}",
+        f"{kind_title(one.kind)}{f', {at}' if at else ''}; {told}.",
+        f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
+        pd.DataFrame(rows, dtype=object),
+        wide=False,
+        simulated=simulated,
+    )
+
+
+def _control(one: References, *, simulated: bool) -> Picture:
+    """Strokes of a reference trial in order of time with control limits."""
+    strokes = np.array([stroke for _, _, stroke, _ in one.moments]) * 1e3
+    limits = one.chart
+    place = np.arange(1, len(strokes) + 1)
+    alarms = set() if limits is None else {*limits.beyond, *([limits.shifted] if limits.shifted is not None else [])}
+
+    def draw() -> Figure:
+        figure = plots.blank(plots.FULL, 2.5)
+        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.65, top=0.2)[0])
+        if limits is not None:
+            axes.axhspan(1e3 * limits.low, 1e3 * limits.high, color=plots.FAINT, alpha=0.2, linewidth=0)
+            axes.axhline(1e3 * limits.centre, color=plots.QUIET, linewidth=0.8)
+        axes.plot(place, strokes, "-", color=plots.FAINT, linewidth=0.8)
+        for alarm in (False, True):
+            rows = [i for i in range(len(strokes)) if (i in alarms) == alarm]
+            axes.plot(place[rows], strokes[rows], "s" if alarm else "o", color=plots.RED if alarm else plots.BLUE,
+                      markersize=4, linestyle="none")  # fmt: skip
+        axes.set_xlabel("reference trial, in order of time")
+        axes.set_ylabel("stroke [mm]")
+        axes.locator_params(axis="x", integer=True)
+        return figure
+
+    caption = "Too few for control limits."
+    if limits is not None:
+        caption = (
+            f"Shaded: control limits from the first {limits.base} (2.66 times the mean moving range); red squares: "
+            "beyond them, or the eighth in a row on one side."
+        )
+    rows = [
+        {"trial": clean(trial, 120), "date": clean(date, 40)[:16].replace("T", " "), "cycles": f"{cycles:,}",
+         "stroke [mm]": f"{1e3 * stroke:.6g}"}
+        for date, cycles, stroke, trial in one.moments
+    ]  # fmt: skip
+    return picture(
+        draw,
+        f"Control chart: {clean(one.title, 120)}",
+        caption,
+        f"Strokes of {len(strokes)} reference trials in order of time, from {strokes.min():.4g} to "
+        f"{strokes.max():.4g} mm; {len(alarms)} are marked. The numbers are in the table below.",
+        pd.DataFrame(rows, dtype=object),
+        wide=True,
+        simulated=simulated,
+    )

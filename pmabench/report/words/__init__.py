@@ -1,0 +1,1 @@
+"""Words and numbers: `wording` (symbols, kinds, points), `method_words`, `rounding`."""
