@@ -9,7 +9,7 @@ from typing import Any
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import agreement
+from pmabench.analysis.verdict.agreement import STATIC, agreement
 from pmabench.analysis.verdict.checks import with_checks
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
@@ -79,14 +79,24 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
     """One sentence for each analysis that gave nothing, and for each limit of a protocol that is not kept."""
     failed: list[str] = []
+    tested = {run.id: (specimen_of(run), run.simulated) for run in runs}
     for analysis in analyses:
         if analysis.kind == AGREEMENT:
             continue
         if all(e.value is None for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
-        failed += not_accepted(runs, analysis, _named)
+        failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed
+
+
+def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:
+    """The static-load test of the same specimen."""
+    mine = next((tested[run] for run in analysis.runs if run in tested), None)
+    for other in analyses:
+        if other.kind == STATIC and mine in [tested.get(run) for run in other.runs]:
+            return other
+    return None
 
 
 def _named(estimate: Estimate) -> str:

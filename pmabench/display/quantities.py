@@ -200,8 +200,8 @@ def _static(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
 
 def _sine(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K, and B at this frequency, with what Coulomb friction adds to it: -Im(F/x)/omega = B + 4 F_c/(pi omega A)."""
-    from pmabench.analysis.driven.sine_loop import NotUsable
     from pmabench.analysis.driven.sine_loop import measure as harmonic
+    from pmabench.analysis.shared.samples import NotUsable
 
     settings = run.plan.get("settings") or {}
     P = trial.point.get("pressure")
@@ -269,7 +269,7 @@ def _gain(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 def _isobaric(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K of the mean curve, the gap of its branches at mid stroke, and the pressure."""
     from pmabench.analysis.driven.ramp_loop import measure_as_planned
-    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.shared.samples import NotUsable
 
     P, speed = trial.point.get("pressure"), trial.point.get("speed", 0.0)
     try:
@@ -353,7 +353,7 @@ def _isometric(run: RunData, trial: TrialData, expected: Expected | None, quick:
 
 def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Contraction at rest, and what was left without pressure before it."""
-    from pmabench.analysis.statics.free_contraction import NotUsable
+    from pmabench.analysis.shared.samples import NotUsable
     from pmabench.analysis.statics.free_contraction import measure as rest_of
 
     try:
@@ -372,7 +372,7 @@ def _free(run: RunData, trial: TrialData, expected: Expected | None, quick: Quic
 
 def _arm(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
-    from pmabench.analysis.statics.arm_stairs import NotUsable
+    from pmabench.analysis.shared.samples import NotUsable
     from pmabench.analysis.statics.arm_stairs import measure as stair_of
 
     try:
@@ -398,8 +398,8 @@ def _arm(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick
 
 def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """K from relaxed forces, and the peak of the force beyond them, of the steps away from the start."""
-    from pmabench.analysis.driven.sine_loop import NotUsable
     from pmabench.analysis.driven.step_relaxation import measure as steps_of
+    from pmabench.analysis.shared.samples import NotUsable
 
     P = trial.point.get("pressure")
     try:
@@ -418,7 +418,7 @@ def _displacement_step(run: RunData, trial: TrialData, expected: Expected | None
 
 def _closed(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
-    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.shared.samples import NotUsable
     from pmabench.analysis.statics.closed_stroke import Gas
     from pmabench.analysis.statics.closed_stroke import measure as stroke_of
     from pmabench.analysis.statics.closed_volume import LEAKS

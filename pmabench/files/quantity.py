@@ -167,6 +167,16 @@ def parse_mass_or_force(value: object) -> tuple[str, float]:
             raise
 
 
+def parse_share_or_force(value: object) -> tuple[str, float]:
+    """`("ratio", 0.03)` for `"3 %"`, `("force", N)` for `"15 N"`."""
+    if isinstance(value, str) and value.strip().endswith("%"):
+        return "ratio", parse_quantity(value, "ratio")
+    try:
+        return "force", parse_quantity(value, "force")
+    except ValueError:
+        raise ValueError(f'"{value}" is neither a share nor a force, for instance "3 %" or "15 N"') from None
+
+
 def parse_plates(value: object) -> tuple[int, float]:
     """`"5 x 5 kg"` to `(5, 5.0)`: COUNT x QUANTITY, for plates only."""
     match = _COUNTED.fullmatch(str(value).strip())
@@ -212,6 +222,7 @@ if TYPE_CHECKING:
     ForcePerPressure: TypeAlias = float
     Volume: TypeAlias = float
     Load: TypeAlias = tuple[str, float]
+    ShareOrForce: TypeAlias = tuple[str, float]
     Plates: TypeAlias = tuple[int, float]
 else:
     Pressure = _type("pressure")
@@ -237,6 +248,11 @@ else:
         tuple[str, float],
         BeforeValidator(parse_mass_or_force),
         WithJsonSchema({"type": "string", "description": "a mass or a force", "examples": ["6 kg", "58.86 N"]}),
+    ]
+    ShareOrForce = Annotated[
+        tuple[str, float],
+        BeforeValidator(parse_share_or_force),
+        WithJsonSchema({"type": "string", "description": "a share or a force", "examples": ["3 %", "15 N"]}),
     ]
     Plates = Annotated[
         tuple[int, float],

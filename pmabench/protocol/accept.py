@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field
 
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
-from pmabench.files.quantity import Ratio
+from pmabench.files.quantity import Ratio, ShareOrForce
 
 if TYPE_CHECKING:
     from pmabench.protocol.common import Compilation
@@ -25,6 +25,8 @@ OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
 """Checks of every kind of test that has one value per trial."""
 OF_FIT = ("held_out", "other_direction")
 """Checks of the fit to contraction and relaxation."""
+BESIDE_STATIC = ("contraction-relaxation", "isometric-pressurisation")
+"""Kinds of test whose F_ce can be held against that of static load."""
 IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 """What a specimen file can expect."""
 
@@ -41,7 +43,17 @@ def _above_nothing(value: float) -> float:
     return value
 
 
+def _size_above_nothing(told: tuple[str, float]) -> tuple[str, float]:
+    quantity, value = told
+    if not value > 0:
+        raise ValueError(f'{show(value, quantity)}: a limit is above 0, for instance "3 %" or "15 N"')
+    return told
+
+
 Limit = Annotated[Ratio, AfterValidator(_above_nothing)]
+
+
+StaticLimit = Annotated[ShareOrForce, AfterValidator(_size_above_nothing)]
 
 
 class Accept(Strict):
@@ -51,6 +63,10 @@ class Accept(Strict):
     """Widest 95 % interval of a coefficient, of its value."""
     of_specimen: Limit | None = None
     """How far a coefficient may be from what the specimen file expects, of that."""
+    of_static: StaticLimit | None = None
+    """How far F_ce may be from that of the specimen's static-load test, of that or in N."""
+    static_E_n: Annotated[float, Field(gt=0, le=100)] | None = None
+    """Largest E_n number of that difference: the difference by the root of the sum of squares of both intervals."""
     at_most: Limit | None = None
     """Largest size of a check."""
     at_least: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -63,7 +79,7 @@ Acceptance = dict[Coefficient | CheckName | Literal["R2"], Accept]
 def measures_of(name: str) -> tuple[str, ...]:
     """Which limits a name of the section can have."""
     return (
-        ("relative_interval", "of_specimen")
+        ("relative_interval", "of_specimen", *(("of_static", "static_E_n") if name == "F_ce" else ()))
         if name in COEFFICIENTS
         else ("at_least",)
         if name == "R2"
@@ -95,6 +111,9 @@ def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], chec
                 c.fault(
                     ("accept", name, measure), f"{name} has no {measure}; expected {' or '.join(fitting)}", key=True
                 )
+        for measure in ("of_static", "static_E_n"):
+            if measure in told and name == "F_ce" and kind not in BESIDE_STATIC:
+                c.fault(("accept", name, measure), f'is for {" and ".join(BESIDE_STATIC)}; "{kind}" has none', key=True)
         if "of_specimen" in told and name in COEFFICIENTS:
             _needs_expected(c, name)
 
@@ -128,6 +147,9 @@ def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
             where = c.document.problem(("accept", name, measure), "", key=True)
             place = f"{Path(where.path).name}:{where.line}" if where.line else Path(where.path).name
             entry = {"what": name, "measure": measure, "limit": limit, "place": place}
+            if measure == "of_static":
+                quantity, entry["limit"] = limit
+                entry["measure"] = "of_static" if quantity == "ratio" else "of_static_by"
             expected = c.mounted.specimen_file.expected
             if measure == "of_specimen" and expected is not None and name in IN_EXPECTED:
                 points = [(point.pressure, getattr(point, name)) for point in expected.points if name != "F_c"]

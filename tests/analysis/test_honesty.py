@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.contraction import contraction
-from pmabench.analysis.contraction.steps import mean_over
 from pmabench.analysis.driven import sine
 from pmabench.analysis.loops import ultimate_gain
 from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.student import mean_over
 from pmabench.analysis.statics import static_load
 from pmabench.analysis.verdict import agreement
 from pmabench.store.importers.importing import import_files

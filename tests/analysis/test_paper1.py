@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.analysis.contraction.contraction_paper1 import DRIVEN, KIND, METHODS, reduce
+from pmabench.analysis.contraction.curves import compare_orders, curve, least, normal_of
 from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.analysis.shared.curves import compare_orders, curve, least, normal_of
 from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData
 

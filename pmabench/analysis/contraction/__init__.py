@@ -1,7 +1,8 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
-- `contraction` reduces, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`, `drift`, `contraction_values`
-- the papers' way and the dead times: `contraction_steps`, `steps`, `onset`; words and figures: `contraction_view`
+- `contraction` reduces, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`, `drift`,
+  `contraction_values`, `curves` (regressions on pressure)
+- the papers' way and the dead times: `contraction_steps`, `steps`; words and figures: `contraction_view`
 - where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; draws over trials in
   `bootstrap`; the regulator in `regulator_response`
 - by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model against

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.contraction import contraction_joint, contraction_steps, contraction_view, drift, replay
 from pmabench.analysis.contraction.campaign import Campaign, gather, strokes
 from pmabench.analysis.contraction.contraction_values import FEWEST, Told, values
+from pmabench.analysis.contraction.curves import curve
 from pmabench.analysis.contraction.intervals import Pooled, Trust, assess, replay_fits
 from pmabench.analysis.contraction.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
 from pmabench.analysis.contraction.regulator_response import regulator
@@ -22,7 +23,6 @@ from pmabench.analysis.contraction.segments import Gate, Samples, Segments, cut,
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
 from pmabench.analysis.shared import reference, skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.curves import curve
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 

@@ -18,12 +18,12 @@ from pmabench.analysis.contraction import contraction_paper1_view as view
 from pmabench.analysis.contraction.campaign import Campaign, gather
 from pmabench.analysis.contraction.contraction_known_force import fit_known_force
 from pmabench.analysis.contraction.contraction_paper1_steps import STILL, Braid, Step, read
+from pmabench.analysis.contraction.curves import compare_orders, curve, least
 from pmabench.analysis.contraction.segments import Samples, moved
-from pmabench.analysis.contraction.steps import mean_over, mean_with_half
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.curves import compare_orders, curve, least
+from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.contraction.onset import LEAST, onset
 from pmabench.analysis.contraction.segments import Samples
+from pmabench.analysis.shared.onset import LEAST, onset
 from pmabench.model.library.braid import braid_force
 from pmabench.store.records import Array, TrialData
 

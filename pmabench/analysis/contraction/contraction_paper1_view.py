@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from pmabench.analysis.contraction.campaign import Campaign
 from pmabench.analysis.contraction.contraction_paper1_steps import Braid, Step
+from pmabench.analysis.contraction.curves import curve
 from pmabench.analysis.results import Curve, Estimate, Finding, Trace
-from pmabench.analysis.shared.curves import curve
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
 

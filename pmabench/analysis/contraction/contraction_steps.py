@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.contraction.campaign import Campaign
-from pmabench.analysis.contraction.onset import KINDS, dead_times
+from pmabench.analysis.contraction.curves import curve
 from pmabench.analysis.contraction.pooled import SYMBOLS, Fit
 from pmabench.analysis.contraction.segments import Gate
-from pmabench.analysis.contraction.steps import Regression, Step, half_width, mean_over, regress, steps_of, stiffness
+from pmabench.analysis.contraction.steps import Regression, Step, regress, steps_of, stiffness
 from pmabench.analysis.results import Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.curves import curve
+from pmabench.analysis.shared.onset import KINDS, dead_times
+from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.base.quantities import show
 
 METHOD = "step-exponential"

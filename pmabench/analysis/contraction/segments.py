@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.loops.oscillation import noise_of
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
 LEVELS = 20

@@ -12,10 +12,10 @@ from typing import Any
 from pmabench.analysis.driven.isobaric_cell import CURVE, Cell, Member
 from pmabench.analysis.driven.ramp_loop import measure_as_planned
 from pmabench.analysis.driven.rubber import rubber
-from pmabench.analysis.driven.sine_loop import NotUsable
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.driven.sine_loop import UNUSABLE_SHARE, NotUsable, lost_work
+from pmabench.analysis.driven.sine_loop import lost_work
 from pmabench.analysis.driven.turns import Turns, turns_of
-from pmabench.analysis.loops.oscillation import noise_of
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
@@ -179,15 +179,6 @@ def _cycles(trial: TrialData) -> list[tuple[Command, Command, float]]:
 
 def _between(trial: TrialData, begin: float, end: float) -> NDArray[np.intp]:
     return np.flatnonzero((trial.t >= begin - 1e-9) & (trial.t < end - 1e-9) & trial.usable)
-
-
-def on_time(run: RunData, trial: TrialData, name: str) -> Array:
-    """A channel without the lag of its sensor, which along a ramp tells what was there one lag ago; NaN if missing."""
-    if name not in trial.channels:
-        return np.full(trial.t.shape, np.nan)
-    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-    values = trial.channels[name]
-    return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 
 def on_grid(grid: Array, x: Array, F: Array) -> Array:

@@ -14,12 +14,13 @@ import numpy as np
 
 from pmabench.analysis.driven import sine_mean
 from pmabench.analysis.driven.sine_fit import HARMONIC, Fitted, Member, Muscle
-from pmabench.analysis.driven.sine_loop import NotUsable, measure
+from pmabench.analysis.driven.sine_loop import measure
 from pmabench.analysis.driven.sine_pressure import pressure_and_force
 from pmabench.analysis.driven.sine_traces import traces_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 

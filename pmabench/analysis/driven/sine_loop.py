@@ -12,20 +12,14 @@ from math import floor, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.loops.oscillation import noise_of
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, three_parameter
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
-UNUSABLE_SHARE = 0.02
-"""Share of flagged samples above which a trial is not used."""
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
-
-
-class NotUsable(Exception):
-    """A trial that cannot be measured, with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +87,6 @@ class Sine:
     def phase(self) -> float:
         """Phase by which the pull leads the extension [rad]: atan(Im/Re)."""
         return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
-
-
-def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, NDArray[np.complex128]]:
-    """Means, shape (m,), and complex amplitudes A with Re(A exp(j 2 pi f t)), shape (m,), of `signals`, shape (n, m).
-
-    Least squares of c + a cos + b sin at the known frequency (IEEE 1057, three-parameter sine fit).
-    """
-    angle = 2 * pi * frequency * t
-    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), np.cos(angle), np.sin(angle)]), signals, rcond=None)
-    return np.asarray(fitted[0]), np.asarray(fitted[1] - 1j * fitted[2], dtype=np.complex128)
 
 
 def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0) -> Sine:

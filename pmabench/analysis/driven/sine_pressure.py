@@ -16,10 +16,10 @@ import numpy as np
 from pmabench.analysis.driven.ramp_loop import on_grid
 from pmabench.analysis.driven.sine_fit import CYCLES, NO_REPEATS, Member, Muscle
 from pmabench.analysis.driven.sine_loop import lagless, moving
-from pmabench.analysis.loops.oscillation import noise_of
 from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
 

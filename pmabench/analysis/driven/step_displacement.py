@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.driven.sine_loop import NotUsable
 from pmabench.analysis.driven.step_relaxation import Relaxation, Steps, measure
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData, TrialData
 

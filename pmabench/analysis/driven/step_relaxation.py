@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from pmabench.analysis.driven.ramp_loop import on_time
-from pmabench.analysis.driven.sine_loop import UNUSABLE_SHARE, NotUsable
-from pmabench.analysis.loops.oscillation import noise_of
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.loops.oscillation import SKIPPED, Swinging, describe, mode_amplitudes, noise_of
+from pmabench.analysis.loops.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData

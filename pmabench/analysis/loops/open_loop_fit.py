@@ -13,7 +13,8 @@ import numpy as np
 from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
-from pmabench.analysis.loops.oscillation import SEEN, noise_of
+from pmabench.analysis.loops.oscillation import SEEN
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array
 
 FEWEST = 100

@@ -14,17 +14,6 @@ SEEN = 12.0
 """A swing, peak to peak, counts where it is larger than this many standard deviations of the noise."""
 
 
-def noise_of(y: Array) -> float:
-    """Standard deviation of the white noise on `y`, shape (n,), from its third differences; robust to the signal.
-
-    The third difference of white noise has 20 times its variance.
-    """
-    if len(y) < 8:
-        return 0.0
-    third = np.abs(np.diff(y, n=3))
-    return float((np.median(third) / 0.6745 or np.sqrt(np.mean(third**2))) / np.sqrt(20.0))
-
-
 def extremes(t: Array, y: Array, threshold: float) -> tuple[Array, Array]:
     """Times [s] and values of successive maxima and minima of `y`, each more than `threshold` from the last.
 

@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.loops.oscillation import SEEN, noise_of
+from pmabench.analysis.loops.oscillation import SEEN
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array
 
 SMOOTHED = 0.02

@@ -17,8 +17,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.loops.open_loop_fit import balance
-from pmabench.analysis.loops.oscillation import SEEN, extremes, noise_of
+from pmabench.analysis.loops.oscillation import SEEN, extremes
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.model.loop import ComplexArray, Loop, ultimate
 from pmabench.store.records import Array, RunData, TrialData

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.driven.sine_loop import three_parameter
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import three_parameter
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 

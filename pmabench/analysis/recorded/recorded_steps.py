@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.contraction.steps import mean_over, mean_with_half
 from pmabench.analysis.recorded.driven_motion import respond
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 

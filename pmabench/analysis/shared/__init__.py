@@ -1,6 +1,7 @@
 """What reductions share: trials sorted, lines fitted, and what instruments do to a result.
 
 - `cells` (trials by operating point), `reference` (trials of reference and what drifted)
-- `curves` (regressions on pressure), `lines` (weighted lines and their intervals), `student` (quantiles)
+- `samples` (noise, unusable ones, time), `onset` (when something begins)
+- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths)
 - `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do)
 """

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.loops.oscillation import noise_of
 from pmabench.analysis.results import Dropped
+from pmabench.analysis.shared.samples import NotUsable, noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2
@@ -20,10 +20,6 @@ FEWEST = 5
 UNUSABLE_SHARE = 0.5
 PHASES = {"preload": -1, "up": -1, "down": 1}
 """Phase of a ramp -> the side from which its pressure is reached: -1 from below."""
-
-
-class NotUsable(Exception):
-    """Why a trial tells nothing."""
 
 
 @dataclass(frozen=True)

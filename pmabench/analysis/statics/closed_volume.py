@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.driven.sine_loop import NotUsable
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.statics.closed_stroke import Gas, Stroke, measure
 from pmabench.analysis.statics.volume_fit import fit_volume, volume_at
 from pmabench.base.quantities import show

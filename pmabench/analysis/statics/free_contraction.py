@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
-from pmabench.analysis.loops.oscillation import noise_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.samples import NotUsable, noise_of
 from pmabench.analysis.statics import free_contraction_view as view
 from pmabench.analysis.statics.isometric_lines import spread
 from pmabench.base.quantities import show
@@ -37,10 +37,6 @@ FEWEST = 5
 """Samples that it needs."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
-
-
-class NotUsable(Exception):
-    """Why a trial tells nothing."""
 
 
 @dataclass(frozen=True, eq=False)

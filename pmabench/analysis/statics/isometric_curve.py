@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.contraction.onset import onset
+from pmabench.analysis.shared.onset import onset
 from pmabench.analysis.statics.isometric_lines import Mask, Test, ends
 from pmabench.store.records import Array, TrialData
 

@@ -7,14 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import hypot, inf
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.verdict.agreement import OF_STATIC, against_static
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
+
+MEASURES = {
+    "relative_interval": ("±", "+-", ""),
+    "of_specimen": ("±", "+-", " of the specimen file"),
+    "of_static": ("±", "+-", " of static F_ce"),
+    "of_static_by": ("±", "+-", " of static F_ce"),
+    "static_E_n": ("≤", "at most ", " against static F_ce"),
+    "at_most": ("≤", "at most ", ""),
+    "at_least": ("≥", "at least ", ""),
+}
+"""How a limit is meant -> its sign in a list and in a sentence, and against what in a list."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +36,7 @@ class Limit:
 
     what: str
     measure: str
-    """`relative_interval`, `of_specimen`, `at_most` or `at_least`."""
+    """A key of `MEASURES`."""
     limit: float
     place: str
     """File and line of the protocol."""
@@ -35,18 +48,22 @@ class Limit:
     @property
     def asked(self) -> str:
         """The limit in words, with its place."""
-        sign = {"relative_interval": "+-", "of_specimen": "+-", "at_most": "at most ", "at_least": "at least "}
-        size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
         place = f" ({self.place})" if self.place else ""
-        return f"accepted {sign[self.measure]}{size}{place}"
+        return f"accepted {MEASURES[self.measure][1]}{self.size}{place}"
 
     @property
     def short(self) -> str:
         """What is limited and how, for a list: `K ± 2 %`, `repeat spread ≤ 3 %`."""
-        sign = {"relative_interval": "±", "of_specimen": "±", "at_most": "≤", "at_least": "≥"}[self.measure]
-        size = f"{self.limit:g}" if self.measure == "at_least" else f"{100 * self.limit:g} %"
-        of = " of the specimen file" if self.measure == "of_specimen" else ""
-        return f"{self.what.replace('_', ' ') if self.measure == 'at_most' else self.what} {sign} {size}{of}"
+        sign, _, of = MEASURES[self.measure]
+        what = f"E_n of {self.what}" if self.measure == "static_E_n" else self.what
+        return f"{what.replace('_', ' ') if self.measure == 'at_most' else what} {sign} {self.size}{of}"
+
+    @property
+    def size(self) -> str:
+        """The number with its unit."""
+        if self.measure == "of_static_by":
+            return show(self.limit, "force", 4)
+        return f"{self.limit:g}" if self.measure in ("at_least", "static_E_n") else f"{100 * self.limit:g} %"
 
 
 def limits_of(run: RunData) -> list[Limit]:
@@ -73,9 +90,9 @@ def _limit(entry: Any) -> Limit | None:
         return None
     limit: Any
     what, measure, limit, place = (entry.get(name) for name in ("what", "measure", "limit", "place"))
-    if measure not in ("relative_interval", "of_specimen", "at_most", "at_least"):
+    if not isinstance(what, str) or not isinstance(measure, str) or measure not in MEASURES:
         return None
-    if not _are_numbers(limit) or not isinstance(what, str):
+    if not _are_numbers(limit):
         return None
     told = entry.get("expected")
     everywhere = float(told) if isinstance(told, int | float) else None
@@ -88,11 +105,13 @@ def _are_numbers(*values: Any) -> bool:
     return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
-def not_accepted(runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]) -> Iterator[str]:
+def not_accepted(
+    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Analysis | None = None
+) -> Iterator[str]:
     """One sentence for each limit of the analysis' runs that is not kept; `named` gives a coefficient's words.
 
     Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
-    is not judged by it.
+    is not judged by it. `static` is the static-load test of the same specimen, for limits against it.
     """
     limits = dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run))
     primary: dict[str, str] = {}
@@ -106,6 +125,8 @@ def not_accepted(runs: Sequence[RunData], analysis: Analysis, named: Callable[[E
             for estimate in mine:
                 if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
                     yield f"{named(estimate)}: {why}"
+        elif limit.measure in ("of_static", "of_static_by", "static_E_n"):
+            yield from _against_static(analysis, static, limit, named)
         elif limit.measure == "at_least":
             yield from _r2(analysis, limit, primary)
         elif why := _check(analysis, limit):
@@ -151,6 +172,49 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
     if pressure is None or not P[0] - 1.0 <= pressure <= P[-1] + 1.0:
         return None
     return float(np.interp(pressure, P, values))
+
+
+def _against_static(
+    analysis: Analysis, static: Analysis | None, limit: Limit, named: Callable[[Estimate], str]
+) -> Iterator[str]:
+    """F_ce against that of static load, at every pressure that both cover."""
+    if analysis.kind not in OF_STATIC:
+        return
+    if static is None:
+        yield (
+            f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
+            "give both runs to one process"
+        )
+        return
+    pairs = against_static(analysis, static)
+    if not pairs:
+        yield (
+            f"F_ce against static load: the two tests tell F_ce at no pressure in common, {limit.asked}; "
+            "loads of the static test around F_ce at the tested pressures would"
+        )
+    for mine, theirs in pairs.values():
+        if why := _apart(mine, theirs, limit):
+            yield f"{named(mine)}: {why}"
+
+
+def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
+    value, reference = mine.value or 0.0, theirs.value or 0.0
+    off, halves = value - reference, [e.parts.combined for e in (mine, theirs)]
+    told = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
+    if limit.measure == "static_E_n":
+        if halves[0] is None or halves[1] is None:
+            which = "neither has an" if halves == [None, None] else "one has no"
+            return f"{told}: {which} interval, E_n {limit.asked}"
+        half = hypot(halves[0], halves[1])
+        score = abs(off) / half if half else (0.0 if off == 0 else inf)
+        return "" if score <= limit.limit else f"{told}: E_n {score:.3g}, {limit.asked}"
+    size = limit.limit * (abs(reference) if limit.measure == "of_static" else 1.0)
+    if abs(off) <= size:
+        return ""
+    far = f"{show(abs(off), 'force', 3)}"
+    if limit.measure == "of_static" and reference:
+        far = f"{100 * abs(off / reference):.3g} %"
+    return f"{told}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
 
 
 def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:

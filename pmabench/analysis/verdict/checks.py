@@ -216,7 +216,8 @@ def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
 
 def _sine(run: RunData, trial: TrialData) -> float | None:
     """Stiffness of a sine [N/m]."""
-    from pmabench.analysis.driven.sine_loop import NotUsable, measure
+    from pmabench.analysis.driven.sine_loop import measure
+    from pmabench.analysis.shared.samples import NotUsable
 
     try:
         return measure(run, trial, float(_settings(run).get("discard", 1))).stiffness
@@ -227,7 +228,7 @@ def _sine(run: RunData, trial: TrialData) -> float | None:
 def _ramp(run: RunData, trial: TrialData) -> float | None:
     """Slope of the mean curve of a slow ramp [N/m]."""
     from pmabench.analysis.driven.ramp_loop import measure_as_planned
-    from pmabench.analysis.driven.sine_loop import NotUsable
+    from pmabench.analysis.shared.samples import NotUsable
 
     try:
         loop = measure_as_planned(run, trial, {})
@@ -238,7 +239,8 @@ def _ramp(run: RunData, trial: TrialData) -> float | None:
 
 def _rest(run: RunData, trial: TrialData) -> float | None:
     """Contraction at rest without load [m]."""
-    from pmabench.analysis.statics.free_contraction import NotUsable, measure
+    from pmabench.analysis.shared.samples import NotUsable
+    from pmabench.analysis.statics.free_contraction import measure
 
     try:
         return measure(run, trial).x
@@ -248,8 +250,8 @@ def _rest(run: RunData, trial: TrialData) -> float | None:
 
 def _step(run: RunData, trial: TrialData) -> float | None:
     """Stiffness of the relaxed forces of steps away from the start [N/m]."""
-    from pmabench.analysis.driven.sine_loop import NotUsable
     from pmabench.analysis.driven.step_relaxation import measure
+    from pmabench.analysis.shared.samples import NotUsable
 
     try:
         return float(np.mean([step.static for step in measure(run, trial, {}).there]))
