@@ -92,3 +92,57 @@ def test_what_is_no_limit_judges_nothing(accept):
     run = replace(as_run("contraction-relaxation", []), plan={"accept": accept})
     K = Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0))
     assert verdicts([run], [Analysis(run.kind, (run.id,), True, (K,))]) == []
+
+
+def against_static(entry, F_ce=520.0, half=12.0, static=None, specimen="s1", P=3e5):
+    """Verdicts on a contraction test whose protocol limits F_ce against static load: 500 +- 9 N at 300 kPa."""
+    limit = {"what": "F_ce", "place": PLACE, **entry}
+    moved, held = (as_run(kind, []) for kind in ("contraction-relaxation", "static-load"))
+    moved = replace(moved, id="moved", plan={"accept": {"limits": [limit]}}, manifest={"specimen": "s1"})
+    held = replace(held, id="held", plan={}, manifest={"specimen": specimen})
+    mine = Estimate("F_ce", F_ce, "N", "force", "measured-pressure", {"pressure": P}, Parts(half))
+    line = [(2e5, 300.0), (3e5, 500.0), (4e5, 700.0)] if static is None else static
+    theirs = tuple(Estimate("F_ce", F, "N", "force", "static-mean", {"pressure": at}, Parts(9.0)) for at, F in line)
+    analyses = [
+        Analysis(moved.kind, ("moved",), True, (mine,)),
+        *([Analysis(held.kind, ("held",), True, theirs)] if theirs else ()),
+    ]
+    return verdicts([moved, held], analyses)
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [
+        ({"measure": "of_static", "limit": 0.03}, "4 % above, accepted +-3 %"),
+        ({"measure": "of_static", "limit": 0.041}, ""),
+        ({"measure": "of_static_by", "limit": 15.0}, "20 N above, accepted +-15 N"),
+        ({"measure": "of_static_by", "limit": 20.5}, ""),
+        ({"measure": "static_E_n", "limit": 1.0}, "E_n 1.33, accepted at most 1"),  # 20 / hypot(12, 9)
+        ({"measure": "static_E_n", "limit": 1.4}, ""),
+    ],
+)
+def test_force_is_held_against_static_load(entry, told):
+    assert against_static(entry) == (
+        [f"F_ce at pressure 300 kPa: 520 N against 500 N of static load: {told} (cr.yaml:7)"] if told else []
+    )
+
+
+def test_static_load_is_a_line_between_its_points_and_nothing_outside():
+    entry = {"measure": "of_static_by", "limit": 15.0}
+    assert against_static(entry, F_ce=410.0, P=2.5e5) == []  # halfway between 300 and 500 N
+    (told,) = against_static(entry, F_ce=370.0, P=2.5e5)
+    assert "370 N against 400 N of static load: 30 N below" in told
+    (told,) = against_static(entry, P=5e5)
+    assert told.startswith("F_ce against static load: the two tests tell F_ce at no pressure in common")
+
+
+@pytest.mark.parametrize("missing", [{"static": []}, {"specimen": "s2"}])
+def test_a_static_test_that_is_not_there_is_said(missing):
+    (told,) = against_static({"measure": "of_static", "limit": 0.5}, **missing)
+    assert told.startswith("F_ce against static load: no static-load test of this specimen beside it")
+    assert "accepted +-50 % (cr.yaml:7)" in told
+
+
+def test_a_score_without_an_interval_is_not_accepted():
+    (told,) = against_static({"measure": "static_E_n", "limit": 1.0}, half=None)
+    assert "one has no interval, E_n accepted at most 1 (cr.yaml:7)" in told

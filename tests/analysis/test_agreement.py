@@ -8,6 +8,7 @@ from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.verdict.agreement import agreement
 from pmabench.report.document.html import render
+from pmabench.report.words.method_words import described
 
 
 def estimate(symbol, value, half, pressure, method, quantity="stiffness", **at):
@@ -88,3 +89,56 @@ def test_sines_at_several_means_are_not_compared_as_if_they_were_one():
     found = agreement([STEPS, replace(one, estimates=(*one.estimates, *deeper))])
     assert found.estimates == ()
     assert [f.text.partition(",")[0] for f in found.findings if "several values" in f.text] == ["K", "B"]
+
+
+def static(*points):
+    return Analysis(
+        "static-load", ("r3",), False,
+        tuple(estimate("F_ce", F, half, P, "static-mean", "force") for P, F, half in points),
+    )  # fmt: skip
+
+
+def forces(*methods, kind="contraction-relaxation", pressure=3e5):
+    return Analysis(
+        kind, ("r1",), False, tuple(estimate("F_ce", F, 3.0, pressure, method, "force") for method, F in methods)
+    )
+
+
+def test_fits_that_were_asked_for_are_compared_beside_the_primary_one():
+    """What everybody gets, the exponentials, are not; 500 +- 4 N of static load, 3 N of each fit."""
+    found = agreement(
+        [
+            forces(("measured-pressure", 501.0), ("joint", 490.0), ("output-error", 503.0), ("step-exponential", 1.0)),
+            static((3e5, 500.0, 4.0)),
+        ]
+    )
+    title = "static load against contraction"
+    told = [(e.method, e.value, e.parts.combined) for e in found.estimates]
+    assert told == [(title, -1.0, 5.0), (f"{title}, joint fit", 10.0, 5.0), (f"{title}, output-error fit", -3.0, 5.0)]
+    assert [f.level for f in found.findings] == ["note", "doubt", "note"]
+
+
+def test_static_load_is_read_between_its_points():
+    found = agreement(
+        [forces(("measured-pressure", 590.0), pressure=3.5e5), static((3e5, 500.0, 4.0), (4e5, 700.0, 4.0))]
+    )
+    (difference,) = found.estimates
+    assert (difference.value, difference.at, difference.parts.combined) == (
+        pytest.approx(10.0),
+        {"pressure": 3.5e5},
+        5.0,
+    )
+
+
+def test_the_way_that_a_protocol_of_paper_1_names_is_compared():
+    """K of the first method alone: F_ce of that way is geometry, and B_r carries another pressure."""
+    papers = Analysis(
+        "contraction-relaxation-paper-1", ("r1",), False,
+        (estimate("K", 6770.0, 30.0, 3e5, "paper-1-xmax"), estimate("K", 9999.0, 1.0, 3e5, "paper-1-x0"),
+         estimate("B_c", 1.0, 1.0, 3e5, "paper-1-xmax", "damping"), estimate("B_r", 1.0, 1.0, 3e5, "paper-1-xmax", "damping")),
+    )  # fmt: skip
+    found = agreement([papers, sines(6800.0, 40.0)])
+    assert [(e.method, e.value, e.parts.combined) for e in found.estimates] == [
+        ("sine against steps, paper 1's way", pytest.approx(30.0), pytest.approx(50.0))
+    ]
+    assert described("sine against steps, paper 1's way") == described("sine against steps") != ""

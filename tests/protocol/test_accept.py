@@ -36,6 +36,16 @@ def test_every_limit_stands_in_the_plan_with_its_line(tmp_path):
     assert accept["limits"][2]["expected"] == 6.0
 
 
+def test_a_limit_against_static_load_is_a_share_a_force_or_a_score(tmp_path):
+    for written, entry in {
+        "of_static: 3 %": ("of_static", pytest.approx(0.03)),
+        "of_static: 15 N": ("of_static_by", 15.0),
+        "static_E_n: 1": ("static_E_n", 1.0),
+    }.items():
+        (limit,) = plan(tmp_path, f"  F_ce: {{{written}}}").accept["limits"]
+        assert (limit["measure"], limit["limit"]) == entry
+
+
 @pytest.mark.parametrize(
     ("accept", "told"),
     [
@@ -46,6 +56,10 @@ def test_every_limit_stands_in_the_plan_with_its_line(tmp_path):
         ("  R2: {at_least: 1.5}", "should be less than 1"),
         ("  repeat_spraed: {at_most: 1 %}", "repeat_spread"),
         ("  B: {of_specimen: 5 %}", "does not give B"),
+        ("  K: {of_static: 5 %}", "K has no of_static"),
+        ("  F_ce: {of_static: 5}", "neither a share nor a force, for instance"),
+        ("  F_ce: {of_static: 0 N}", "a limit is above 0"),
+        ("  F_ce: {static_E_n: 0}", "greater than 0"),
     ],
 )
 def test_what_cannot_be_judged_is_refused(tmp_path, accept, told):
@@ -60,3 +74,9 @@ def test_a_kind_without_checks_says_so(tmp_path):
 
     with pytest.raises(InvalidFile, match="gives nothing of the kind; it gives K_u, T_u"):
         plan(tmp_path, "  drift: {at_most: 1 %}", text, mounted(BENCH_OF["ultimate-gain"]))
+
+
+def test_static_load_is_not_held_against_itself(tmp_path):
+    text = (ROOT / "protocols" / "static-load.yaml").read_text().split("\naccept:")[0]
+    with pytest.raises(InvalidFile, match="is for contraction-relaxation and isometric-pressurisation"):
+        plan(tmp_path, "  F_ce: {of_static: 3 %}", text)

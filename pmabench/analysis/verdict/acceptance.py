@@ -183,7 +183,7 @@ def _against_static(
     if static is None:
         yield (
             f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
-            "give both runs to one process"
+            "process both runs together"
         )
         return
     pairs = against_static(analysis, static)

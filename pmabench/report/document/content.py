@@ -132,7 +132,7 @@ def content_of(
     first_page = [figures.add(p) for p in front]
     sections = [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     limits = {run.id: limits_of(run) for run in runs}
-    failed = [wording.clean(text) for text in verdicts([run for run in runs if limits[run.id]], analyses)]
+    failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
     findings = tables.findings_table(analyses)
     shown, more = first_findings(findings)

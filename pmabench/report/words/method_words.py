@@ -137,5 +137,9 @@ METHODS: dict[str, str] = {
 
 
 def described(method: str) -> str:
-    """What a method does; empty for one that is not known. What stands after ` above ` is a limit of it."""
-    return METHODS.get(method) or METHODS.get(method.partition(" above ")[0]) or ""
+    """What a method does; empty for one that is not known.
+
+    What stands after ` above ` is a limit of it; after `, ` the way of one side of a comparison.
+    """
+    known = (METHODS.get(name) for name in (method, method.partition(" above ")[0], method.partition(", ")[0]))
+    return next((words for words in known if words), "")
