@@ -19,6 +19,8 @@ PERIODS = 8
 """Turns of a sine are looked for in so many periods at once [1]."""
 PER_PERIOD = 32
 """At how many moments of a period the way is looked at [1]."""
+CLOSE = 1e-15
+"""A turn that is found again so near, as a share of its time, is found [1]."""
 
 
 def branch(
@@ -114,11 +116,22 @@ def turns(trace: Trace, begin: float, end: float) -> Array:
     if trace.decay and begin < faded:
         early = min(end, faded)
         grid = np.union1d(grid, np.linspace(begin, early, int(4 * (early - begin) / trace.lag) + 2))
-    forwards = trace.rates(grid) > 0
-    change = np.flatnonzero(forwards[1:] != forwards[:-1])
-    low, high, before = grid[change], grid[change + 1], forwards[change]
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        same = (trace.rates(middle) > 0) == before
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return np.asarray(high)
+    rates = trace.rates(grid)
+    change = np.flatnonzero((rates[1:] > 0) != (rates[:-1] > 0))
+    return _zeros(trace, grid[change], grid[change + 1], rates[change], rates[change + 1])
+
+
+def _zeros(trace: Trace, low: Array, high: Array, before: Array, after: Array) -> Array:
+    """Where, between `low` and `high` [s], the rates `before` and `after` go through 0 (false position, Illinois)."""
+    found, side = high, np.zeros(high.shape)
+    for _ in range(100):
+        last = found
+        found = np.clip(high - after * (high - low) / (after - before), low, high)
+        if (np.abs(found - last) <= CLOSE * np.abs(found)).all():
+            break
+        rate = trace.rates(found)
+        now = np.where((rate > 0) == (before > 0), -1.0, 1.0)
+        kept, side = np.where(now == side, 0.5, 1.0), now
+        low, before = np.where(now < 0, (found, rate), (low, kept * before))
+        high, after = np.where(now > 0, (found, rate), (high, kept * after))
+    return found

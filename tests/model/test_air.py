@@ -37,7 +37,7 @@ def test_a_sine_gives_the_pressure_of_the_library(frequency):
     _, motion = full_stroke(frequency)
     rows = slice(None, None, 40)
     expected = MODELS["driven-chamber"].evaluate({"time": motion.t[rows] - 2.0, "frequency": frequency})
-    np.testing.assert_allclose(motion.P[rows], expected["pressure"], atol=100.0)
+    np.testing.assert_allclose(motion.P[rows], expected["pressure"], atol=10.0)
 
 
 @pytest.mark.parametrize(
