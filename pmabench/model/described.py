@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.regulator import Regulator
-
-SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 
 
 @dataclass(frozen=True)
@@ -25,39 +23,38 @@ class Described:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
-        muscle = self.muscle
+        told = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
         return {
             "source": self.source,
             "domain": list(self.domain),
-            "length": muscle.length,
-            "stop": muscle.stop,
-            "friction": asdict(muscle.friction),
             "regulator": asdict(self.regulator),
-            **{
-                symbol: {"pieces": [list(piece) for piece in curve.pieces], "breaks": list(curve.breaks)}
-                for symbol, curve in ((symbol, getattr(muscle, symbol)) for symbol in SYMBOLS)
-            },
+            **{name: _plain(value) for name, value in told.items() if value is not None},
         }
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Described:
-        """The inverse of `to_dict`."""
-        curves = {
-            symbol: Curve(
-                tuple(tuple(float(c) for c in piece) for piece in data[symbol]["pieces"]),
-                tuple(float(edge) for edge in data[symbol]["breaks"]),
-            )
-            for symbol in SYMBOLS
-        }
-        muscle = Muscle(
-            name=str(data["source"]),
-            friction=Friction(**data["friction"]),
-            length=float(data["length"]),
-            stop=float(data["stop"]),
-            **curves,
-        )
+        """The inverse of `to_dict`; what it did not tell (plans of earlier versions) is as a muscle has it."""
+        told = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
+        muscle = Muscle(**{"name": str(data["source"]), **told})
         low, high = data["domain"]
         return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)))
+
+
+def _plain(value: Any) -> Any:
+    """A field of a muscle as plain data."""
+    if isinstance(value, Curve):
+        return {"pieces": [list(piece) for piece in value.pieces], "breaks": list(value.breaks)}
+    return asdict(value) if isinstance(value, Friction) else value
+
+
+def _value(name: str, data: Any) -> Any:
+    """The inverse of `_plain`."""
+    if name == "friction":
+        return Friction(**data)
+    if isinstance(data, Mapping):
+        pieces = tuple(tuple(float(c) for c in piece) for piece in data["pieces"])
+        return Curve(pieces, tuple(float(edge) for edge in data["breaks"]))
+    return data if isinstance(data, str) else float(data)
 
 
 def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:

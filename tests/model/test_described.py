@@ -1,0 +1,56 @@
+"""A muscle with its regulator as plain numbers: nothing is lost on the way through a plan's JSON."""
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from pmabench.bench.plant import read_plant
+from pmabench.model.curve import Curve
+from pmabench.model.described import Described
+from pmabench.model.muscle import Friction, Muscle
+from pmabench.model.plant_file import setup_of
+from pmabench.model.presets import KINDS, MUSCLES, changed, preset
+
+FILES = sorted((Path(__file__).parents[2] / "fixtures" / "plants").glob("*.yaml"))
+
+
+def through_json(muscle, regulator):
+    told = Described(muscle, regulator, "where it is from", (1e5, 5e5))
+    assert Described.of(json.loads(json.dumps(told.to_dict()))) == told
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", MUSCLES)
+def test_every_field_of_a_preset_comes_back(name, kind):
+    setup = preset(name, kind)
+    through_json(setup.muscle, setup.regulator)
+
+
+def test_every_field_of_the_shipped_plant_files_comes_back():
+    """Of those that are three-element muscles; a plan takes no other as a model."""
+    setups = [changed(setup_of(read_plant(path).numbers), "bench") for path in FILES]
+    models = [setup for setup in setups if isinstance(setup.muscle, Muscle)]
+    assert len(models) >= 3
+    for setup in models:
+        through_json(setup.muscle, setup.regulator)
+
+
+def test_a_muscle_of_which_no_field_is_as_it_is_by_itself_comes_back():
+    """A field that is added to a muscle and not told would be lost in silence."""
+    setup = preset("paper0", "bench")
+    odd = {"name": "M", "friction": Friction(3.0, 2.0, 4e-3), "tau_r": Curve(((1e-7, 0.1), (0.2,)), (2e5,))}
+    for field in fields(Muscle):
+        if field.name not in {*odd, "F_ce", "K", "B_c", "B_r"}:
+            odd[field.name] = 0.123
+    through_json(replace(setup.muscle, **odd), setup.regulator)
+
+
+def test_a_plan_of_an_earlier_version_is_still_read():
+    """It told neither a name nor what muscles have had since."""
+    setup = preset("paper0", "bench")
+    told = Described(setup.muscle, setup.regulator, "preset paper0", (0.0, 1e7)).to_dict()
+    for name in ("name", "tau_r", "diameter", "braid_angle"):
+        told.pop(name, None)
+    assert Described.of(told).muscle == replace(setup.muscle, name="preset paper0")
