@@ -97,7 +97,9 @@ def plant_numbers(document: Document) -> dict[str, Any]:
     if compilation.problems:
         raise InvalidFile(compilation.problems)
     friction = file.friction.model_dump() if file.friction is not None else {}
-    return {**numbers, "stop": file.stop, **curves, "friction": friction}
+    air = file.flow.model_dump() if file.flow is not None else None
+    braid = {"diameter": file.diameter or 0.0, "braid_angle": file.braid_angle or 0.0}
+    return {**numbers, "stop": file.stop, **curves, "friction": friction, **braid, "flow": air}
 
 
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:

@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from pmabench.bench.interface import OutputRecord
     from pmabench.cli.emulated_faults import Faults, Schedule
 
-PRESETS = ("paper0", "serres2009", "dmsp-40-305", *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)), "arm-30")
+PRESETS = (
+    "paper0",
+    "paper0-air",
+    "serres2009",
+    "dmsp-40-305",
+    *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)),
+    "arm-30",
+)
 
 
 @click.command(name="emulate")

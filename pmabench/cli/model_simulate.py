@@ -46,6 +46,7 @@ COLUMNS = (
 """Name, quantity and field of `Motion` of what is printed."""
 CHANGES = {
     "friction": "count", "F_s": "force", "F_c": "force", "hysteresis": "force", "regulator_lag": "time",
+    "natural_frequency": "frequency", "damping_ratio": "count",
     "dead_time": "time", "vent_ratio": "count", "dead_band": "pressure", "leak": "rate",
 }  # fmt: skip
 """What --set takes, as in the options of the mock bench."""

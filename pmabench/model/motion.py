@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,16 @@ class Motion:
 
 
 NOTHING = Motion(*(np.empty(0) for _ in range(7)))
+
+
+class Course(Protocol):
+    """How a pressure goes [Pa]: a `Trace`, or what was found by integration."""
+
+    def value(self, t: float) -> float:
+        """Pressure at time t [s]."""
+
+    def values(self, t: Array) -> Array:
+        """Pressures at rising times t [s]."""
 
 
 class Grid:

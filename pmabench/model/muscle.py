@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -47,7 +48,8 @@ class Muscle:
     Every coefficient follows the instantaneous gauge pressure. B is `B_c` while it contracts, `B_r` while it relaxes.
     SI: F_ce [N], K [N/m], B_c and B_r [N.s/m] over P [Pa]; `length` nominal [m]; `stop` contraction at which the
     muscle cannot go further [m]. With `tau_r` [s] a muscle with a free end relaxes with that time constant, at the
-    pressure before the command that lets the pressure fall: B = tau_r K (paper 1 indexes its D_r so).
+    pressure before the command that lets the pressure fall: B = tau_r K (paper 1 indexes its D_r so). Free `diameter`
+    [m] and `braid_angle` to the axis [rad] are those of its braid, where its volume matters.
     """
 
     name: str
@@ -59,10 +61,24 @@ class Muscle:
     length: float = 0.25
     stop: float = 0.07
     tau_r: Curve | None = None
+    diameter: float = 0.0
+    braid_angle: float = 0.0
 
     def pull(self, P: Array, x: Array) -> Array:
         """Force at rest without friction, F_ce(P) - K(P) x [N]; P [Pa] and x [m] of one shape."""
         return self.F_ce.values(P) - self.K.values(P) * x
+
+    def volume(self, x: Array) -> Array:
+        """Volume [m3] of a braid that does not stretch, at contractions x [m] (paper 3, with the exponent 2)."""
+        size, round_, long = self.sizes
+        left = 1 - x / self.length
+        return np.asarray(size * left * (round_ - long * left * left))
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """(pi / 4) D^2 l [m3], 1 / sin^2 and 1 / tan^2 of the braid angle [1]."""
+        size = 0.25 * math.pi * self.diameter**2 * self.length
+        return size, 1 / math.sin(self.braid_angle) ** 2, 1 / math.tan(self.braid_angle) ** 2
 
     def contraction(self, P: float, load: float = 0.0) -> float:
         """Contraction at rest without friction, (F_ce - F_L) / K, between 0 and `stop` [m]; P [Pa], load F_L [N]."""

@@ -21,6 +21,10 @@ class Overrides:
     """Factor on the noise of all sensors [1]; 0 for none."""
     regulator_lag: float | None = None
     """First-order lag of the pressure regulator [s]."""
+    natural_frequency: float | None = None
+    """Of a regulator of second order, in place of the lag [Hz]."""
+    damping_ratio: float | None = None
+    """Of a regulator of second order [1]."""
     dead_time: float | None = None
     """Transport time between command and regulator [s]."""
     vent_ratio: float | None = None
@@ -30,11 +34,11 @@ class Overrides:
     leak: float | None = None
     """Share of the pressure that a leak takes away per second [1/s]; needs a lag above 0 to be seen."""
     conductance_fill: float | None = None
-    """Air that the regulator lets in by the pressure that is missing [kg/(s Pa)]; plant `daerden`."""
+    """Air that the regulator lets in by the pressure that is missing [kg/(s Pa)]; plants `daerden`, `paper0-air`."""
     conductance_vent: float | None = None
     """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
     polytropic: float | None = None
-    """Exponent of the air: 1 where it keeps the room's temperature, 1.4 where no heat comes in; plant `daerden`."""
+    """Exponent of the air: 1 where heat comes in at once, 1.4 where none does; `daerden`, `paper0-air`."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     fce_eval: str | None = None

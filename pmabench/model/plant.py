@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.motion import NOTHING, Grid, Motion, Record
+from pmabench.model.motion import NOTHING, Course, Grid, Motion, Record
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulated, Regulator, Trace
 from pmabench.model.signal import Wave, to_nanosecond
@@ -105,6 +105,9 @@ class Plant:
         """Command pressure [Pa] along `waves`, the first of which starts now or later."""
         self.supply.command(waves)
 
+    def shut(self, *, shut: bool) -> None:
+        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+
     def snapshot(self) -> dict[str, Any]:
         """Everything that `restore` needs to come back to this moment."""
         return {**self.__dict__, "supply": copy.copy(self.supply)}
@@ -118,7 +121,7 @@ class Plant:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
         trace = self._piece()[0]
         self._start(trace)
-        P, muscle, way = trace.value(self.time), self.muscle, self.way
+        P, muscle, way = self._course(trace).value(self.time), self.muscle, self.way
         pull = self._f_ce(P) - self._stiffness(P) * self.x
         if way:
             u = way * self.v
@@ -155,7 +158,7 @@ class Plant:
         if record.done < len(t):
             trace = self._piece()[0]
             self._start(trace)
-            self._fill(record, np.full(len(t) - record.done, self.x), self.v, trace, self.way)
+            self._fill(record, np.full(len(t) - record.done, self.x), self.v, self._course(trace), self.way)
         return record.motion()
 
     def step(self, dt: float) -> None:
@@ -182,9 +185,13 @@ class Plant:
                 self._damping = {**self._damping, -1: self.muscle.B_r.function()}
         return trace, end
 
-    def _fill(self, record: Record, x: Array, v: Array | float, trace: Trace, way: int) -> None:
+    def _course(self, trace: Trace) -> Course:
+        """How the pressure in the muscle went until now, where the regulator's went along `trace`."""
+        return trace
+
+    def _fill(self, record: Record, x: Array, v: Array | float, course: Course, way: int) -> None:
         """Record the next len(x) samples: contraction, speed, and the pressure and force that follow from them."""
-        P, muscle = trace.values(record.due(len(x))), self.muscle
+        P, muscle = course.values(record.due(len(x))), self.muscle
         if way == 0 and 0 < self.x < muscle.stop:
             record.fill(x, v, P, self.force)
             return
@@ -256,35 +263,39 @@ class Plant:
     def _slide(self, trace: Trace, end: float, record: Record) -> None:
         """Slide until it turns, lands, settles, comes to speeds of stiction, or `end`."""
         grid = record.grid(self.time, end)
-        load = self.force, self.mass
-        x, v = slide(self.muscle, trace, self.way, load, (self.x, self.v), grid.t)
-        first = self._first_event(trace, grid.t, x, v)
+        x, v, course = self._integrate(trace, (self.x, self.v), grid.t)
+        first = self._first_event(course, grid.t, x, v)
         if first is None:
-            self._record_slide(trace, grid, x, v, end, record)
+            self._record_slide(course, grid, x, v, end, record)
             self.x, self.v, self.time = float(x[-1]), float(v[-1]), end
             self._horizon = min(2 * self._horizon, HORIZON)
             return
         before = first - 1
         fine = np.linspace(grid.t[before], grid.t[first], 65)
-        fine_x, fine_v = slide(self.muscle, trace, self.way, load, (float(x[before]), float(v[before])), fine)
-        found = self._first_event(trace, fine, fine_x, fine_v) or len(fine) - 1
+        fine_x, fine_v, fine_course = self._integrate(trace, (float(x[before]), float(v[before])), fine)
+        found = self._first_event(fine_course, fine, fine_x, fine_v) or len(fine) - 1
         moment, place, lands = self._refine(fine, fine_x, fine_v, found)
-        self._record_slide(trace, grid, x, v, moment, record)
+        self._record_slide(course, grid, x, v, moment, record)
         self.time, self.x, self.v = moment, place, 0.0
         self._horizon = min(max(1.2 * (moment - self._since), SHORT), HORIZON)
         self._since = moment
         if lands or self.muscle.friction.knee == 0:
-            self._stand(trace, lands)
+            self._stand(fine_course, lands)
         else:
             self.v = self.way * self.muscle.friction.knee * (1 - 1e-9)
 
-    def _first_event(self, trace: Trace, t: Array, x: Array, v: Array) -> int | None:
+    def _integrate(self, trace: Trace, state: tuple[float, float], t: Array) -> tuple[Array, Array, Course]:
+        """Contraction [m], speed [m/s] and pressure at times t [s], from `state` (x, v) at t[0] on."""
+        x, v = slide(self.muscle, trace, self.way, (self.force, self.mass), state, t)
+        return x, v, trace
+
+    def _first_event(self, course: Course, t: Array, x: Array, v: Array) -> int | None:
         """Index of the first time after t[0] at which the muscle has turned, become slow, landed or settled."""
         event = self.way * v < self.muscle.friction.knee
         event |= x > self.muscle.stop if self.way > 0 else x < 0
         slow = np.flatnonzero(np.abs(v) < SETTLED_SPEED)
         if slow.size:
-            drive = self.muscle.pull(trace.values(t[slow]), x[slow]) - self.force
+            drive = self.muscle.pull(course.values(t[slow]), x[slow]) - self.force
             event[slow] |= np.abs(drive) < SETTLED_FORCE
         event[0] = False
         return int(event.argmax()) if event.any() else None
@@ -303,24 +314,24 @@ class Plant:
         moment = to_nanosecond(moment if moment - self.time > 1e-9 else float(t[i]))
         return moment, min(max(place, 0.0), stop), bound is not None
 
-    def _stand(self, trace: Trace, lands: bool) -> None:
+    def _stand(self, course: Course, lands: bool) -> None:
         """With the speed just come to 0: stay, or slide back."""
-        drive = self._drive(trace.value(self.time))
+        drive = self._drive(course.value(self.time))
         if lands and drive * self.way > 0:
             self.way = 0
         else:
             self.way = self._breaks_away(drive)
 
-    def _record_slide(self, trace: Trace, grid: Grid, x: Array, v: Array, end: float, record: Record) -> None:
+    def _record_slide(self, course: Course, grid: Grid, x: Array, v: Array, end: float, record: Record) -> None:
         rows = grid.rows[: grid.count(end)]
-        self._fill(record, x[rows], v[rows], trace, self.way)
+        self._fill(record, x[rows], v[rows], course, self.way)
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
     def _fine_step(self, trace: Trace) -> float:
         """Longest step at speeds of stiction [s]."""
-        P = trace.value(self.time)
-        calm = abs(P - trace.level) < CALM and trace.slope == trace.omega == 0
+        P = self._course(trace).value(self.time)
+        calm = abs(P - trace.level) < CALM and trace.settled(self.time, CALM)
         return CREEP if calm and self._damping[self.way](P) > 2 * self.muscle.friction.slope else LAUNCH
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
@@ -337,7 +348,7 @@ class Plant:
             target = min(sample, end)
             parts = math.ceil((target - self.time) / longest * (1 - 1e-9))
             self._step(trace, target if parts <= 1 else to_nanosecond(self.time + (target - self.time) / parts))
-        self._fill(record, np.array(x), np.array(v), trace, way)
+        self._fill(record, np.array(x), np.array(v), self._course(trace), way)
 
     def _steps(self, trace: Trace, until: float, longest: float) -> None:
         count = int((until - self.time) / longest * (1 - 1e-9)) + 1 if until > self.time else 0
@@ -345,10 +356,15 @@ class Plant:
         for i in range(1, count + 1):
             self._step(trace, until if i == count else begin + (until - begin) * i / count)
 
+    def _ends(self, trace: Trace, until: float) -> tuple[float, float, float, float]:
+        """Pressure now and at `until` at rest and in motion [Pa], and the force that the way gone takes away [N/m]."""
+        end = trace.value(until)
+        return trace.value(self.time), end, end, 0.0
+
     def _step(self, trace: Trace, until: float) -> None:
         """Slide or rest until `until` with the force out of balance on a straight line, K and B of the middle."""
-        muscle, h = self.muscle, until - self.time
-        P, P_end = trace.value(self.time), trace.value(until)
+        muscle, h, begin = self.muscle, until - self.time, self.x
+        P, P_end, P_moved, air = self._ends(trace, until)
         F, K = self._f_ce(P), self._stiffness(P)
         F_end, K_end = (F, K) if P_end == P else (self._f_ce(P_end), self._stiffness(P_end))
         left = h
@@ -356,6 +372,9 @@ class Plant:
             share = left / h
             drive = F_end - (F_end - F) * share - (K_end - (K_end - K) * share) * self.x - self.force
             end = F_end - K_end * self.x - self.force
+            if air:
+                drive -= air * (self.x - begin)
+                end -= air * (self.x - begin)
             if self.way == 0:
                 self.way = self._breaks_away(drive)
             if self.way == 0:
@@ -368,9 +387,9 @@ class Plant:
                 if left <= 0:
                     break
             B = self._damping[self.way]
-            damping = B(P) if P_end == P else 0.5 * (B(P) + B(P_end))
+            damping = B(P) if P_moved == P else 0.5 * (B(P) + B(P_moved))
             way, course = self.way, (self.way * drive, self.way * (end - drive) / left)
-            linear = damping, 0.5 * (K + K_end)
+            linear = damping, 0.5 * (K + K_end) + air
             gone, speed, left = glide(muscle.friction, left, way * self.v, course, linear, self.mass)
             self.x += way * gone
             self.v = way * speed
@@ -378,7 +397,7 @@ class Plant:
                 self.x = min(max(self.x, 0.0), muscle.stop)
                 self.v, left = 0.0, 0.0
                 self.way = 0
-            elif speed == 0 or (speed < SETTLED_SPEED and abs(end - way * K_end * gone) < SETTLED_FORCE):
+            elif speed == 0 or (speed < SETTLED_SPEED and abs(end - way * (K_end + air) * gone) < SETTLED_FORCE):
                 self.v, self.way = 0.0, 0
             if left == 0:
                 break

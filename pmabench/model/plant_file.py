@@ -31,9 +31,11 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
         friction=Friction(**numbers["friction"]),
         length=float(numbers["length"]),
         stop=float(numbers["stop"]),
+        diameter=float(numbers.get("diameter", 0.0)),
+        braid_angle=float(numbers.get("braid_angle", 0.0)),
         **curves,
     )
-    return Setup(muscle, regulator, noise, lag)
+    return Setup(muscle, regulator, noise, lag, air=_air(numbers.get("flow"), regulator))
 
 
 def _curve(given: Mapping[str, Any]) -> Curve:
@@ -53,17 +55,21 @@ def _contractor(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, 
 
 def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
     from pmabench.model.daerden_muscle import DaerdenMuscle  # needs the library of models, which needs the presets
-    from pmabench.model.library.chamber import R
 
     names = ("name", "length", "diameter", "braid_angle", "alpha", "A", "B1", "B2")
     low, high = numbers["reach"]
     muscle = DaerdenMuscle(**{name: numbers[name] for name in names}, reach=(float(low), float(high)))
-    hysteresis = air = None
+    hysteresis = None
     if numbers["hysteresis"] is not None:
         loop = numbers["hysteresis"]
         hysteresis = Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
-    if numbers["flow"] is not None:
-        flow = numbers["flow"]
-        kept = {name: float(flow[name]) for name in ("fill", "vent", "polytropic", "atmosphere")}
-        air = Air(**kept, rT=R * float(flow["temperature"]), leak=regulator.leak)
-    return Setup(muscle, regulator, noise, lag, hysteresis, air)
+    return Setup(muscle, regulator, noise, lag, hysteresis, _air(numbers["flow"], regulator))
+
+
+def _air(flow: Mapping[str, Any] | None, regulator: Regulator) -> Air | None:
+    if flow is None:
+        return None
+    from pmabench.model.library.chamber import R  # as above
+
+    kept = {name: float(flow[name]) for name in ("fill", "vent", "polytropic", "atmosphere")}
+    return Air(**kept, rT=R * float(flow["temperature"]), leak=regulator.leak)

@@ -6,6 +6,7 @@ A hysteresis belongs to the muscle: both have it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from pmabench.model.air import Air
 from pmabench.model.arm import Arm, ArmPlant
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator, DrivenPlant
+from pmabench.model.free_air import AirPlant
 from pmabench.model.hysteresis import Hysteresis
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
@@ -58,6 +60,11 @@ def serres2009() -> Muscle:
     )
 
 
+def paper0_air() -> Muscle:
+    """The muscle of `paper0` with a braid of 20 mm and 25 deg, assumed, whose volume its regulator has to fill."""
+    return replace(paper0(), name="MAS-20-250 paper0 with air", diameter=20e-3, braid_angle=math.radians(25))
+
+
 def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
     """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.dmsp_muscle`)."""
     from pmabench.model.dmsp_muscle import dmsp_40_305  # needs the library of models, which needs this module
@@ -65,7 +72,12 @@ def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
     return dmsp_40_305(fce_eval)
 
 
-MUSCLES: dict[str, Callable[[], Muscle]] = {"paper0": paper0, "serres2009": serres2009, "dmsp-40-305": dmsp_40_305}
+MUSCLES: dict[str, Callable[[], Muscle]] = {
+    "paper0": paper0,
+    "paper0-air": paper0_air,
+    "serres2009": serres2009,
+    "dmsp-40-305": dmsp_40_305,
+}
 """Those of the three-element model."""
 CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
 """Those of paper 2 with their lengths [m] (`pmabench.model.contractor_muscle`)."""
@@ -83,6 +95,8 @@ BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
 ARM_FRICTION, ARM_NOISE = Friction(F_s=0.5, F_c=0.5), Noise(pressure=500.0, displacement=30e-6)
 """Assumed: both sides are 0.38 deg apart, a reading of the angle scatters by 0.06 deg."""
 BENCH_LAG = 0.0955
+BENCH_SECOND = 2.5, 0.9
+"""Natural frequency [Hz] and damping ratio of a regulator of second order that does 90 % of a step in 0.22 s."""
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
 KINDS = ("ideal", "bench")
@@ -113,6 +127,8 @@ class Setup:
         if isinstance(self.muscle, Arm):
             return ArmPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
         muscle = self.muscle if isinstance(self.muscle, Muscle) else self.muscle.free()
+        if self.air is not None:
+            return AirPlant(muscle, self.regulator, self.air, force=force, mass=mass, start=start)
         return Plant(muscle, self.regulator, force=force, mass=mass, start=start)
 
     def driven(self, actuator: Actuator, position: float = 0.0, start: float = 0.0) -> DrivenPlant:
@@ -154,7 +170,14 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         muscle = replace(MUSCLES[plant](), friction=COULOMB if plant == "dmsp-40-305" else BENCH_FRICTION)
         if overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
-        return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+        air = None
+        if plant == "paper0-air":
+            from pmabench.model.daerden_muscle import assumed_air  # as below
+
+            natural_frequency, damping_ratio = BENCH_SECOND
+            regulator = Regulator(DEAD_TIME, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
+            air = assumed_air()
+        return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, air=air), kind, overrides)
     if plant == ARM:
         return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     # these need the library of models, which needs this module
@@ -204,9 +227,12 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
     elif change.hysteresis is not None:
         raise ValueError(f"hysteresis is not for the muscle {muscle.name}; it is for the plant daerden")
     given = setup.regulator
+    lag, natural_frequency = chosen("regulator_lag", given.lag), chosen("natural_frequency", given.natural_frequency)
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),
-        lag=chosen("regulator_lag", given.lag),
+        lag=0.0 if change.natural_frequency and change.regulator_lag is None else lag,
+        natural_frequency=0.0 if change.regulator_lag and change.natural_frequency is None else natural_frequency,
+        damping_ratio=chosen("damping_ratio", given.damping_ratio, given.damping_ratio),
         vent_ratio=chosen("vent_ratio", given.vent_ratio, 1.0),
         dead_band=chosen("dead_band", given.dead_band),
         leak=chosen("leak", given.leak),

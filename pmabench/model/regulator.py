@@ -1,4 +1,4 @@
-"""Commands through a dead time and a first-order lag, in closed form piece by piece; knows no muscle.
+"""Commands through a dead time and a lag of first or second order, in closed form piece by piece; knows no muscle.
 
 Used for the pressure behind a regulator, which a dump valve or a fault may override, and for the position of an
 actuator with a follow error.
@@ -6,7 +6,9 @@ actuator with a follow error.
 
 from __future__ import annotations
 
+import cmath
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +20,13 @@ from pmabench.model.signal import Wave, to_nanosecond
 
 FADED = 40.0
 """After so many lags nothing is left of where a piece began [1]."""
+APART = 1e-5
+"""Poles that are nearer to each other count as so far apart [1]: what they make differs by less than a part in 1e9."""
+NO_MORE = 1e-9
+"""What is smaller is left out of a closed form [units]."""
+
+Mode = tuple[float, float, float, float]
+"""What fades: rate r < 0 [1/s], omega w [rad/s], a and b in exp(r s) (a cos(w s) + b sin(w s)) [units]."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,10 @@ class Regulator:
     `lag` T [s] while filling (y rising), `lag * vent_ratio` while venting; a lag of 0 is exact. Within `dead_band`
     [units] of the command the regulator rests, outside of it the lag drives it to the edge of the band. `leak` is the
     share of the output that is lost per second [1/s]; a regulator without lag makes up for it.
+
+    With a `natural_frequency` f_n [Hz] above 0 it is of second order instead, with `damping_ratio` zeta:
+    y'' + 2 zeta w y' + w^2 y = w^2 u(t - dead_time), w = 2 pi f_n, and w / `vent_ratio` where a command arrives that
+    lies below y. It makes up for a leak.
     """
 
     dead_time: float = 0.04
@@ -34,18 +47,24 @@ class Regulator:
     vent_ratio: float = 1.0
     dead_band: float = 0.0
     leak: float = 0.0
+    natural_frequency: float = 0.0
+    damping_ratio: float = 1.0
 
     def __post_init__(self) -> None:
-        if min(self.dead_time, self.lag, self.dead_band, self.leak) < 0 or self.vent_ratio <= 0:
-            raise ValueError(f"times and bands cannot be negative: {self}")
+        if min(self.dead_time, self.lag, self.dead_band, self.leak, self.natural_frequency) < 0 or self.vent_ratio <= 0:
+            raise ValueError(f"times, bands and frequencies cannot be negative: {self}")
+        if not self.damping_ratio > 0:
+            raise ValueError(f"a damping ratio above 0 is expected, not {self.damping_ratio:g}")
+        if self.natural_frequency > 0 and self.lag > 0:
+            raise ValueError("a regulator has a lag (first order) or a natural frequency (second order), not both")
         if self.dead_band > 0 and self.lag == 0:
             raise ValueError("a dead band needs a lag above 0")
 
 
 class Trace(NamedTuple):
-    """A closed form: level + slope s + sin_part sin(omega s) + cos_part cos(omega s) + decay exp(-s / lag).
+    """A closed form: level + slope s + sin_part sin(omega s) + cos_part cos(omega s) + decay exp(-s / lag) + modes.
 
-    s = t - start [s].
+    s = t - start [s]; `modes` are what else fades (`Mode`).
     """
 
     start: float
@@ -56,6 +75,7 @@ class Trace(NamedTuple):
     cos_part: float = 0.0
     decay: float = 0.0
     lag: float = 1.0
+    modes: tuple[Mode, ...] = ()
 
     def value(self, t: float) -> float:
         """Value at time t [s]."""
@@ -65,6 +85,8 @@ class Trace(NamedTuple):
             value += self.decay * math.exp(-since / self.lag)
         if self.omega:
             value += self.sin_part * math.sin(self.omega * since) + self.cos_part * math.cos(self.omega * since)
+        for rate, omega, a, b in self.modes:
+            value += math.exp(rate * since) * (a * math.cos(omega * since) + b * math.sin(omega * since))
         return value
 
     def values(self, t: Array) -> Array:
@@ -75,11 +97,25 @@ class Trace(NamedTuple):
             value += self.decay * np.exp(-since / self.lag)
         if self.omega:
             value += self.sin_part * np.sin(self.omega * since) + self.cos_part * np.cos(self.omega * since)
+        for rate, omega, a, b in self.modes:
+            if len(since) and -rate * since[0] < FADED:
+                wave = a * np.cos(omega * since) + b * np.sin(omega * since) if omega else a
+                value += np.exp(rate * since) * wave
         return value
 
     def settled(self, t: float, within: float) -> bool:
         """Whether from `t` [s] on it stays `within` that of its end."""
-        return self.slope == self.omega == 0 and abs(self.value(t) - self.level) < within
+        if self.slope or self.omega:
+            return False
+        if not self.modes:
+            return abs(self.value(t) - self.level) < within
+        since = t - self.start
+        left = abs(self.decay) * math.exp(-since / self.lag)
+        for rate, omega, a, b in self.modes:
+            if omega and -rate * since < 1:  # short of where s exp(r s) begins to fall
+                return False
+            left += math.exp(rate * since) * (abs(a) + abs(b) * min(1.0, omega * since))
+        return left < within
 
     def rates(self, t: Array) -> Array:
         """Rates of change at times t [s], the first of which is the earliest."""
@@ -90,7 +126,50 @@ class Trace(NamedTuple):
         if self.omega:
             wave = self.sin_part * np.cos(self.omega * since) - self.cos_part * np.sin(self.omega * since)
             rate += self.omega * wave
+        for fade, omega, a, b in self.modes:
+            cosine, sine = np.cos(omega * since), np.sin(omega * since)
+            rate += np.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
         return rate
+
+    def function(self) -> Callable[[float], float]:
+        """The value over s = t - start [s], made for being called some thousand times."""
+        level, exp = self.level, math.exp
+        plain = not self.slope and not self.omega
+        if plain and not self.modes:
+            decay, lag = self.decay, self.lag
+            return (lambda since: level + decay * exp(-since / lag)) if decay else (lambda since: level)
+        if plain and not self.decay and len(self.modes) == 1:
+            ((rate, omega, a, b),), cos, sin = self.modes, math.cos, math.sin
+            return lambda since: level + exp(rate * since) * (a * cos(omega * since) + b * sin(omega * since))
+        start = self.start
+        return lambda since: self.value(start + since)
+
+
+def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
+    """The exact answer of `lag` y' = `share` u - y to a closed form u, from y(t) = `value` on; `lag` > 0 [s].
+
+    Each part c exp(p s) of u comes out as c / (1 + p lag) exp(p s); a p of -1 / lag counts as a little beside it.
+    """
+    since = t - trace.start
+    level = share * (trace.level + trace.slope * since)
+    slope = share * trace.slope
+    fading = [*trace.modes, (-1 / trace.lag, 0.0, trace.decay, 0.0)] if trace.decay else list(trace.modes)
+    while any(abs(1 + complex(rate, omega) * lag) < APART for rate, omega, _, _ in fading):
+        lag *= 1 + 2 * APART
+    sine = share * _through(0.0, trace.omega, trace.cos_part, trace.sin_part, since, lag) if trace.omega else 0j
+    modes = []
+    for rate, omega, a, b in fading:
+        part = share * _through(rate, omega, a, b, since, lag)
+        if abs(part) > NO_MORE:
+            modes.append((rate, omega, part.real, -part.imag))
+    decay = value - (level - slope * lag) - sine.real - sum(mode[2] for mode in modes)
+    return Trace(t, level - slope * lag, slope, trace.omega, -sine.imag, sine.real, decay, lag, tuple(modes))
+
+
+def _through(rate: float, omega: float, a: float, b: float, since: float, lag: float) -> complex:
+    """The c in Re c exp(p s) that a lag makes of exp(p s) (a cos(w s) + b sin(w s)), counted from `since` [s] on."""
+    p = complex(rate, omega)
+    return complex(a, -b) * cmath.exp(p * since) / (1 + p * lag)
 
 
 def lagged(wave: Wave, t: float, value: float, lag: float) -> Trace:
@@ -111,6 +190,36 @@ def lagged(wave: Wave, t: float, value: float, lag: float) -> Trace:
     omega = wave.omega if wave.amplitude else 0.0
     decay = value - level - cos_part if lag > 0 else 0.0
     return Trace(t, level, wave.slope, omega, sin_part, cos_part, decay, lag or 1.0)
+
+
+def swung(wave: Wave, t: float, value: float, rate: float, pace: float, damping: float) -> Trace:
+    """The exact answer of y'' + 2 zeta w y' + w^2 (y - wave) = 0, from y(t) = `value` and y'(t) = `rate` on.
+
+    `t` is on the wave's time axis [s], `pace` w > 0 [rad/s], `damping` zeta > 0. A ramp comes out 2 zeta / w late, a
+    sine by 1 / (1 - (W/w)^2 + 2i zeta W/w); the rest fades with the poles -w (zeta +- sqrt(zeta^2 - 1)).
+    """
+    since = t - wave.start
+    late = 2 * damping / pace
+    level, slope = wave.level + wave.slope * (since - late), wave.slope
+    omega, sine = (wave.omega, 0j) if wave.amplitude else (0.0, 0j)
+    if wave.amplitude:
+        share = omega / pace
+        sine = -1j * wave.amplitude * cmath.exp(1j * (omega * since + wave.phase))
+        sine /= complex(1 - share * share, 2 * damping * share)
+    off = value - level - sine.real
+    moving = rate - slope + omega * sine.imag
+    root = pace * math.sqrt(abs(1 - damping * damping))
+    if damping <= 1 or root < APART * pace:
+        root = max(root, APART * pace)
+        modes: tuple[Mode, ...] = ((-damping * pace, root, off, (moving + damping * pace * off) / root),)
+    else:
+        near = -pace / (damping + root / pace)
+        far = -damping * pace - root
+        other = (moving - near * off) / (far - near)
+        modes = ((near, 0.0, off - other, 0.0), (far, 0.0, other, 0.0))
+    if abs(off) < NO_MORE and abs(moving) < NO_MORE * pace:
+        modes = ()
+    return Trace(t, level, slope, omega, -sine.imag, sine.real, modes=modes)
 
 
 class Regulated:
@@ -206,6 +315,13 @@ class Regulated:
             wave = wave._replace(start=self._arrival(wave))
         end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
         value = self._trace.value(t)
+        if r.natural_frequency:
+            rate = float(self._trace.rates(np.array([t]))[0])
+            steep = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
+            falls = (wave.value(t) - value or steep) < 0
+            pace = 2 * math.pi * r.natural_frequency / (r.vent_ratio if falls else 1.0)
+            self._trace, self._end = swung(wave, t, value, rate, pace, r.damping_ratio), end
+            return
         if r.lag == 0 or (r.vent_ratio == 1 and r.dead_band == 0):
             self._trace, self._end = self._answer(wave, t, value, r.lag), end
             return

@@ -50,6 +50,7 @@ def equation(
     hold = force + way * muscle.friction.F_c
     level, ramp, decay, lag = trace.level, trace.slope, trace.decay, trace.lag
     omega, sin_part, cos_part = trace.omega, trace.sin_part, trace.cos_part
+    pressure = trace.function() if trace.modes else None
     result = np.empty(2)
     scale = TIME / mass
     exp, sin, cos = math.exp, math.sin, math.cos
@@ -64,11 +65,14 @@ def equation(
     def moving(y: State, since: float) -> State:
         x, w = y.tolist()
         v = w / TIME
-        P = level + ramp * since
-        if decay:
-            P += decay * exp(-since / lag)
-        if omega:
-            P += sin_part * sin(omega * since) + cos_part * cos(omega * since)
+        if pressure is not None:
+            P = pressure(since)
+        else:
+            P = level + ramp * since
+            if decay:
+                P += decay * exp(-since / lag)
+            if omega:
+                P += sin_part * sin(omega * since) + cos_part * cos(omega * since)
         result[0] = v
         result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
         return result

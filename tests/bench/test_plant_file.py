@@ -44,7 +44,7 @@ def refused(folder: Path, text: str) -> list[str]:
     return [f"{problem.line}:{problem.column} {problem.message}" for problem in caught.value.problems]
 
 
-@pytest.mark.parametrize("name", ["paper0", "serres2009", "daerden", "contractor-30"])
+@pytest.mark.parametrize("name", ["paper0", "paper0-air", "serres2009", "daerden", "contractor-30"])
 def test_the_shipped_files_are_the_presets_to_the_last_bit(name):
     found = setup_of(read_plant(PLANTS / f"{name}.yaml").numbers)
     assert found == preset(name, "bench")
@@ -397,3 +397,22 @@ def test_the_ends_of_what_is_taken_are_simulated(tmp_path, K, B, mass, force):
         assert np.isfinite(motion.F).all()
         assert motion.x.min() >= 0
         assert motion.x.max() <= found.muscle.stop + 1e-9
+
+
+AIRY = (PLANTS / "paper0-air.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "message"),
+    [
+        ("diameter: 20 mm\n", "", '"flow" needs "diameter" and "braid_angle"'),
+        ("lag: 0 s", "lag: 80 ms", '"lag" (first order) and "natural_frequency" (second order) exclude each other'),
+        ("natural_frequency: 2.5 Hz, ", "", '"damping_ratio" needs a "natural_frequency" above zero'),
+        ("ratio: 0.9", "ratio: 0", "greater than or equal to 0.05"),
+        ("2.5 Hz", "2.5 bar", "bar"),
+    ],
+)
+def test_what_a_regulator_that_moves_air_needs(tmp_path, was, becomes, message):
+    (tmp_path / "paper0.yaml").write_text((PLANTS / "paper0.yaml").read_text())
+    assert was in AIRY
+    assert any(message in told for told in refused(tmp_path, AIRY.replace(was, becomes)))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pmabench.model.regulator import Regulated, Regulator
-from pmabench.model.signal import constant, ramp, sine
+from pmabench.model.library import MODELS
+from pmabench.model.regulator import Regulated, Regulator, Trace, answer, swung
+from pmabench.model.signal import Wave, constant, ramp, sine
 
 
 def test_a_step_arrives_after_the_dead_time_exactly_at_that_sample():
@@ -157,3 +158,107 @@ def test_whole_numbers_are_commanded_as_any_others():
     t = np.linspace(0.0, 1.0, 11)
     for found, expected in zip(whole.values(t), exact.values(t), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+# -- second order ------------------------------------------------------------------------------------------------
+
+W = 2 * math.pi * 2.5
+"""Of a natural frequency of 2.5 Hz [rad/s]."""
+
+
+def test_equal_poles_give_the_closed_form():
+    regulated = Regulated(Regulator(dead_time=0.04, natural_frequency=2.5, damping_ratio=1.0))
+    regulated.command(constant(0.0, 400e3))
+    t = np.linspace(0.0, 1.5, 200)
+    wt = W * np.maximum(t - 0.04, 0.0)
+    value, rate = regulated.values(t)
+    np.testing.assert_allclose(value, 400e3 * (1 - (1 + wt) * np.exp(-wt)), atol=1e-4)
+    np.testing.assert_allclose(rate, 400e3 * W * wt * np.exp(-wt), atol=1e-2)
+
+
+@pytest.mark.parametrize("damping", [0.1, 0.7, 1.0 - 1e-7, 1.0 + 1e-7, 1.5, 20.0])
+def test_a_step_is_that_of_the_library(damping):
+    regulated = Regulated(Regulator(dead_time=0.04, natural_frequency=2.5, damping_ratio=damping))
+    regulated.command(constant(0.0, 300e3))
+    t = np.linspace(0.0, 3.0, 300)
+    given = {"time": t, "target": 300e3, "natural_frequency": 2.5, "damping_ratio": damping, "dead_time": 0.04}
+    expected = MODELS["regulator-second-order"].evaluate(given)["pressure"]
+    np.testing.assert_allclose(regulated.values(t)[0], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
+@pytest.mark.parametrize("share", [1.0, 0.9])
+def test_ramps_and_sines_of_second_order_agree_with_an_independent_integration(damping, share):
+    """And so does a chamber at rest behind it, a lag that comes to `share` of it."""
+    regulator = Regulator(dead_time=0.04, natural_frequency=2.5, damping_ratio=damping)
+    waves = [
+        ramp(0.5, 0.0, 100.0, 80.0),
+        sine(2.5, 100.0, 40.0, 0.7, 2),
+        ramp(6.0, 100.0, 20.0, 100.0),
+        constant(7.1, 60.0),
+    ]
+    plain = [wave for part in waves for wave in part]
+    edges = [0.0, *(wave.start + 0.04 for wave in plain), 9.0]
+    regulated, y, P, lag = Regulated(regulator), [0.0, 0.0, 0.0], 0.0, 0.05
+    for wave, (begin, end) in zip([Wave(0.0, 0.0), *plain], itertools.pairwise(edges), strict=True):
+
+        def rate(t, y, wave=wave):
+            u = wave.value(t - 0.04)
+            return [y[1], W * W * (u - y[0]) - 2 * damping * W * y[1], (share * y[0] - y[2]) / lag]
+
+        t = np.linspace(begin, end, 40)
+        truth = solve_ivp(rate, (begin, end), y, t_eval=t, rtol=1e-10, atol=1e-9, max_step=5e-3).y
+        for part in waves:
+            if part[0].start <= begin + 1e-9 < part[-1].start + 0.041:
+                regulated.command(part)
+        before = np.nextafter(t, 0.0)
+        trace = regulated.piece(float(t[0]))[0]
+        found = answer(trace, float(t[0]), P, lag, share)
+        np.testing.assert_allclose(found.values(t), truth[2], atol=1e-4)
+        np.testing.assert_allclose([found.value(float(s)) for s in t], truth[2], atol=1e-4)
+        np.testing.assert_allclose(trace.values(before), truth[0], atol=1e-4)
+        np.testing.assert_allclose(trace.rates(t), truth[1], atol=1e-3)
+        np.testing.assert_allclose([trace.function()(s - trace.start) for s in t.tolist()], truth[0], atol=1e-4)
+        y, P = truth[:, -1], float(truth[2][-1])
+
+
+def test_venting_is_slower_by_the_ratio_where_a_lower_command_arrives():
+    regulated = Regulated(Regulator(dead_time=0.0, natural_frequency=2.5, vent_ratio=2.0), 400e3)
+    regulated.command(constant(0.0, 0.0))
+    assert regulated.value(2 / W) == pytest.approx(400e3 * 2 / math.e, rel=1e-6)
+
+
+def test_a_valve_that_closes_lets_a_second_order_go_on_from_where_the_output_is():
+    regulated = Regulated(Regulator(0.0, natural_frequency=2.5, damping_ratio=0.7), 300e3)
+    regulated.force(1.0, 0.0, 0.2)
+    regulated.release(1.3)
+    low = 300e3 * math.exp(-1.5)
+    value, rate = regulated.values(np.array([1.3, 1.3 + 1e-6]))
+    assert value == pytest.approx(low, abs=1.0)
+    assert rate == pytest.approx(-low / 0.2, rel=1e-3)
+    assert regulated.value(9.0) == pytest.approx(300e3)
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.9, 1.0, 2.0])
+def test_settled_is_said_only_where_nothing_comes_after(damping):
+    trace = swung(Wave(0.0, 100.0), 0.0, 0.0, 50.0, W, damping)
+    t = np.linspace(0, 20, 4001)
+    off = np.abs(trace.values(t) - 100.0)
+    settled = np.array([trace.settled(float(s), 0.1) for s in t])
+    assert settled.any()
+    assert off[settled.argmax() :].max() < 0.1
+    assert settled.argmax() < 2 * np.flatnonzero(off > 0.1)[-1] + 100
+
+
+def test_a_lag_beside_an_equal_pole_is_the_limit():
+    """0.1 y' = exp(-s / 0.1) - y from 0: y = (s / 0.1) exp(-s / 0.1)."""
+    found, t = answer(Trace(0.0, 0.0, decay=1e5, lag=0.1), 0.0, 0.0, 0.1), np.linspace(0, 1, 100)
+    np.testing.assert_allclose(found.values(t), 1e5 * t / 0.1 * np.exp(-t / 0.1), atol=2.0)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"lag": 0.1, "natural_frequency": 2.0}, {"natural_frequency": -1.0}, {"damping_ratio": 0.0}]
+)
+def test_orders_exclude_each_other(wrong):
+    with pytest.raises(ValueError, match="order|negative|damping ratio"):
+        Regulator(**wrong)

@@ -135,11 +135,13 @@ class Service:
 
 
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
+AIRY = "paper0-air"
+"""The free end whose regulator has to move air."""
 CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
+    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
@@ -182,13 +184,15 @@ FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
 NOT_FOR = (
     {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
     | dict.fromkeys((*CONTRACTORS, "contractor"), (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
-    | {ARM: (*FLOWS, "b_relax", "fce_eval")}
+    | {ARM: (*FLOWS, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval")}
 )
 """Options that a plant has no use for; of all others what is for one plant only."""
 
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:
     law = options.plant if options.numbers is None else str(options.numbers["law"])
+    if law == "three-element" and options.numbers is not None and options.numbers.get("flow") is not None:
+        law = AIRY
     if law == "daerden" and options.free_end != "actuator":
         way = "is for a driven free end; write free_end: actuator beside it"
         raise DeviceError(device, f"option plant: {options.plant} {way}")

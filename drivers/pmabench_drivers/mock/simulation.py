@@ -213,8 +213,7 @@ class Simulation:
         opens = valve.open and not valve.energised
         if not valve.energised and self._has_valve and not self._is_due(faults.dump_stuck_at):
             opens = True
-        if isinstance(self._plant, DrivenPlant):
-            self._plant.shut(shut=shut and not opens and not self._is_due(faults.burst_at))
+        self._plant.shut(shut=shut and not opens and not self._is_due(faults.burst_at))
         forced: tuple[float, float] | None = None
         if self._is_due(faults.burst_at):
             forced = 0.0, BURST_LAG

@@ -10,7 +10,19 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from pmabench.base.quantities import show
 from pmabench.bench.files.parts import Reading, Text
 from pmabench.files.document import Strict
-from pmabench.files.quantity import Angle, Conductance, Force, Length, Pressure, Rate, Ratio, Speed, Temperature, Time
+from pmabench.files.quantity import (
+    Angle,
+    Conductance,
+    Force,
+    Frequency,
+    Length,
+    Pressure,
+    Rate,
+    Ratio,
+    Speed,
+    Temperature,
+    Time,
+)
 
 NEUTRAL = acos(1 / sqrt(3)) - 1e-3
 """Braid angle from which on a muscle does not contract [rad]."""
@@ -105,9 +117,17 @@ class RegulatorFile(Strict):
     """Pressure error that it does not act on."""
     leak: Annotated[Rate, _within(0, 10, "rate")] = 0.0
     """Share of the pressure that is lost in a second, for instance `2 %/s`."""
+    natural_frequency: Annotated[Frequency, _within(0, 1e3, "frequency")] = 0.0
+    """Of second order, in place of a `lag`."""
+    damping_ratio: Annotated[float, Field(ge=0.05, le=20)] = 1.0
+    """Of second order; 1 is critical, below it overshoots."""
 
     @model_validator(mode="after")
-    def _needs_a_lag(self) -> RegulatorFile:
+    def _one_order(self) -> RegulatorFile:
+        if self.natural_frequency > 0 and self.lag > 0:
+            raise ValueError('"lag" (first order) and "natural_frequency" (second order) exclude each other')
+        if "damping_ratio" in self.model_fields_set and self.natural_frequency == 0:
+            raise ValueError('"damping_ratio" needs a "natural_frequency" above zero')
         if self.dead_band > 0 and self.lag == 0:
             raise ValueError('"dead_band" needs a "lag" above zero')
         return self
@@ -178,11 +198,19 @@ class ThreeElementFile(PlantFile):
     tau_r: Coefficient | None = None
     """With a free end it relaxes with this time constant of the pressure before the release, not by `B_r` (paper 1)."""
     friction: FrictionFile | None = None
+    diameter: Annotated[Length, _within(1e-4, 1, "length")] | None = None
+    """Free diameter of the braid."""
+    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")] | None = None
+    """Of the braid to the muscle's axis, without contraction."""
+    flow: FlowFile | None = None
+    """Where the pressure depends on the motion; needs `diameter` and `braid_angle`."""
 
     @model_validator(mode="after")
     def _shorter(self) -> ThreeElementFile:
         if self.stop >= self.length:
             raise ValueError('"stop" must be shorter than "length"')
+        if self.flow is not None and (self.diameter is None or self.braid_angle is None):
+            raise ValueError('"flow" needs "diameter" and "braid_angle", from which the volume follows')
         return self
 
 

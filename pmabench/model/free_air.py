@@ -1,0 +1,256 @@
+"""A free end whose pressure depends on the motion: its regulator has to move air in and out of the muscle.
+
+The chamber equation of paper 3 with P_abs = P + P_atm and the volume V(x) of the muscle,
+
+    V P' = k r T C (u - P) - c P - k P_abs V_x x',
+
+u the regulator's pressure, C what it lets in (u > P) or out, c the leak. Nothing else of the plant changes.
+
+* At rest V is constant, and P a first-order lag behind u: in closed form, anew where u comes to the other side of P.
+* Sliding, P is one more state for LSODA.
+* Steps take P as a straight line to where it would come at rest, and what the way gone takes away from it as one more
+  spring, which is never lost to a step that is too long; at its end P is that of P_abs V^k, exact for the V of the
+  middle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import odeint
+
+from pmabench.model.air import Air
+from pmabench.model.curve import Array
+from pmabench.model.motion import Course, Record
+from pmabench.model.muscle import Muscle
+from pmabench.model.plant import REST, Plant
+from pmabench.model.regulator import Regulator, Trace, answer
+from pmabench.model.signal import to_nanosecond
+from pmabench.model.slip import ABSOLUTE, RELATIVE, SETTLED_PRESSURE, TIME, State
+
+METRE = 1.5e-7
+"""Contraction that a pascal is worth, so that LSODA takes pressures as exactly as contractions [m/Pa]."""
+LOOK = 0.01
+"""At rest the regulator is looked at so often [s], whether it comes to the other side of the muscle's pressure."""
+PER_SWING = 16
+"""And at least so often in a period of what swings [1]."""
+BESIDE = 0.01
+"""So far it counts as on neither side [Pa]."""
+
+
+class Passed(NamedTuple):
+    """Pressures P [Pa] that were found at times t [s]; straight lines between them."""
+
+    t: Array
+    P: Array
+
+    def value(self, t: float) -> float:
+        """Pressure at time t [s]."""
+        return float(np.interp(t, self.t, self.P))
+
+    def values(self, t: Array) -> Array:
+        """Pressures at times t [s]."""
+        return np.asarray(np.interp(t, self.t, self.P), dtype=np.float64)
+
+
+class Tube:
+    """Volume [m3] over contraction x [m] of one muscle in plain numbers, and its slope; constant beyond its ends."""
+
+    def __init__(self, muscle: Muscle) -> None:
+        size, self.round, self.long = muscle.sizes
+        self.size, self.length, self.stop = size, muscle.length, muscle.stop
+
+    def at(self, x: float) -> tuple[float, float]:
+        """Volume V [m3] and dV/dx [m2] at x [m]."""
+        left = 1 - min(max(x, 0.0), self.stop) / self.length
+        shape = self.long * left * left
+        slope = self.size / self.length * (3 * shape - self.round) if 0 <= x <= self.stop else 0.0
+        return self.size * left * (self.round - shape), slope
+
+
+class AirPlant(Plant):
+    """A muscle with a free end, and the air that its regulator has to move."""
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        regulator: Regulator,
+        air: Air,
+        *,
+        force: float = 0.0,
+        mass: float = 0.5,
+        pressure: float = 0.0,
+        start: float = 0.0,
+    ) -> None:
+        super().__init__(muscle, regulator, force=force, mass=mass, pressure=pressure, start=start)
+        self.air, self._tube = air, Tube(muscle)
+        self._leak = air.leak * self._tube.at(0.0)[0]
+        self._shut = False
+        self._u = self.supply.piece(start)[0]
+        self._still = Trace(start, pressure)
+        self._known: Trace | Passed = self._still
+        self._resting: tuple[tuple[Trace, float, bool], float] | None = None
+        self._made: tuple[list[float], list[float]] | None = None
+
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle at this moment [Pa]."""
+        return self._known.value(self.time)
+
+    def shut(self, *, shut: bool) -> None:
+        """From now on a valve keeps the regulator from the muscle's air, or no longer."""
+        self._shut = shut
+
+    def _flows(self, *, fills: bool) -> tuple[float, float]:
+        """V / lag of the pressure [m3/s], and how far it comes towards the regulator's [1]."""
+        pace = 0.0 if self._shut else self.air.polytropic * self.air.rT * (self.air.fill if fills else self.air.vent)
+        total = pace + self._leak
+        return total, pace / total if total else 1.0
+
+    def _course(self, trace: Trace) -> Course:
+        """What is known of the pressure in the muscle."""
+        return self._known if self._made is None else Passed(*map(np.asarray, self._made))
+
+    # -- at rest -------------------------------------------------------------------------------------------------
+
+    def _piece(self) -> tuple[Trace, float]:
+        """Sliding, how the regulator's pressure goes; at rest, how the muscle's own does; and until when [s]."""
+        self._u, end = super()._piece()
+        if self.way:
+            return self._u, end
+        state = self._u, self.x, self._shut
+        if self._resting is None or self._resting[0] != state or self.time >= self._resting[1]:
+            self._still, until = self._rest_of(min(end, to_nanosecond(self.time + REST)))
+            self._known, self._resting = self._still, (state, until)
+        return self._still, min(end, self._resting[1])
+
+    def _rest_of(self, end: float) -> tuple[Trace, float]:
+        """How the pressure goes at rest from now on, and until when, at most `end` [s], where it depends on the side.
+
+        Which side of the muscle's pressure the regulator is on says how much air flows.
+        """
+        u, t, P = self._u, self.time, self._known.value(self.time)
+        gap = u.value(t) - P
+        if abs(gap) < BESIDE:
+            gap = float(u.rates(np.array([t]))[0])
+        fills = gap > 0
+        total, share = self._flows(fills=fills)
+        if total == 0:
+            return Trace(t, P), math.inf
+        if u.settled(t, SETTLED_PRESSURE):
+            u = Trace(t, u.level)
+        found = answer(u, t, P, self._tube.at(self.x)[0] / total, share)
+        if self._shut or self.air.fill == self.air.vent or (u.settled(t, BESIDE) and not self._leak):
+            return found, math.inf
+        side = 1 if fills else -1
+        fastest = max(u.omega, *(mode[1] for mode in u.modes), 0.0)
+        look = min(LOOK, 2 * math.pi / PER_SWING / fastest) if fastest else LOOK
+        grid = np.linspace(t, end, int((end - t) / look) + 2)
+        beyond = np.flatnonzero(side * (u.values(grid) - found.values(grid)) < -BESIDE)
+        if beyond.size == 0:
+            return found, end
+        low, high = float(grid[max(beyond[0] - 1, 0)]), float(grid[beyond[0]])
+        while high - low > 1e-9:
+            middle = 0.5 * (low + high)
+            if side * (u.value(middle) - found.value(middle)) < 0:
+                high = middle
+            else:
+                low = middle
+        return found, max(to_nanosecond(high), to_nanosecond(t + 1e-6))
+
+    # -- sliding -------------------------------------------------------------------------------------------------
+
+    def _slide(self, trace: Trace, end: float, record: Record) -> None:
+        super()._slide(trace, end, record)
+        self._known, self._resting = Trace(self.time, self._known.value(self.time)), None
+
+    def _integrate(self, trace: Trace, state: tuple[float, float], t: Array) -> tuple[Array, Array, Course]:
+        begin = float(t[0])
+        start = state[0], state[1] * TIME, self._known.value(begin) * METRE
+        rates = self._equation(trace, begin)
+        y = odeint(rates, start, t - trace.start, rtol=RELATIVE, atol=ABSOLUTE, mxstep=100000)
+        self._known, self._resting = Passed(t, y[:, 2] / METRE), None
+        return y[:, 0], y[:, 1] / TIME, self._known
+
+    def _equation(self, trace: Trace, t: float) -> Callable[[State, float], State]:
+        """Right-hand side over (x [m], x' TIME [m], P METRE [m]) and s = t - trace.start [s]; as `slip.equation`."""
+        muscle, way, air = self.muscle, self.way, self.air
+        f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
+        damping = (muscle.B_c if way > 0 else muscle.B_r).function()
+        hold = self.force + way * muscle.friction.F_c
+        wanted = (Trace(t, trace.level) if trace.settled(t, SETTLED_PRESSURE) else trace).function()
+        per_gap = 0.0 if self._shut else air.polytropic * air.rT
+        fill, vent, leak = per_gap * air.fill, per_gap * air.vent, self._leak
+        k, room, speed = air.polytropic, air.atmosphere, 1 / TIME
+        size, round_, long, length, stop = muscle.sizes[0], *muscle.sizes[1:], muscle.length, muscle.stop
+        per_length, scale, pascal = 1 / length, TIME / self.mass, METRE
+        result = np.empty(3)
+
+        def rates(y: State, since: float) -> State:
+            x, w, z = y.tolist()
+            v, P = w * speed, z / pascal
+            gap = wanted(since) - P
+            flow = (fill if gap > 0 else vent) * gap - leak * P
+            if 0 <= x <= stop:
+                left = 1 - x * per_length
+                shape = long * left * left
+                V = size * left * (round_ - shape)
+                flow -= k * (P + room) * size * per_length * (3 * shape - round_) * v
+            else:
+                left = 1 - stop * per_length if x > stop else 1.0
+                V = size * left * (round_ - long * left * left)
+            result[0] = v
+            result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
+            result[2] = flow / V * pascal
+            return result
+
+        return rates
+
+    # -- stepping ------------------------------------------------------------------------------------------------
+
+    def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
+        self._made = [self.time], [self._known.value(self.time)]
+        super()._stepwise(trace, end, record, longest, speed)
+        self._made = None
+
+    def _ends(self, trace: Trace, until: float) -> tuple[float, float, float, float]:
+        P = self._known.value(self.time)
+        if self.way == 0 and self._resting is not None:
+            P_end = self._known.value(until)
+        else:
+            P_end = self._next(P, self.time, until, self.x, self.x)
+        V, slope = self._tube.at(self.x)
+        gained = self._f_ce(P + 1) - self._f_ce(P) - (self._stiffness(P + 1) - self._stiffness(P)) * self.x
+        z = (until - self.time) * self._flows(fills=self._u.value(self.time) > P)[0] / V
+        kept = -math.expm1(-z) / z if z else 1.0
+        lost = self.air.polytropic * (P + self.air.atmosphere) * slope / V * kept
+        return P, P_end, P_end - lost * self.v * (until - self.time), max(gained * lost, 0.0)
+
+    def _step(self, trace: Trace, until: float) -> None:
+        begin, place, P = self.time, self.x, self._known.value(self.time)
+        still = self.way == 0 and self._resting is not None
+        super()._step(trace, until)
+        if still and self.way == 0 and self.x == place:
+            P_end = self._known.value(until)
+        else:
+            P_end = self._next(P, begin, until, place, self.x)
+            self._known, self._resting = Trace(until, P_end), None
+        if self._made is not None:
+            self._made[0].append(until)
+            self._made[1].append(P_end)
+
+    def _next(self, P: float, begin: float, until: float, x: float, x_end: float) -> float:
+        """Pressure at `until` [Pa] after P at `begin`, the contraction going from x to x_end [m] (`model.air`)."""
+        k, room = self.air.polytropic, self.air.atmosphere
+        u, u_end = self._u.value(begin), self._u.value(until)
+        total, share = self._flows(fills=u > P)
+        V, V_end = self._tube.at(x)[0], self._tube.at(x_end)[0]
+        z = total * (until - begin) / self._tube.at(0.5 * (x + x_end))[0]
+        fade = math.exp(-z)
+        mean = -math.expm1(-z) / z if z else 1.0
+        grown = (V / V_end) ** k
+        towards = (mean - fade) * (share * u + room) * grown + (1 - mean) * (share * u_end + room)
+        return float(fade * (P + room) * grown + towards - room)
