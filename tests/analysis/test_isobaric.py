@@ -223,3 +223,27 @@ def test_on_a_bench_with_noise_the_gap_the_curve_and_its_slope_still_come_out(no
     for e in (e for e in found.estimates if e.symbol == "F_e"):
         assert e.value == pytest.approx(float(rubber_force(e.at["contraction"] / 0.2, 800.0, 0.22, 0.04)), abs=12.0)
     assert any("the pressure is" in f.text and "higher while expanding" in f.text for f in found.findings)
+
+
+@pytest.mark.parametrize(("P", "v"), [(2e5, 0.005), (2e5, 0.02), (4e5, 0.02)])
+def test_work_of_a_muscle_of_three_elements_and_its_share_that_comes_back(of_mas, P, v):
+    """Along the stroke s about x_m: W_c = s (F_ce - K x_m - B_c v), taken up s (F_ce - K x_m + B_r v)."""
+    kPa = P / 1e3
+    F_m = 1.08 * kPa - 49 - 10 * (5.6 + 1e-3 * kPa + 9.7e-6 * kPa**2)
+    B_c, B_r = 1e3 * (1.2 + 1.6e-3 * kPa), 1e3 * (1.1 + 3.4e-3 * kPa)
+    given, taken = 0.02 * (F_m - B_c * v), 0.02 * (F_m + B_r * v)
+    W_c, eta = (one(of_mas, symbol, "loop-gap", pressure=P, speed=v) for symbol in ("W_c", "eta"))
+    assert W_c.value == pytest.approx(given, rel=5e-3)
+    assert eta.value == pytest.approx(given / taken, rel=5e-3)
+    assert "air is not measured" in eta.note
+
+
+def test_the_share_that_comes_back_knows_no_gain_of_force_and_length(mas):
+    """Both gains cancel in it; an offset of the force does not."""
+    louder = replace(mas, channels={**mas.channels, "force": replace(mas.channels["force"], gain_uncertainty=0.01)})
+    one_, two = (one(reduce([run]), "eta", "loop-gap", pressure=2e5, speed=0.005) for run in (mas, louder))
+    assert one_.parts.calibration == two.parts.calibration
+    zero = replace(mas, channels={**mas.channels, "force": replace(mas.channels["force"], offset_uncertainty=2.0)})
+    found = one(reduce([zero]), "eta", "loop-gap", pressure=2e5, speed=0.005)
+    taken = 0.02 * (167 - 61.88 + 5e-3 * 1780)
+    assert found.parts.calibration == pytest.approx(0.02 * 2.0 * (1 - found.value) / taken, rel=0.01)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.driven.ramp_loop import Loop
+from pmabench.analysis.driven.sine_work import RECOVERED
 from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -219,6 +220,15 @@ class Cell:
                 parts = Parts(mean_half(means, values), extra, part, skewed)
                 note = CYCLES if len(mine) == 1 else ""
                 told.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
+            taken = float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in mine]))
+            if min(float(np.min(m.loop.given + m.loop.lost)) for m in mine) > 0:  # unpressed, it may take up nothing
+                values = [m.loop.given / (m.loop.given + m.loop.lost) for m in mine]
+                means = np.array([float(v.mean()) for v in values])
+                value, doubt = float(means.mean()), (uneven * stroke + corners) / taken
+                part = scales.part({}, {"force": stroke * (1 - value) / taken})
+                parts = Parts(mean_half(means, values), doubt, part, late * stroke / taken)
+                note = sentences(CYCLES if len(mine) == 1 else "", RECOVERED)
+                told.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
         return told
 
     def _gap_lines(self, scales: Scales, K: float, uneven: float) -> list[Estimate]:

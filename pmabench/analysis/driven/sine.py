@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.driven import sine_mean
+from pmabench.analysis.driven import sine_mean, sine_work
 from pmabench.analysis.driven.sine_fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.analysis.driven.sine_loop import measure
 from pmabench.analysis.driven.sine_pressure import pressure_and_force
@@ -59,6 +59,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         slopes = _over_pressure(key, fits)
         found = fitted.estimates(dict(key), scales, slopes)
         estimates += [*found, sine_mean.estimate(dict(key), fitted, scales, rising.get(key))]
+        estimates += sine_work.estimates(dict(key), fitted.group, scales, fitted.skew)
         findings += fitted.findings(dict(key))
         lines.append({"at": dict(key), **fitted.facts()})
         told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}

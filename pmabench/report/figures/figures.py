@@ -12,6 +12,7 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.report.figures import coefficient_figures, loop_figures, motion_figures, plots, ramp_figures, time_plots
 from pmabench.report.figures.arm_figures import angles
+from pmabench.report.figures.energy_figures import energy
 from pmabench.report.figures.free_figures import lengths
 from pmabench.report.figures.pictures import (
     Picture,
@@ -93,7 +94,7 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
             found += pictures
             if not pictures:
                 found += _generic(mine, analysis.simulated)
-    return found + _generic([t for t in traces if t.figure in left], analysis.simulated)
+    return found + energy(analysis) + _generic([t for t in traces if t.figure in left], analysis.simulated)
 
 
 FREE_RUN = "the fitted muscle, run freely with the measured pressure"

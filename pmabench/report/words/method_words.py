@@ -43,6 +43,9 @@ METHODS: dict[str, str] = {
     "ω A. What is left at 0 Hz is true hysteresis; the rest is phase lag.",
     "sine-mean": "Mean force over whole cycles plus K times the mean displacement, a straight line over the speed ω A, "
     "at 0 Hz: friction cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π.",
+    "loop-work": "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what "
+    "is taken up while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and out is not "
+    "measured, so eta is no efficiency of the drive.",
     "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the "
     "rest after it: K = −ΔF/Δx; above 0 the step contracts.",
     "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
@@ -67,7 +70,8 @@ METHODS: dict[str, str] = {
     "mean-curve, local": "As mean-curve, at places along the stroke by a cubic through the points around each.",
     "loop-gap": "Force while expanding minus force while contracting at mid stroke, above 0 where the contracting "
     "branch is the lower one: 2 F_c + (B_c + B_r) v, a straight line over the speed v. What is left at speed 0 is true "
-    "hysteresis. W is the area of the loop.",
+    "hysteresis. W is the area of the loop, W_c the work given while contracting, eta its share of what is taken up "
+    "while expanding; air is not measured, so eta is no efficiency of the drive.",
     "loop-gap, mean over the stroke": "As loop-gap, the mean of the gap over the stroke.",
     "loop-gap, open loop": "As loop-gap, the gap that the loop would open to on a long stroke, from the fit of how the "
     "branches turn into each other.",

@@ -23,6 +23,7 @@ SYMBOLS: dict[str, str] = {
     "H": "loop width",
     "W": "loop area, energy lost per cycle",
     "W_c": "work given while contracting",
+    "eta": "work given back, of the work taken up",
     "V": "volume inside the muscle",
     "tau_F": "time constant of the force after a step",
     "tau_p": "time constant of the pressure after a step",
