@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from pmabench.protocol.common import Compilation
 
 Coefficient = Literal["F_ce", "K", "B_c", "B_r", "B", "F_c", "K_u", "T_u"]
-CheckName = Literal["repeat_spread", "first_repeat", "drift", "held_out", "other_direction"]
+CheckName = Literal["repeat_spread", "first_repeat", "drift", "free_run", "held_out", "other_direction"]
 COEFFICIENTS, CHECKS = get_args(Coefficient), get_args(CheckName)
 OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
 """Checks of every kind of test that has one value per trial."""
-OF_FIT = ("held_out", "other_direction")
+OF_FIT = ("free_run", "held_out", "other_direction")
 """Checks of the fit to contraction and relaxation."""
 BESIDE_STATIC = ("contraction-relaxation", "isometric-pressurisation")
 """Kinds of test whose F_ce can be held against that of static load."""

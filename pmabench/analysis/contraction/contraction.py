@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.contraction import contraction_joint, contraction_steps, contraction_view, drift, replay
+from pmabench.analysis.contraction import (
+    contraction_joint,
+    contraction_steps,
+    contraction_view,
+    drift,
+    free_run,
+    replay,
+)
 from pmabench.analysis.contraction.campaign import Campaign, gather, strokes
 from pmabench.analysis.contraction.contraction_values import FEWEST, Told, values
 from pmabench.analysis.contraction.curves import curve
@@ -62,7 +69,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     draws = int(options.get("bootstrap", 0))
     resampled = contraction_view.resampled(campaign, pooled, estimates, draws) if draws else None
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
-    traces, free_run = contraction_view.overlays(campaign, pooled, estimates)
+    runs_free = free_run.free_runs(campaign, pooled, estimates)
     return Analysis.of(
         KIND,
         runs,
@@ -70,7 +77,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=(*curves, *joint.curves, *beside.curves),
         dropped=dropped,
         findings=(
-            *contraction_view.findings(campaign, pooled, estimates, free_run),
+            *contraction_view.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *joint.estimates, *beside.estimates)),
             *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
@@ -78,12 +85,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *described,
             *reference.findings(runs),
         ),
-        traces=traces,
+        traces=contraction_view.overlays(campaign, runs_free),
         facts={
             "options": dict(options),
             "trials": sum(len(run.trials) for run in runs),
-            **contraction_view.facts(campaign, pooled),
-            "free_run_rms": free_run,
+            **contraction_view.facts(campaign, pooled, runs_free),
             "steps": beside.table,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),

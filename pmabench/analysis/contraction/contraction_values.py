@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.contraction import contraction_view
+from pmabench.analysis.contraction import free_run
 from pmabench.analysis.contraction.campaign import Campaign
 from pmabench.analysis.contraction.intervals import Trust
 from pmabench.analysis.contraction.pooled import SYMBOLS, Solved
@@ -87,7 +87,7 @@ def _estimate(told: Told, symbol: str, P: float) -> Estimate:
     value = float(combination @ solved.theta)
     parts, bias, budget = told.trust.budget(combination, NUMERICS * abs(value))
     size = float(np.median(np.abs(solved.values(symbol, told.knots))))
-    if (parts.repeats or 0.0) > contraction_view.WIDE * max(abs(value), size):
+    if (parts.repeats or 0.0) > free_run.WIDE * max(abs(value), size):
         note = f"not identifiable: the {moving} samples near this pressure leave it open"
         return Estimate(value=None, **base | {"note": note})
     found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)

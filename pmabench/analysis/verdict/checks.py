@@ -55,6 +55,7 @@ NAMES = {
     "repeat_spread": "standard deviation between repeats of an operating point, of their mean",
     "first_repeat": "what the first repeat is above the later ones, of their mean",
     "drift": "change from the first to the last trial, of the mean",
+    "free_run": "NRMSE of the fitted muscle run freely through whole trials with the measured pressure",
     "held_out": "error of loads that were left out of the fit, of the largest load",
     "other_direction": "what relaxation is missed by with K and F_ce of contraction, of the largest load",
 }

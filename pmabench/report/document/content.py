@@ -16,6 +16,7 @@ from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.budget_tables import budget_table
+from pmabench.report.document.check_tables import check_tables
 from pmabench.report.document.checklist import Issuer, Item, checklist
 from pmabench.report.document.citation import citation, methods_paragraph
 from pmabench.report.document.deviations import deviations
@@ -233,7 +234,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
-    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in tables.other_tables(analysis)]
+    told = (*tables.other_tables(analysis), *check_tables(analysis))
+    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
