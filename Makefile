@@ -10,13 +10,10 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
 
-# Tests that only compute share the cores; those that wait for processes, wires and time run one after the other.
-COMPUTING := tests/analysis tests/bench tests/cli tests/files tests/model tests/protocol tests/report \
-	$(wildcard tests/test_*.py) $(filter-out tests/store/test_killed.py,$(wildcard tests/store/test_*.py))
-
+# Tests that wait for processes, wires and time run one after the other; the others share the cores.
 test: lint
-	$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not study" $(COMPUTING) $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -q $(addprefix --ignore=,$(COMPUTING)) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not realtime and not study" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -m realtime $(PYTEST_ARGS)
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -q -x -m "not slow"
@@ -29,7 +26,7 @@ lint: $(STAMP)
 
 # What is said of intervals and of the ways to K_u, over hundreds of simulated campaigns: some ten minutes.
 studies: $(STAMP)
-	$(BIN)/python -m pytest -q -s -n auto --timeout=3600 -m study $(COMPUTING)
+	$(BIN)/python -m pytest -q -s -n auto --timeout=3600 -m study tests
 
 bench: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable

@@ -253,9 +253,10 @@ def test_bytes_that_are_no_message_end_the_link_and_the_run(raw):
         ended_by(serving, "the engine has gone")
 
 
-@pytest.mark.parametrize("at", [None, 0.0, time.monotonic() - 60.0, 1e12, float("nan"), "now"])
+@pytest.mark.parametrize("at", [None, 0.0, "a minute ago", 1e12, float("nan"), "now"])
 def test_a_command_that_was_sent_too_long_ago_is_not_carried_out(at):
     """A guard that stood still must not do afterwards what its engine has given up."""
+    at = time.monotonic() - 60.0 if at == "a minute ago" else at
     with Serving() as serving:
         link = serving.armed()
         for do, data in (("set", {"name": "pressure", "value": 1e5}), ("valves", {"closed": True}), ("release", {})):

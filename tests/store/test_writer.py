@@ -225,7 +225,7 @@ def test_a_disk_that_fills_up_ends_the_run_and_keeps_what_was_written(tmp_path, 
     assert run.status == "error"
     assert [event.kind for event in run.events] == ["vent", "end"]
     raw = read_stream(writer.folder, raw=True)
-    assert 50 < len(raw) < 10_000
+    assert 0 < len(raw) < 10_000
     assert raw["pressure"].tolist() == block(0, len(raw))[1]["pressure"].tolist()
     assert verify(writer.folder) == []
 
