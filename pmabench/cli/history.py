@@ -42,12 +42,12 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     if output is not None and output.is_fifo():
         raise UsageError(f"{output} is a pipe; give the name of a file")
     rows, notes = _of_specimen(specimen, folder)
-    life, referring = _life(ui, folder, rows)
-    series = series_of(_analyses(ui, folder, {past.run for past in life}), life)
+    life, referring, leaks = _life(ui, folder, rows)
+    analyses = list(_analyses(ui, folder, {past.run for past in life}))
+    series = series_of([*analyses, *leaks], life)
     references = references_of(_loaded(ui, folder, referring), life)
     told = [*findings(life, chosen(series), references), *notes]
-    processed = {moment.run for one in series for moment in one.moments}
-    if not processed:
+    if not series_of(analyses, life):
         told.append(
             _note("no analysis beside these runs tells a coefficient that is followed: pmabench process makes them")
         )
@@ -103,16 +103,17 @@ def _names(text: str) -> set[str]:
     return {f"{told.type} {told.serial}"}
 
 
-def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[Row]]:
-    """The runs in order of time, with what each did to the specimen, and those of them that have reference trials.
+def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[Row], list[Analysis]]:
+    """The runs in order of time, with what each did to the specimen; those with reference trials; leaks of self-tests.
 
     One that cannot be read is told and left out.
     """
-    from pmabench.analysis.verdict.life import pasts, use_of
+    from pmabench.analysis.verdict.life import leak_of, pasts, use_of
     from pmabench.store.reader import RunFiles, events_of
 
     told: list[tuple[str, str, str, str, str, bool, int, Use]] = []
     referring = []
+    leaks = []
     for row in rows:
         try:
             files = RunFiles(folder / row.folder)
@@ -124,9 +125,11 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
         told.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use_of(events)))
         if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
             referring.append(row)
+        if (leak := leak_of(row.id, events, simulated=row.simulated)) is not None:
+            leaks.append(leak)
     if not told:
         raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify tells more")
-    return pasts(told), referring
+    return pasts(told), referring, leaks
 
 
 def _cycles_before(manifest: Mapping[str, Any]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from math import sqrt
 from pathlib import Path
 
 from pmabench.base.errors import UsageError
@@ -23,6 +24,8 @@ from pmabench.session.words import load_text, moving_mass
 PHASE = "self-test"
 LEAK = 10.0
 """How long the pressure is watched with the isolation valve shut [s]."""
+NORMAL = 1.96
+"""Half width of 95 % of a normal distribution, in standard deviations."""
 REST = 1.0
 """How long channels at rest are listened to [s]."""
 
@@ -41,6 +44,7 @@ class SelfTesting:
             raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
         self._mounted, self._test, self._told = mounted, test, told
         self.checks = [*_interlocks(mounted), _relief(mounted)]
+        self._leaks: dict[str, float] | None = None
 
     def before_proof(self, executor: Executor) -> None:
         """Channels at rest, with whatever load is on: nothing was commanded yet, hands were not asked for anything."""
@@ -58,7 +62,8 @@ class SelfTesting:
             self._tell(executor)
 
     def _tell(self, executor: Executor) -> None:
-        executor.recorder.event("self-test", executor.clock.now(), checks=[asdict(check) for check in self.checks])
+        checks = [asdict(check) for check in self.checks]
+        executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks)
         self._told(self.checks)
 
     def _run(self, executor: Executor) -> None:
@@ -80,7 +85,11 @@ class SelfTesting:
         refuse(self.checks)
 
     def _leak(self, executor: Executor) -> Check:
-        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts.
+
+        The record gets it as numbers too: set `pressure` [Pa], `falls` [Pa/s] with the `half_width` that white noise
+        leaves to the slope of a straight line.
+        """
         name = self._mounted.bench_file.air.isolation_valve
         valve = next((valve for valve in executor.bench.valves if valve.name == name), None)
         if valve is None or valve.safe != "closed":
@@ -95,6 +104,11 @@ class SelfTesting:
         executor.guard.valves(closed=True, only=name)
         executor.do(Hold(PHASE, self._test.settle))
         falls = -reading.drift / LEAK
+        self._leaks = {
+            "pressure": self._test.points[-1],
+            "falls": falls,
+            "half_width": NORMAL * reading.noise * sqrt(12 / reading.count) / LEAK,
+        }
         return judged(
             "leak",
             f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",

@@ -6,7 +6,7 @@ import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.verdict.control_chart import chart
-from pmabench.analysis.verdict.life import Past, References, Use, chosen, findings, pasts, series_of, use_of
+from pmabench.analysis.verdict.life import Past, References, Use, chosen, findings, leak_of, pasts, series_of, use_of
 from pmabench.store.records import Event
 
 
@@ -110,3 +110,36 @@ def test_reference_trials_that_leave_their_limits_are_doubted_with_the_date():
     assert "1 beyond the control limits, first on 2026-01-13 after 120 cycles (r/12)" in told.text
     *_, quiet = findings(life, [], [References(one.point, moments[:12])])
     assert (quiet.level, "all within" in quiet.text) == ("note", True)
+
+
+def self_test(**leak):
+    return [Event(0, 1.0, "self-test", {"checks": [], "leak": leak or None}), Event(1, 2.0, "end", {})]
+
+
+def test_the_leak_of_self_tests_is_followed_over_the_life():
+    life = pasts([row("a", "2026-01-01"), row("b", "2026-02-01")])
+    falls = {"a": 10.0, "b": 40.0}
+    told = [
+        leak_of(run, self_test(pressure=1e5, falls=rate, half_width=5.0), simulated=False)
+        for run, rate in falls.items()
+    ]
+    (leak,) = series_of(told, life)
+    assert [(m.cycles, m.estimate.value, m.estimate.parts.combined) for m in leak.moments] == [
+        (0, 10.0, 5.0),
+        (10, 40.0, 5.0),
+    ]
+    *_, finding = findings(life, [leak], [])
+    assert finding.text.startswith("leak at 100 kPa: +300 % over 10 cycles")
+    assert finding.level == "doubt"
+
+
+@pytest.mark.parametrize(
+    "leak",
+    [{}, {"pressure": 1e5}, {"pressure": "x", "falls": 1.0}, {"pressure": 1e5, "falls": float("nan")},
+     {"pressure": 1e5, "falls": True}],
+)  # fmt: skip
+def test_what_is_no_leak_is_not_followed(leak):
+    assert leak_of("a", self_test(**leak), simulated=False) is None
+    assert leak_of("a", [Event(0, 1.0, "self-test", {"leak": [1]})], simulated=False) is None
+    bare = leak_of("a", self_test(pressure=1e5, falls=1.0, half_width="x"), simulated=False)
+    assert bare.estimates[0].parts.combined is None

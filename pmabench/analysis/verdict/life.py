@@ -6,11 +6,12 @@ between two commands (ultimate gain, positioning) is not commanded and not count
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, isfinite
+from typing import Any
 
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared.reference import stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.analysis.verdict.control_chart import Chart, chart
@@ -21,6 +22,8 @@ LOW, HIGH = 50e3, 100e3
 """Commanded pressures between which a cycle is counted [Pa]."""
 SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
 """What is followed over a life, in this order."""
+SELF_TEST = "self-test"
+"""Kind and method of what the self-test of a session found."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,27 @@ def _leak(analysis: Analysis) -> Iterator[Estimate]:
     leak = analysis.facts.get("leak")
     if isinstance(leak, int | float) and not isinstance(leak, bool):
         yield Estimate("leak", float(leak), "1", "ratio", analysis.kind)
+
+
+def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
+    """What the self-test of a session found behind the shut isolation valve, as a value to follow; None without it.
+
+    Fall of the pressure [Pa/s] of muscle, hoses and fittings together; the half width is that of noise alone.
+    """
+    for event in reversed(events):
+        told = event.data.get("leak") if event.kind == "self-test" else None
+        if not isinstance(told, Mapping):
+            continue
+        pressure, falls, half = (told.get(name) for name in ("pressure", "falls", "half_width"))
+        if _are_finite(pressure, falls):
+            parts = Parts(repeats=half if _are_finite(half) else None)
+            leak = Estimate("leak", falls, "Pa/s", "pressure rate", SELF_TEST, {"pressure": pressure}, parts, 1)
+            return Analysis(SELF_TEST, (run,), simulated, (leak,))
+    return None
+
+
+def _are_finite(*values: Any) -> bool:
+    return all(isinstance(v, int | float) and not isinstance(v, bool) and isfinite(v) for v in values)
 
 
 def chosen(series: Sequence[Series]) -> list[Series]:
