@@ -184,16 +184,16 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
         told = event.data.get("leak") if event.kind == "self-test" else None
         if not isinstance(told, Mapping):
             continue
-        pressure, falls, half = (told.get(name) for name in ("pressure", "falls", "half_width"))
-        if _are_finite(pressure, falls):
-            parts = Parts(repeats=half if _are_finite(half) else None)
-            leak = Estimate("leak", falls, "Pa/s", "pressure rate", SELF_TEST, {"pressure": pressure}, parts, 1)
+        known = {name: float(value) for name, value in told.items() if _is_finite(value)}
+        if "pressure" in known and "falls" in known:
+            at, parts = {"pressure": known["pressure"]}, Parts(repeats=known.get("half_width"))
+            leak = Estimate("leak", known["falls"], "Pa/s", "pressure rate", SELF_TEST, at, parts, 1)
             return Analysis(SELF_TEST, (run,), simulated, (leak,))
     return None
 
 
-def _are_finite(*values: Any) -> bool:
-    return all(isinstance(v, int | float) and not isinstance(v, bool) and isfinite(v) for v in values)
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
 def chosen(series: Sequence[Series]) -> list[Series]:
