@@ -203,3 +203,10 @@ def test_a_contraction_that_would_trip_is_refused_before_anything_moves(tmp_path
     with pytest.raises(InvalidFile, match=r"380 kPa it is predicted .* the trip limit is 52\.5 mm") as refused:
         planned("free-contraction", bench_of(15), str(tmp_path / "specimen"))
     assert "at 360 kPa" not in str(refused.value)
+
+
+def test_the_largest_contraction_is_that_of_the_highest_pressure(tmp_path):
+    run = recorded(tmp_path, "free-contraction", bench_of(20), "contractor-20", *BELOW)
+    e = value(reduce([run]), "eps_max")
+    assert e.at == {"pressure": 5e5}
+    assert 100 * e.value == pytest.approx(31.3, abs=0.06)  # the table's, at 5 bar

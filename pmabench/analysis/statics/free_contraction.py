@@ -88,7 +88,8 @@ class Point:
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """L [m] at each pressure [Pa], a, b [m], c [Pa], d, e [1] of paper 2's eq. 1, pressure of half the contraction.
+    """L [m] at each pressure [Pa], a, b [m], c [Pa], d, e [1] of paper 2's eq. 1, pressure of half the contraction,
+    and the largest contraction.
 
     L = L0 - x: the nominal length less the contraction at rest, the mean of both sides from which it was reached; their
     difference is hysteresis. `options`: `nominal_length` [m], `compare` (`paper-2` or `nothing`); else the plan's.
@@ -100,6 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates = _lengths(points, length, scales)
     fit, why = _fit(points, length)
     estimates += [_half(points, scales)] if len(points) > 2 else []
+    estimates += _largest(points, length, scales)
     estimates += _coefficients(fit, why)
     curve = view.curves(points, fit, length, compare=compare) if points else None
     findings = [
@@ -235,6 +237,21 @@ def _half(points: Sequence[Point], scales: Scales) -> Estimate:
     note = sentences("" if half is not None else "no repeats part: one repeat only", "")
     parts = Parts(half, method=0.1 * coarse, calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
     return Estimate("P_half", value, "Pa", "pressure", FREE, {}, parts, n, note=note, trials=names)
+
+
+def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
+    """The largest contraction of all pressures, as a share of the nominal length, which is taken as exact."""
+    top = max(points, key=lambda point: point.x, default=None)
+    if top is None or not length > 0 or not np.isfinite(length):
+        return []
+    half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
+    drift = max(abs(rest.drift) for rest in top.rests) / length
+    scale = scales.part({"displacement": top.x / length}, {"displacement": 1 / length})
+    parts = Parts(None if half is None else half / length, method=drift, calibration=scale)
+    note = "" if half is not None else "no repeats part: one repeat only"
+    at = {"pressure": top.set}
+    n = len(top.repeats)
+    return [Estimate("eps_max", top.x / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
 
 
 def _fit(points: Sequence[Point], length: float) -> tuple[ModelFit | None, str]:

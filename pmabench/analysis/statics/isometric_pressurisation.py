@@ -14,8 +14,8 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.statics import blocked_force, section
 from pmabench.analysis.statics import isometric_view as view
-from pmabench.analysis.statics import section
 from pmabench.analysis.statics.isometric_curve import LEAST, PHASES, begins, mean_of, straight_from
 from pmabench.analysis.statics.isometric_lines import METHOD, Test, by_repeat, estimates_of, pool, spread, tests_of
 from pmabench.analysis.statics.isometric_sections import Across, Cell, Corrected, across, corrected, given_of
@@ -39,7 +39,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     F = m P + c: m is S(eps) of paper 3 and c its rubber force, from all samples of the straight part
     (`straight_from`) of both ramps. p_0 is the pressure at which the force begins, by its onset (papers 2 and 4) and
     as -c / m. At each multiple of 50 kPa F_ce and K of the three-element model follow from the forces over
-    contractions (paper 0).
+    contractions (paper 0), and the blocked force F_b from the tests at no contraction.
 
     `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
     """
@@ -59,7 +59,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += [m, c, _width(cell, scales)]
         line = cell.pooled.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
-    estimates += begun + _sides(cells)
+    estimates += begun + _sides(cells) + blocked_force.estimates(cells, given, scales)
     found = across(cells)
     estimates += _three_elements(found, scales)
     sections = _sections(cells, given)
@@ -85,7 +85,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=curves,
         dropped=dropped,
         findings=findings,
-        traces=view.traces(cells, sections, given),
+        traces=[*view.traces(cells, sections, given), *blocked_force.trace(cells)],
         facts={
             "options": dict(options),
             "specimen": given,

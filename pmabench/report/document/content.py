@@ -25,6 +25,7 @@ from pmabench.report.document.grids import Grid, grid
 from pmabench.report.document.parents import Parents
 from pmabench.report.document.run_notes import Said, notes_of
 from pmabench.report.figures import overlays
+from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
 from pmabench.report.figures.pictures import Picture
 from pmabench.report.words import wording
@@ -131,7 +132,8 @@ def content_of(
     analyses, theirs, compared = overlays.beside(analyses, published, overlays.length_of(runs))
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
-    sections = [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
+    sections = _together(analyses, figures)
+    sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     limits = {run.id: limits_of(run) for run in runs}
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
@@ -242,6 +244,16 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     budget = budget_table(analysis)
     section.budget = grid(budget.frame, budget.caption) if budget else None
     return section
+
+
+def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
+    """What several tests say on common axes."""
+    pictures = characteristic(analyses)
+    if not pictures:
+        return []
+    section = Section("Force, pressure and contraction", any(p.simulated for p in pictures), "Tests on common axes")
+    section.figures = [figures.add(p) for p in pictures]
+    return [section]
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:

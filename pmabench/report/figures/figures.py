@@ -10,7 +10,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.report.figures import coefficient_figures, loop_figures, motion_figures, plots, ramp_figures, time_plots
+from pmabench.report.figures import (
+    characteristic_figures,
+    coefficient_figures,
+    loop_figures,
+    motion_figures,
+    plots,
+    ramp_figures,
+    time_plots,
+)
 from pmabench.report.figures.arm_figures import angles
 from pmabench.report.figures.energy_figures import energy
 from pmabench.report.figures.free_figures import lengths
@@ -82,7 +90,7 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
     analysis = drawable(analysis)
     found = coefficient_figures.others(analysis)
     traces = [t for t in analysis.traces if t.name not in without]
-    left = {t.figure for t in traces}
+    left = {t.figure for t in traces} - {characteristic_figures.FIGURE}  # drawn over all tests together
     points = [t for t in traces if t.figure == "static"]
     left -= {"static"} if points else set()
     found += _static(points, analysis)

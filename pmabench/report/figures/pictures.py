@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.report.figures import plots
@@ -25,6 +26,8 @@ TABLE_ROWS = 24
 """Rows of a panel in the table of numbers below its figure."""
 LARGEST = 1e30
 """Size of a number from which on it is no measurement and breaks a drawing."""
+NOTHING = 1e-9
+"""Share of the largest number of a column below which another one is 0."""
 DRAWN = 700
 """Points of a line that are drawn."""
 
@@ -137,13 +140,19 @@ def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> 
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
         length = len(trace.columns[names[0]]) if names else 0
         rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
-        told = {label(trace, name): [_text(value) for value in column(trace, name)[rows]] for name in names}
+        told = {label(trace, name): _texts(column(trace, name), rows) for name in names}
         frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **told}))
     return pd.concat(frames, ignore_index=True).fillna("") if frames else pd.DataFrame()
 
 
-def _text(value: float) -> str:
-    return f"{value:.5g}".replace("-", "−") if np.isfinite(value) else ""
+def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
+    """Numbers of a column at some rows; what is nothing beside its largest is 0."""
+    known = np.abs(values[np.isfinite(values)])
+    least = NOTHING * float(known.max()) if len(known) else 0.0
+    return [
+        "" if not np.isfinite(value) else "0" if abs(value) <= least else f"{value:.5g}".replace("-", "−")
+        for value in values[rows]
+    ]
 
 
 def spread(items: Sequence[Trace], most: int) -> list[Trace]:

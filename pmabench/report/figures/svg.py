@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 STYLE = Path(__file__).with_name("report.mplstyle")
 SYMBOL = re.compile(
-    r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,3}|0))?(?![\w'’-])"
+    r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,3}|0))?(?![\w'’-])"
 )
 """A symbol of the field; without a subscript it counts only in front of a unit or an equals sign, or alone."""
 UNITS = {"N", "s", "J", "V", "A", "m"}
 """Letters that by themselves are a unit and no symbol."""
-GREEK = {"tau": "τ", "phi": "φ", "eta": "η", "omega": "ω", "theta": "θ", "alpha": "α"}
+GREEK = {"tau": "τ", "phi": "φ", "eta": "η", "eps": "ε", "omega": "ω", "theta": "θ", "alpha": "α"}
 
 
 def symbol_parts(text: str) -> list[tuple[str, str]]:

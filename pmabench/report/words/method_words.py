@@ -10,6 +10,9 @@ METHODS: dict[str, str] = {
     "joint": "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial "
     "of a given or chosen order) from the lowest tested pressure up; its residual beside that of straight lines "
     "between pressures tells whether the forms are enough.",
+    "output-error": "The coefficients of measured-pressure polished: each stroke is simulated with them under the "
+    "measured pressure and force, and the error of the contraction, whitened for its serial correlation, is made least "
+    "(Gauss-Newton).",
     "regulator-response": "Dead time and one lag, or two where the corrected Akaike criterion asks for them, fitted to "
     "the mean step of the measured pressure at each pressure, over the time since the command.",
     "step-exponential": "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from "
@@ -44,8 +47,8 @@ METHODS: dict[str, str] = {
     "sine-mean": "Mean force over whole cycles plus K times the mean displacement, a straight line over the speed ω A, "
     "at 0 Hz: friction cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π.",
     "loop-work": "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what "
-    "is taken up while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and out is not "
-    "measured, so eta is no efficiency of the drive.",
+    "is taken up while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and "
+    "out is not measured, so eta is no efficiency of the drive.",
     "step, relaxed": "Forces and measured contraction at rest, before a step of displacement and at the end of the "
     "rest after it: K = −ΔF/Δx; above 0 the step contracts.",
     "step, peak": "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure "
@@ -110,6 +113,9 @@ METHODS: dict[str, str] = {
     "emptying: the first sample beyond six times the noise (at least 0.2 N), followed back along the line through the "
     "next samples.",
     "isometric-sections": "Forces at one pressure over all contractions, a least-squares line F = F_ce − K x.",
+    "blocked": "Force at the nominal length and set pressures, the mean of filling and emptying between neighbouring "
+    "means over pressure. The method part is the stiffness times what the muscle was off its nominal "
+    "length, with what a bend between neighbouring means may hide.",
     "isometric-sides": "Half the force after an approach from above minus after one from below: friction inside.",
     "daerden-section": "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes "
     "(paper 3). The intervals hold if S has this form; a parameter wider than ±25 % is not told.",

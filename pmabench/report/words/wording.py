@@ -14,6 +14,7 @@ from pmabench.base.quantities import QUANTITIES
 
 SYMBOLS: dict[str, str] = {
     "F_ce": "contractile force",
+    "F_b": "blocked force",
     "K": "stiffness",
     "B_c": "damping, contracting",
     "B_r": "damping, relaxing",
@@ -63,6 +64,7 @@ SYMBOLS: dict[str, str] = {
     "accuracy": "agreement of model and test at rest",
     "misfit": "residual of the model over time",
     "L": "length without load",
+    "eps_max": "largest contraction without load, of the nominal length",
     "x_H": "contraction reached from above less from below",
     "P_half": "pressure of half the largest contraction",
     "alpha_0": "bending angle at the preload",
@@ -87,6 +89,8 @@ HEADLINES = (
     "t_s",
     "x_pp",
     "T_c",
+    "F_b",
+    "eps_max",
     "m",
     "p_0",
     "L",
