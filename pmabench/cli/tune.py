@@ -21,9 +21,19 @@ if TYPE_CHECKING:
 @click.command(name="tune")
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--steps", is_flag=True, help="From open-loop steps in RUNS of kind ultimate-gain.")
+@click.option("--model", is_flag=True, help="From the muscle and regulator fitted to RUNS of contraction-relaxation.")
 @click.option("--ku", help='Ultimate gain, for instance "7.1 bar/cm"; a bare number has no unit.')
 @click.option("--tu", help='Ultimate period, for instance "9 s".')
-@click.option("--analysis", type=click.Path(path_type=Path), help="Analysis folder of an ultimate-gain run.")
+@click.option(
+    "--analysis",
+    type=click.Path(path_type=Path),
+    help="Analysis folder of kind ultimate-gain, or of contraction-relaxation (processed with --regulator).",
+)
+@click.option(
+    "--setpoint", "setpoints", multiple=True, help="By model: where, for instance 20 mm; repeatable. All rests if none."
+)
+@click.option("--load", help="By model: what pulls there, 6 kg (its mass counts) or 58.9 N; nothing if not given.")
+@click.option("--period", help="By model: sample period of the loop, of which half is dead time; that of the runs.")
 @click.option("--rule", help="One rule, for instance ziegler-nichols or PI; all if not given.")
 @click.option("--dead-time", help="Dead time of the loop, to see whether the period is possible.")
 @click.option("--lag", "lags", multiple=True, help="First-order lag of the loop; repeatable.")
@@ -32,31 +42,49 @@ def command(
     ui: Ui,
     runs: tuple[Path, ...],
     steps: bool,
+    model: bool,
     ku: str | None,
     tu: str | None,
     analysis: Path | None,
+    setpoints: tuple[str, ...],
+    load: str | None,
+    period: str | None,
     rule: str | None,
     dead_time: str | None,
     lags: tuple[str, ...],
 ) -> int | None:
-    """Gains of the tuning rules from K_u and T_u, from an analysis, or from the RUNS of open-loop steps."""
+    """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, rules_named, tune
     from pmabench.base.errors import UsageError
 
     given = [value is not None for value in (ku, tu)]
-    if steps != bool(runs) or (steps and (any(given) or analysis is not None)):
-        raise UsageError("--steps takes runs and nothing else: pmabench tune --steps RUN...")
-    if not steps and (any(given) if analysis is not None else not all(given)):
+    from_runs = steps or model
+    if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
         raise UsageError(
-            'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN...'
+            "--steps and --model take runs and no other source: pmabench tune --steps RUN..., or tune --model RUN..."
         )
+    if not from_runs and (any(given) if analysis is not None else not all(given)):
+        raise UsageError(
+            'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN..., '
+            "or --model RUN..."
+        )
+    from pmabench.cli.tune_model import Where, by_folder, by_runs, holds_model
+
+    where = Where.read(setpoints, load, period)
+    contractions = analysis if analysis is not None and holds_model(analysis) else None
+    if where.told and not model and contractions is None:
+        raise UsageError("--setpoint, --load and --period are for --model, or an analysis of contraction-relaxation")
     try:
         rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
     notes: list[str] = []
-    if steps:
-        reduced = _reduced(ui, runs)
+    reduced = None
+    if from_runs:
+        reduced = _reduced(ui, runs) if steps else by_runs(ui, runs, where)
+    elif contractions is not None:
+        reduced = by_folder(contractions, where)
+    if reduced is not None:
         notes = [f"{finding.level}: {finding.text}" for finding in reduced.findings]
         pairs = _pairs(reduced)
     elif analysis is not None:
@@ -67,9 +95,9 @@ def command(
         pairs, said = _beside(pairs, dead_time, lags)
         notes += said
     found: list[tuple[Estimate, Estimate, tuple[Gains, ...]]] = []
-    for gain, period, loop in pairs:
+    for gain, time, loop in pairs:
         try:
-            found.append((gain, period, tune(gain, period, rules, loop)))
+            found.append((gain, time, tune(gain, time, rules, loop)))
         except ValueError as error:
             raise UsageError(str(error)) from error
     if found and not any(gains for _, _, gains in found):
@@ -104,8 +132,9 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
 
     loaded = load_runs(without_analyses(ui, runs))
     for run in loaded:
+        also = "; for this kind there is --model" if run.kind == "contraction-relaxation" else ""
         if run.kind != KIND:
-            raise invalid(run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"')
+            raise invalid(run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"{also}')
     reduced = reduce(loaded)
     estimates = tuple(e for e in reduced.estimates if e.method == METHOD)
     if not estimates:

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from pmabench.model.muscle import Muscle
+from pmabench.model.regulator import Regulator
+
 ComplexArray = NDArray[np.complex128]
 
 
@@ -103,6 +106,62 @@ def muscle_loop(
     pair = ((B + root) / (2 * K), (B - root) / (2 * K))
     lags: list[complex] = [regulator_lag, *(lag.real if lag.imag == 0 else lag for lag in pair)]
     return Loop(gain, dead_time + sample_period / 2 + delay, tuple(lag for lag in lags if lag != 0))
+
+
+SPAN = 25e3
+"""Slopes over pressure are taken from so far below to so far above [Pa]."""
+
+
+def loop_at(
+    muscle: Muscle,
+    regulator: Regulator,
+    contraction: float,
+    load: float,
+    domain: tuple[float, float],
+    *,
+    mass: float = 0.0,
+    sample_period: float = 0.0,
+) -> tuple[float, Loop]:
+    """Pressure [Pa] at which `muscle` rests at `contraction` [m] under `load` F_L [N], and the loop there.
+
+    The pressure is looked for in `domain` [Pa]; slopes over pressure are central differences over `SPAN`, which are
+    exact for parabolas, also where they are tabulated every 2 SPAN. Damping is the mean of both directions, and so is
+    a regulator's lag; friction and hysteresis are no part of a linear loop. `mass` [kg] and `sample_period` [s] as in
+    `muscle_loop`.
+
+    Raises ValueError where no pressure of the domain holds the contraction, or where more pressure contracts no more.
+    """  # fmt: skip
+    low, high = domain
+
+    def left(P: float) -> float:
+        return muscle.F_ce(P) - load - muscle.K(P) * contraction
+
+    if not left(low) <= 0 <= left(high):
+        raise ValueError(
+            f"no pressure from {low / 1e3:.4g} to {high / 1e3:.4g} kPa holds {contraction * 1e3:.4g} mm under "
+            f"{load:.4g} N"
+        )
+    P = float(brentq(left, low, high, xtol=1e-3))
+    below, above = max(low, P - SPAN), min(high, P + SPAN)
+    F_slope, K_slope = ((curve(above) - curve(below)) / (above - below) for curve in (muscle.F_ce, muscle.K))
+    K, gain = muscle.K(P), sensitivity(F_slope, muscle.K(P), K_slope, contraction)
+    if gain <= 0:
+        raise ValueError(f"at {P / 1e3:.4g} kPa more pressure does not contract the muscle any more")
+    B = 0.5 * (muscle.B_c(P) + muscle.B_r(P))
+    pair = muscle_loop(
+        gain=gain, K=K, B=B, regulator_lag=0.0, dead_time=regulator.dead_time, sample_period=sample_period, mass=mass
+    )
+    return P, Loop(pair.gain, pair.dead_time, (*_lags(regulator), *pair.lags))
+
+
+def _lags(regulator: Regulator) -> tuple[complex, ...]:
+    """Time constants of a regulator [s], filling and venting by their mean."""
+    both = 0.5 * (1 + regulator.vent_ratio)
+    if not regulator.natural_frequency:
+        return (regulator.lag * both,) if regulator.lag else ()
+    damping, root = regulator.damping_ratio, complex(regulator.damping_ratio**2 - 1) ** 0.5
+    pair = [(damping + way * root) * both / (2 * pi * regulator.natural_frequency) for way in (1, -1)]
+    return tuple(lag.real if lag.imag == 0 else lag for lag in pair)
 
 
 def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:

@@ -1,0 +1,191 @@
+"""K_u and T_u from a campaign of contractions: its coefficients and the lag of its regulator make the loop.
+
+Knows the analysis, no samples. No loop was closed and no step was made at the set-point itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any
+
+from pmabench.analysis.loops.open_loop_gain import DAMPING
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
+from pmabench.base.quantities import show
+from pmabench.model.curve import Curve
+from pmabench.model.loop import Loop, loop_at, ultimate
+from pmabench.model.muscle import Muscle
+from pmabench.model.regulator import Regulator
+
+KIND = "contraction-relaxation"
+METHOD = "model"
+SYMBOLS = ("F_ce", "K", "B_c", "B_r")
+RESPONSE = "regulator-response"
+FEWEST = 3
+"""Pressures below which slopes over pressure cannot be told."""
+LEAST = 0.1
+"""Share of its last known value below which no coefficient is continued."""
+NUDGE = 0.1
+"""Share of a half width by which an estimate is moved to see what it is worth."""
+TOGETHER = ("calibration", "skew", "drift")
+"""Causes that move all estimates at once, so that what they are worth is added with its sign."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What of an analysis makes the loop: every estimate in a list, and which of them is what."""
+
+    estimates: tuple[Estimate, ...]
+    """Coefficients over pressure, then dead time and lags of the regulator."""
+    domain: tuple[float, float]
+    """Pressures at which F_ce, K and B_c are known [Pa]."""
+
+    @classmethod
+    def of(cls, analysis: Analysis) -> Fitted:
+        """The coefficients of the primary method; ValueError in words where something is not known."""
+        primary = analysis.estimates[0].method if analysis.estimates else ""
+        known = [
+            e
+            for e in analysis.estimates
+            if e.method == primary and e.symbol in SYMBOLS and set(e.at) == {"pressure"} and e.value is not None
+        ]
+        pressures = {symbol: {e.at["pressure"] for e in known if e.symbol == symbol} for symbol in SYMBOLS}
+        missing = [symbol for symbol in SYMBOLS if not pressures[symbol]]
+        if missing:
+            raise ValueError(f"the analysis gives no {', '.join(missing)}")
+        shared = pressures["F_ce"] & pressures["K"] & pressures["B_c"]
+        if len(shared) < FEWEST:
+            raise ValueError(
+                f"F_ce, K and B_c are known at {len(shared)} pressures together; slopes over pressure need {FEWEST}"
+            )
+        whole = [e for e in analysis.estimates if e.method == RESPONSE and not e.at and e.value is not None]
+        lacking = [name for name in ("dead time", "lag") if all(e.coordinate != name for e in whole)]
+        if lacking:
+            told = " and no ".join(lacking)
+            raise ValueError(f"the analysis gives no {told} of the regulator; process the runs with --regulator")
+        return cls((*known, *whole), (min(shared), max(shared)))
+
+    def loop(self, values: Sequence[float], x: float, load: float, mass: float, period: float, way: str) -> Loop:
+        """The loop at x [m] under `load` [N]; `way` is whose damping counts, `B_c`, `B_r` or both (``)."""
+        points: dict[str, list[tuple[float, float]]] = {symbol: [] for symbol in SYMBOLS}
+        times = {"dead time": 0.0, "lag": 0.0, "second lag": 0.0}
+        for e, value in zip(self.estimates, values, strict=True):
+            if e.symbol in points:
+                points[e.symbol].append((e.at["pressure"], value))
+            else:
+                times[e.coordinate] = value
+        chosen = (points[way if way and symbol[0] == "B" else symbol] for symbol in SYMBOLS)
+        F_ce, K, B_c, B_r = (_through(sorted(known), self.domain) for known in chosen)
+        muscle = Muscle(METHOD, F_ce, K, B_c, B_r)
+        regulator = Regulator(max(0.0, times["dead time"]), max(0.0, times["lag"]))
+        _, loop = loop_at(muscle, regulator, x, load, self.domain, mass=mass, sample_period=period)
+        return replace(loop, lags=(*loop.lags, times["second lag"])) if times["second lag"] > 0 else loop
+
+
+def _through(points: list[tuple[float, float]], domain: tuple[float, float]) -> Curve:
+    """Straight lines through points by rising pressure; those of the ends go on to the ends of the domain."""
+    made = list(points)
+    for end, place, (near, far) in ((domain[0], 0, (0, 1)), (domain[1], 1, (-1, -2))):
+        P, value = points[near]
+        if len(points) > 1 and (end < P if near == 0 else end > P):
+            slope = (points[far][1] - value) / (points[far][0] - P)
+            made.insert(place and len(made), (end, max(value + slope * (end - P), LEAST * value)))
+    P_known, values = zip(*made, strict=True)
+    return Curve.through(P_known, values)
+
+
+def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: float, period: float) -> Analysis:
+    """K_u [Pa/m] and T_u [s] at each set-point [m] under `load` F_L [N] of moving `mass` [kg].
+
+    Without set-points, where the muscle rests at the pressures of the campaign. `period` is that of the loop's samples
+    [s], of which half is dead time. Intervals are those of the coefficients, cause by cause.
+
+    Raises ValueError where the analysis does not tell enough, or holds none of the set-points.
+    """
+    fitted = Fitted.of(analysis)
+    values = [float(e.value or 0.0) for e in fitted.estimates]
+    estimates, findings, loops, wrong = [], [], [], []
+    for x in setpoints or _rests(fitted, load):
+        try:
+            loop = fitted.loop(values, x, load, mass, period, "")
+            ultimate(loop)
+        except ValueError as error:
+            wrong.append(str(error))
+            continue
+        at = {"setpoint": x, "load": load}
+        estimates += _estimates(fitted, values, (x, load, mass, period), at)
+        loops.append({"at": at, "gain": loop.gain, "dead_time": loop.dead_time, "lags": _plain(loop)})
+    if not loops:
+        raise ValueError("; ".join(wrong) or f"nothing rests above 0 mm under {show(load, 'force', 3)}")
+    findings += [Finding("doubt", f"{reason}: left out") for reason in wrong]
+    findings += _doubts(analysis, fitted, load)
+    return replace(
+        analysis, kind="ultimate-gain", estimates=tuple(estimates), curves=(), dropped=(), traces=(),
+        findings=tuple(findings), facts={"loops": loops},
+    )  # fmt: skip
+
+
+def _rests(fitted: Fitted, load: float) -> list[float]:
+    """Where the muscle rests at the inner pressures of the campaign [m]: at the outer ones no slope is known."""
+    known = {(e.symbol, e.at["pressure"]): e.value or 0.0 for e in fitted.estimates if e.at}
+    low, high = fitted.domain
+    shared = sorted(P for symbol, P in known if symbol == "F_ce" and ("K", P) in known and low < P < high)
+    rests = [(known["F_ce", P] - load) / known["K", P] for P in shared]
+    return [round(x, 6) for x in rests if x > 0]
+
+
+def _plain(loop: Loop) -> list[Any]:
+    lags = [complex(lag) for lag in loop.lags]
+    return [[lag.real, lag.imag] if lag.imag else lag.real for lag in lags]
+
+
+def _estimates(
+    fitted: Fitted, values: list[float], where: tuple[float, float, float, float], at: dict[str, float]
+) -> list[Estimate]:
+    """K_u and T_u at one set-point with their intervals."""
+
+    def pair(changed: Sequence[float], way: str = "") -> tuple[float, float]:
+        found = ultimate(fitted.loop(changed, *where, way))
+        return found.gain, found.period
+
+    found = pair(values)
+    ways = [pair(values, way) for way in ("B_c", "B_r")]
+    slopes: list[tuple[float, float]] = []
+    for i, e in enumerate(fitted.estimates):
+        step = NUDGE * (e.parts.combined or 0.0) or 1e-6 * abs(values[i])
+        moved = pair([*values[:i], values[i] + step, *values[i + 1 :]])
+        slopes.append(((moved[0] - found[0]) / step, (moved[1] - found[1]) / step))
+    made = []
+    for place, (symbol, unit, quantity) in enumerate((("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))):
+        worth: dict[str, float | None] = {}
+        for cause in vars(Parts()):
+            terms = [(s[place], getattr(e.parts, cause)) for s, e in zip(slopes, fitted.estimates, strict=True)]
+            halves = [slope * half for slope, half in terms if half is not None]
+            assessed = halves and (cause in TOGETHER or len(halves) == len(terms))
+            added = abs(sum(halves)) if cause in TOGETHER else sqrt(sum(h * h for h in halves))
+            worth[cause] = added if assessed else None
+        damping = DAMPING * abs(ways[0][place] - ways[1][place])
+        worth["method"] = sqrt((worth["method"] or 0.0) ** 2 + damping**2)
+        parts = Parts(**worth)  # type: ignore[arg-type]
+        n = max(e.n for e in fitted.estimates)
+        note = "from coefficients over pressure and the regulator's lag; no loop was closed"
+        made.append(Estimate(symbol, found[place], unit, quantity, METHOD, at, parts, n, note=note))
+    return made
+
+
+def _doubts(analysis: Analysis, fitted: Fitted, load: float) -> list[Finding]:
+    """What a linear loop leaves out, and what was continued."""
+    primary = analysis.estimates[0].method
+    friction = next((e for e in analysis.estimates if e.symbol == "F_c" and e.method == primary and not e.at), None)
+    said = []
+    if friction is not None and friction.value and (friction.ci95 is None or friction.ci95[0] > 0):
+        text = f"dry friction of {show(friction.value, 'force', 3)} is no part of the linear loop: small swings stick"
+        said.append(Finding("doubt", f"{text}, and a closed loop makes a slower cycle than T_u"))
+    relaxing = [e.at["pressure"] for e in fitted.estimates if e.symbol == "B_r"]
+    low, high = min(relaxing), max(relaxing)
+    if low > fitted.domain[0] or high < fitted.domain[1]:
+        ends = f"from {show(low, 'pressure', 4)} to {show(high, 'pressure', 4)}"
+        said.append(Finding("note", f"B_r is known {ends}; beyond, it goes on along straight lines"))
+    said.append(Finding("note", f"set-points hold for a load of {show(load, 'force', 4)} and its mass"))
+    return said
