@@ -88,6 +88,19 @@ def bench(tmp_path_factory):
 
 
 @pytest.mark.slow
+def test_a_regulator_that_has_to_move_air_does_not_bias_what_is_fitted_with_the_measured_pressure(tmp_path):
+    """Second order and chamber: the coefficients of `mock`, in the tolerances of `mock`."""
+    found = analysed(tmp_path, "contraction-relaxation", "mock-air", settings=[("sweep.repeat.count", "1")])
+    assert_within(found, "paper0", "K", 0.01)
+    assert_within(found, "paper0", "B_c", 0.02)
+    assert_within(found, "paper0", "B_r", 0.02)
+    assert_within(found, "paper0", "F_ce", 0.02, whole=491.0)
+    assert found.facts["cells_used"] in {42, 43}
+    friction = [e for e in found.estimates if e.symbol == "F_c" and e.method == "measured-pressure"]
+    assert friction[0].value == pytest.approx(6.0, rel=0.05)
+
+
+@pytest.mark.slow
 def test_ideal_returns_the_truth(ideal):
     assert_within(ideal, "paper0", "K", 0.005)
     assert_within(ideal, "paper0", "B_c", 0.01)

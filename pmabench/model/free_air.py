@@ -94,6 +94,7 @@ class AirPlant(Plant):
         self._known: Trace | Passed = self._still
         self._resting: tuple[tuple[Trace, float, bool], float] | None = None
         self._made: tuple[list[float], list[float]] | None = None
+        self._begun = pressure, (pressure, pressure), 0.0, pressure
 
     @property
     def pressure(self) -> float:
@@ -117,15 +118,17 @@ class AirPlant(Plant):
     # -- at rest -------------------------------------------------------------------------------------------------
 
     def _piece(self) -> tuple[Trace, float]:
-        """Sliding, how the regulator's pressure goes; at rest, how the muscle's own does; and until when [s]."""
+        """How the regulator's pressure goes now, and until when [s]."""
         self._u, end = super()._piece()
-        if self.way:
-            return self._u, end
+        return self._u, end
+
+    def _rest(self, trace: Trace, end: float, record: Record) -> None:
+        """Stay at rest until break-away, `end`, or where the regulator comes to the other side of the pressure."""
         state = self._u, self.x, self._shut
         if self._resting is None or self._resting[0] != state or self.time >= self._resting[1]:
-            self._still, until = self._rest_of(min(end, to_nanosecond(self.time + REST)))
+            self._still, until = self._rest_of(to_nanosecond(self.time + REST))
             self._known, self._resting = self._still, (state, until)
-        return self._still, min(end, self._resting[1])
+        super()._rest(self._still, min(end, self._resting[1]), record)
 
     def _rest_of(self, end: float) -> tuple[Trace, float]:
         """How the pressure goes at rest from now on, and until when, at most `end` [s], where it depends on the side.
@@ -135,7 +138,7 @@ class AirPlant(Plant):
         u, t, P = self._u, self.time, self._known.value(self.time)
         gap = u.value(t) - P
         if abs(gap) < BESIDE:
-            gap = float(u.rates(np.array([t]))[0])
+            gap = u.rate(t)
         fills = gap > 0
         total, share = self._flows(fills=fills)
         if total == 0:
@@ -153,7 +156,7 @@ class AirPlant(Plant):
         if beyond.size == 0:
             return found, end
         low, high = float(grid[max(beyond[0] - 1, 0)]), float(grid[beyond[0]])
-        while high - low > 1e-9:
+        for _ in range(30):
             middle = 0.5 * (low + high)
             if side * (u.value(middle) - found.value(middle)) < 0:
                 high = middle
@@ -217,40 +220,40 @@ class AirPlant(Plant):
         self._made = None
 
     def _ends(self, trace: Trace, until: float) -> tuple[float, float, float, float]:
-        P = self._known.value(self.time)
-        if self.way == 0 and self._resting is not None:
-            P_end = self._known.value(until)
-        else:
-            P_end = self._next(P, self.time, until, self.x, self.x)
-        V, slope = self._tube.at(self.x)
-        gained = self._f_ce(P + 1) - self._f_ce(P) - (self._stiffness(P + 1) - self._stiffness(P)) * self.x
-        z = (until - self.time) * self._flows(fills=self._u.value(self.time) > P)[0] / V
-        kept = -math.expm1(-z) / z if z else 1.0
+        P, x, span = self._known.value(self.time), self.x, until - self.time
+        u, u_end = self._u.value(self.time), self._u.value(until)
+        V, slope = self._tube.at(x)
+        P_end, kept = self._next(P, (u, u_end), span, (V, V, V))
+        self._begun = P, (u, u_end), V, P_end
+        gained = self._f_ce(P + 1) - self._f_ce(P) - (self._stiffness(P + 1) - self._stiffness(P)) * x
         lost = self.air.polytropic * (P + self.air.atmosphere) * slope / V * kept
-        return P, P_end, P_end - lost * self.v * (until - self.time), max(gained * lost, 0.0)
+        return P, P_end, P_end - lost * self.v * span, max(gained * lost, 0.0)
 
     def _step(self, trace: Trace, until: float) -> None:
-        begin, place, P = self.time, self.x, self._known.value(self.time)
-        still = self.way == 0 and self._resting is not None
+        begin, place = self.time, self.x
         super()._step(trace, until)
-        if still and self.way == 0 and self.x == place:
-            P_end = self._known.value(until)
-        else:
-            P_end = self._next(P, begin, until, place, self.x)
-            self._known, self._resting = Trace(until, P_end), None
+        P, wanted, V, P_end = self._begun
+        if self.x != place:
+            volumes = V, self._tube.at(0.5 * (place + self.x))[0], self._tube.at(self.x)[0]
+            P_end, _ = self._next(P, wanted, until - begin, volumes)
+        self._known, self._resting = Trace(until, P_end), None
         if self._made is not None:
             self._made[0].append(until)
             self._made[1].append(P_end)
 
-    def _next(self, P: float, begin: float, until: float, x: float, x_end: float) -> float:
-        """Pressure at `until` [Pa] after P at `begin`, the contraction going from x to x_end [m] (`model.air`)."""
-        k, room = self.air.polytropic, self.air.atmosphere
-        u, u_end = self._u.value(begin), self._u.value(until)
+    def _next(
+        self, P: float, wanted: tuple[float, float], span: float, volumes: tuple[float, float, float]
+    ) -> tuple[float, float]:
+        """Pressure [Pa] after a `span` [s] from P on, and how much of what a change of volume makes is left then [1].
+
+        The regulator's pressure goes from one to the other of `wanted` [Pa]; `volumes` are those before, between and
+        after [m3]. As in `pmabench.model.air`.
+        """
+        room, (u, u_end), (V, middle, V_end) = self.air.atmosphere, wanted, volumes
         total, share = self._flows(fills=u > P)
-        V, V_end = self._tube.at(x)[0], self._tube.at(x_end)[0]
-        z = total * (until - begin) / self._tube.at(0.5 * (x + x_end))[0]
+        z = total * span / middle
         fade = math.exp(-z)
         mean = -math.expm1(-z) / z if z else 1.0
-        grown = (V / V_end) ** k
+        grown = (V / V_end) ** self.air.polytropic if V_end != V else 1.0
         towards = (mean - fade) * (share * u + room) * grown + (1 - mean) * (share * u_end + room)
-        return float(fade * (P + room) * grown + towards - room)
+        return float(fade * (P + room) * grown + towards - room), mean

@@ -119,9 +119,9 @@ class Plant:
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
-        trace = self._piece()[0]
-        self._start(trace)
-        P, muscle, way = self._course(trace).value(self.time), self.muscle, self.way
+        course = self._course(self._piece()[0])
+        self._start(course)
+        P, muscle, way = course.value(self.time), self.muscle, self.way
         pull = self._f_ce(P) - self._stiffness(P) * self.x
         if way:
             u = way * self.v
@@ -156,9 +156,9 @@ class Plant:
             else:
                 self._slide(trace, min(end, to_nanosecond(self.time + self._horizon)), record)
         if record.done < len(t):
-            trace = self._piece()[0]
-            self._start(trace)
-            self._fill(record, np.full(len(t) - record.done, self.x), self.v, self._course(trace), self.way)
+            course = self._course(self._piece()[0])
+            self._start(course)
+            self._fill(record, np.full(len(t) - record.done, self.x), self.v, course, self.way)
         return record.motion()
 
     def step(self, dt: float) -> None:
@@ -219,10 +219,10 @@ class Plant:
             return -1
         return 0
 
-    def _start(self, trace: Trace) -> None:
+    def _start(self, course: Course) -> None:
         """Begin to slide where the pressure at this moment makes a muscle at rest do so."""
         if self.way == 0:
-            self.way = self._breaks_away(self._drive(trace.value(self.time)))
+            self.way = self._breaks_away(self._drive(course.value(self.time)))
 
     def _rest(self, trace: Trace, end: float, record: Record) -> None:
         """Stay at rest until break-away or `end`, whichever is first."""

@@ -131,6 +131,19 @@ class Trace(NamedTuple):
             rate += np.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
         return rate
 
+    def rate(self, t: float) -> float:
+        """Rate of change at time t [s]."""
+        since, rate = t - self.start, self.slope
+        if self.decay:
+            rate -= self.decay / self.lag * math.exp(-since / self.lag)
+        if self.omega:
+            turn = self.omega * since
+            rate += self.omega * (self.sin_part * math.cos(turn) - self.cos_part * math.sin(turn))
+        for fade, omega, a, b in self.modes:
+            cosine, sine = math.cos(omega * since), math.sin(omega * since)
+            rate += math.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
+        return rate
+
     def function(self) -> Callable[[float], float]:
         """The value over s = t - start [s], made for being called some thousand times."""
         level, exp = self.level, math.exp
@@ -316,7 +329,7 @@ class Regulated:
         end = self._arrival(self._waves[1]) if len(self._waves) > 1 else math.inf
         value = self._trace.value(t)
         if r.natural_frequency:
-            rate = float(self._trace.rates(np.array([t]))[0])
+            rate = self._trace.rate(t)
             steep = wave.slope + wave.amplitude * wave.omega * math.cos(wave.omega * (t - wave.start) + wave.phase)
             falls = (wave.value(t) - value or steep) < 0
             pace = 2 * math.pi * r.natural_frequency / (r.vent_ratio if falls else 1.0)

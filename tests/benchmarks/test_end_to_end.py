@@ -1,5 +1,6 @@
 """A campaign from protocol to coefficients against the simulated plant alone, in one run. `make bench`.
 
+`mock-air` is the plant with everything: stiction, a regulator of second order that has to move air, noise, counts.
 The plant alone gets the same commands and loads at the same moments and is asked for the same samples: without noise
 and counts, driver, acquisition, record and reduction. `PMABENCH_REPEATS=6 make bench` makes it 528 trials.
 """
@@ -56,9 +57,9 @@ def told(monkeypatch):
     return calls
 
 
-def alone(calls, end):
+def alone(name, calls, end):
     """Contraction [m] at 500 Hz up to `end` [s] of a plant that is told the same."""
-    plant, parts, taken = preset("paper0", "bench").free(mass=2.0), [], 0
+    plant, parts, taken = preset(name, "bench").free(mass=2.0), [], 0
     do = {"command": plant.command, "load": plant.load, "force": plant.supply.force, "release": plant.supply.release}
     for moment, name, given in [*calls, (end, "", ())]:
         if moment > plant.time:
@@ -82,12 +83,16 @@ def rk45_trial():
     return solve_ivp(slope, (0.0, 10.0), [0.0, 0.0, 0.0], t_eval=np.arange(5000) / 500, rtol=1e-6, atol=1e-9)
 
 
-def test_recorded_seconds_per_second(tmp_path, request, told):
+PLANT = {"mock-air": "paper0-air", "mock": "paper0"}
+
+
+@pytest.mark.parametrize("bench", PLANT)
+def test_recorded_seconds_per_second(tmp_path, request, told, bench):
     timed = request.config.getoption("benchmark_enable")
     changes = [("sweep.repeat.count", os.environ.get("PMABENCH_REPEATS", "1"))] + ([] if timed else SHORT)
-    prepared = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", changes)
+    prepared = prepare("contraction-relaxation", bench, "mas-20-250-paper0", changes)
     if timed:  # what is imported at the first time is no part of it
-        short = prepare("contraction-relaxation", "mock", "mas-20-250-paper0", [*SHORT, ("sweep.repeat.count", "1")])
+        short = prepare("contraction-relaxation", bench, "mas-20-250-paper0", [*SHORT, ("sweep.repeat.count", "1")])
         first = run_plan(short.plan, short.mounted, ConfirmedBeforehand(), out=tmp_path / "first")
         reduce_runs([open_run(first.folder)])
         told.clear()
@@ -97,11 +102,11 @@ def test_recorded_seconds_per_second(tmp_path, request, told):
     run, opening = processor(lambda: open_run(outcome.folder))
     (analysis,), reducing = processor(lambda: reduce_runs([run]))
     wall = time.perf_counter() - begin
-    x, plant = processor(lambda: alone(calls, outcome.bench_seconds), 3)
+    x, plant = processor(lambda: alone(PLANT[bench], calls, outcome.bench_seconds), 3)
     _, reference = processor(rk45_trial)
     recorded, whole = outcome.rows / RATE, running + opening + reducing
     print(
-        f"\n{len(run.trials)} trials, {recorded:.0f} s recorded in {wall:.2f} s: {recorded / wall:.0f} times real time"
+        f"\n{bench}: {len(run.trials)} trials, {recorded:.0f} s recorded in {wall:.2f} s: {recorded / wall:.0f} times real time"
         f"\n  processor time: run and record {running:.2f} s, open {opening:.2f} s, reduce with intervals {reducing:.2f} s"
         f"\n  the plant alone {plant:.2f} s ({outcome.bench_seconds / plant:.0f} times): end to end {whole / plant:.1f}"
         f" times that, run and record {running / plant:.1f} times"

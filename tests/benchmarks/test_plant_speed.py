@@ -21,6 +21,11 @@ def plant(kind="bench", force=58.86, mass=8.0, **changes):
     return Plant(setup.muscle, setup.regulator, force=force, mass=mass)
 
 
+def airy(force=58.86, mass=8.0, **changes):
+    """With everything: stiction, a regulator of second order, and the air that it has to move."""
+    return preset("paper0-air", "bench", Overrides(**changes)).free(force=force, mass=mass)
+
+
 def levels(made, pressures=LEVELS):
     """A 20 s trial of four pressures at 500 Hz."""
     parts = []
@@ -30,9 +35,9 @@ def levels(made, pressures=LEVELS):
     return np.concatenate(parts)
 
 
-def closed_loop():
+def closed_loop(made=None):
     """20 s of a PI loop at 500 Hz on the contraction, with stiction."""
-    made, integral = plant(force=0.0, mass=2.0), 0.0
+    made, integral = made or plant(force=0.0, mass=2.0), 0.0
     for k in range(10_000):
         made.advance((k + 1) * 2e-3)
         error = 0.03 - made.reading()[0]
@@ -80,6 +85,12 @@ CASES = {
     "steps, ideal": (20, lambda: levels(plant("ideal", mass=0.5))),
     "steps, stiction": (20, lambda: levels(plant())),
     "steps, stiction, 10 g": (20, lambda: levels(plant(force=0.0, mass=0.01))),
+    "steps, everything": (20, lambda: levels(airy())),
+    "steps, everything, aloft": (20, lambda: levels(airy(), ALOFT)),
+    "steps, everything, 10 g": (20, lambda: levels(airy(force=0.0, mass=0.01))),
+    "steps, everything but stiction": (20, lambda: levels(airy(friction=0))),
+    "steps, everything but the chamber": (20, lambda: levels(airy(conductance_fill=0.0, conductance_vent=0.0))),
+    "closed loop at 500 Hz, everything": (20, lambda: closed_loop(airy(force=0.0, mass=2.0))),
     "ramp 2 kPa/s, stick-slip": (63, lambda: waves(constant(0, 150e3), ramp(3, 150e3, 270e3, 2e3), end=63)),
     "sine 0.5 Hz, stiction": (20, lambda: waves(constant(0, 300e3), sine(2, 300e3, 80e3, 0.5, 9), end=20)),
     "100 s stuck": (100, lambda: waves(constant(0, 50e3), end=100)),
