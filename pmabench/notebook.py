@@ -30,10 +30,19 @@ def open_run(path: Path | str) -> Run:
     return Run(reader.open_run(path))
 
 
-def process(*runs: Run | Path | str) -> Results:
+def process(
+    *runs: Run | Path | str,
+    forms: Sequence[str] = (),
+    bootstrap: int | None = None,
+    polish: bool = False,
+    regulator: bool = False,
+) -> Results:
     """The coefficients of runs, kind by kind; a run that continues others is taken with them.
 
-    Raises InvalidFile for what is no run, or is of a kind that cannot be reduced; UsageError where none is given.
+    `forms`, `bootstrap`, `polish` and `regulator` are for contraction runs, as `pmabench process` has them.
+
+    Raises InvalidFile for what is no run, or is of a kind that cannot be reduced; UsageError where none is given, and
+    for a form that is none.
     """
     from pmabench.analysis.reduce import reduce_runs
     from pmabench.store.chain import open_chains
@@ -41,7 +50,9 @@ def process(*runs: Run | Path | str) -> Results:
     if not runs:
         raise UsageError("no run is given; give run folders, or what open_run returned")
     loaded = open_chains([Path(run.data.path if isinstance(run, Run) else run) for run in runs])
-    return Results(tuple(reduce_runs(loaded)), tuple(loaded))
+    asked = {"forms": list(forms), "bootstrap": bootstrap, "polish": polish, "regulator": regulator}
+    wanted = {"contraction-relaxation": {name: value for name, value in asked.items() if value}}
+    return Results(tuple(reduce_runs(loaded, wanted)), tuple(loaded))
 
 
 def open_analysis(*folders: Path | str) -> Results:

@@ -39,6 +39,11 @@ if TYPE_CHECKING:
     metavar="N",
     help="Contraction runs: so many draws over the trials check the intervals.",
 )
+@click.option(
+    "--polish",
+    is_flag=True,
+    help="Contraction runs: the coefficients by output error, too, which simulates each stroke.",
+)
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
 @common
 def command(
@@ -50,6 +55,7 @@ def command(
     cluster: str | None,
     forms: tuple[str, ...],
     bootstrap: int | None,
+    polish: bool,
     regulator: bool,
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
@@ -62,7 +68,7 @@ def command(
     """
     from pmabench.store.below import ANALYSES, holds_runs
 
-    asked = _asked(forms, bootstrap, regulator)
+    asked = _asked(forms, bootstrap, regulator, polish)
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -82,7 +88,7 @@ def command(
     loaded = load_runs(given)
     if asked and all(run.kind != CONTRACTION for run in loaded):
         raise UsageError(
-            f"--form, --bootstrap and --regulator are for runs of kind {CONTRACTION}, and none of these is one"
+            f"--form, --bootstrap, --polish and --regulator are for runs of kind {CONTRACTION}; none of these is one"
         )
     analyses = analyse(loaded, {CONTRACTION: asked})
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
@@ -121,18 +127,18 @@ def beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
-def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool) -> dict[str, Any]:
+def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool, polish: bool) -> dict[str, Any]:
     """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
     if forms:
         from pmabench.analysis.contraction.forms import asked
 
         asked(forms)
-    told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator}
+    told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
     return {name: value for name, value in told.items() if value}
 
 
 CONTRACTION = "contraction-relaxation"
-"""The kind of runs that --form, --bootstrap and --regulator are for."""
+"""The kind of runs that --form, --bootstrap, --polish and --regulator are for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 

@@ -148,7 +148,7 @@ def test_a_bootstrap_over_two_repeats_scatters_as_it_should():
     fit = Fit(np.zeros(1), np.array([[1 / 800]]), np.ones((800, 1)), np.zeros(800), True, np.zeros(0))
     none = np.zeros(800)
     numbers = np.arange(800)
-    segments = Segments(numbers, none, none, empty, empty, empty, empty, pairs.ravel(), none, np.empty(0), 0.002)
+    segments = Segments(numbers, none, none, *5 * [empty], pairs.ravel(), none, np.empty(0), 0.002)
     draws = bootstrap(segments, fit, numbers // 2, 2000, within=True)
     expected = np.sqrt(np.sum((pairs[:, 0] - pairs[:, 1]) ** 2) / 2 * 2) / 800
     assert np.std(draws.theta) == pytest.approx(expected, rel=0.06)

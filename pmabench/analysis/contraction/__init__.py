@@ -4,8 +4,9 @@
   `contraction_values`, `curves` (regressions on pressure)
 - the papers' way and the dead times: `contraction_steps`, `steps`; words and figures: `contraction_view`;
   whole trials run freely: `free_run`
-- where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; draws over trials in
-  `bootstrap`; the regulator in `regulator_response`
+- where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; output error in
+  `contraction_polish`, `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in
+  `regulator_response`
 - by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model against
   test in `contraction_paper1_view`
 """

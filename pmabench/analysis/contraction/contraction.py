@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.contraction import (
     contraction_joint,
+    contraction_polish,
     contraction_steps,
     contraction_view,
     drift,
@@ -51,7 +52,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
     `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
-    `regulator`: dead time and lags from the command to the pressure [s].
+    `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
+    error beside them.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -64,6 +66,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
+    polished = contraction_polish.compare(campaign, pooled, estimates, options)
     beside = contraction_steps.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
     draws = int(options.get("bootstrap", 0))
@@ -73,14 +76,20 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
-        estimates=(*estimates, *joint.estimates, *beside.estimates, *response),
+        estimates=(*estimates, *joint.estimates, *polished.estimates, *beside.estimates, *response),
         curves=(*curves, *joint.curves, *beside.curves),
         dropped=dropped,
         findings=(
             *contraction_view.findings(campaign, pooled, estimates),
-            *skew.findings(runs, campaign.channels, campaign.skew, (*estimates, *joint.estimates, *beside.estimates)),
+            *skew.findings(
+                runs,
+                campaign.channels,
+                campaign.skew,
+                (*estimates, *joint.estimates, *polished.estimates, *beside.estimates),
+            ),
             *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
+            *polished.findings,
             *beside.findings,
             *described,
             *reference.findings(runs),
@@ -92,6 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **contraction_view.facts(campaign, pooled, runs_free),
             "steps": beside.table,
             **({"joint": joint.facts} if joint.facts else {}),
+            **({"output_error": polished.facts} if polished.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),
         },
     )
@@ -121,10 +131,10 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
         return np.concatenate((*polygons, [again.coulomb]))
 
-    def trusted(other: Solved, rows: NDArray[np.bool_], again: Callable[[Segments], Array]) -> Trust:
-        """How far a fit to these rows of the segments can be trusted."""
+    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
+        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
         run = replay.run(other, work.P, work.dt, work.load, work.mass, work.x)
-        mine, seen = segments.where(rows), noise[rows]
+        mine = segments.where(rows)
 
         def replayed(seed: int) -> Segments:
             return segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
@@ -135,10 +145,11 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         scales = Scales.of(campaign.runs)
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.steps, drifts)
 
-    def trust_of(other: Solved, rows: NDArray[np.bool_]) -> Trust:
-        return trusted(other, rows, lambda late: other.again(late, rms_of(noise[rows])).theta)
+    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
+        return trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
 
-    return Pooled(segments, solved, noise, trusted(solved, np.ones(len(segments), bool), first), trust_of, work)
+    trust = trusted(solved, np.ones(len(segments), bool), noise, first)
+    return Pooled(segments, solved, noise, trust, trust_of, work)
 
 
 def _skews(

@@ -53,7 +53,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> B
     knots = pooled.fit.knots[pooled.fit.knots >= least]
     orders, scores = choose(segments, {s: wanted.get(s) for s in SYMBOLS}, knots, noise)
     solved = solve(segments, forms_of(orders, knots), noise, least)
-    trust = pooled.trust_of(solved, rows)
+    trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     told = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
     estimates = values(Told(campaign, segments, solved, pooled.fit.knots, trust, METHOD, told))
     known = [e for e in estimates if e.value is not None]

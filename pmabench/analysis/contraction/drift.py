@@ -48,7 +48,7 @@ def causes(
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
         pull = fit.values("F_ce", segments.pressure)
         # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
-        weaker = replace(segments, force=segments.force - each * np.maximum(0.0, pull - segments.force))
+        weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         found.append(Cause(SPECIMEN, np.array([change(shrunk), change(weaker)])))
     for channel in channels:
         if channel == "displacement":
@@ -115,4 +115,4 @@ def _offset(segments: Segments, channel: str, by: Array) -> Segments:
     """The segments with `by` (n,) [SI] added to what a channel read."""
     if channel == "pressure":
         return replace(segments, P=segments.P + by[:, None], P_mid=segments.P_mid + by[:, None])
-    return replace(segments, force=np.where(segments.mass > 0, segments.force, segments.force + by))
+    return segments.pulled(np.where(segments.mass > 0, 0.0, by))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.contraction.drift import Cause
-from pmabench.analysis.contraction.pooled import SYMBOLS, Fit, Solved, expected_noise, rms_of
+from pmabench.analysis.contraction.pooled import SYMBOLS, Fit, Solved, rms_of
 from pmabench.analysis.contraction.replay import Stretches
 from pmabench.analysis.contraction.segments import Noise, Segments
 from pmabench.analysis.results import Parts, Source
@@ -115,8 +115,8 @@ class Pooled:
     noise: Array
     """Of each segment [N], that the channels explain; shape (n,)."""
     trust: Trust
-    trust_of: Callable[[Solved, NDArray[np.bool_]], Trust]
-    """How far another fit to some rows of the segments can be trusted."""
+    trust_of: Callable[[Solved, NDArray[np.bool_], Array], Trust]
+    """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
     work: Stretches
     """The strokes that were replayed."""
 
@@ -176,9 +176,7 @@ def assess(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
         steps={
-            name: fit.inverse
-            @ _scores(fit, expected_noise(segments, fit, replace(NO_NOISE, **{name: size})))
-            @ fit.inverse
+            name: fit.scatter(segments, replace(NO_NOISE, **{name: size}))
             for name, size in vars(steps).items()
             if size > 0
         },

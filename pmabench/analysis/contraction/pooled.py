@@ -74,6 +74,11 @@ class Solved(ABC):
     def bends(self, segments: Segments, noise: float) -> Array:
         """What the forms leave of a bend in each unknown, shape (p,)."""
 
+    def scatter(self, segments: Segments, noise: Noise) -> Array:
+        """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
+        each = expected_noise(segments, self, noise)
+        return np.asarray(self.inverse @ ((self.design * each[:, None] ** 2).T @ self.design) @ self.inverse)
+
     @property
     def coulomb(self) -> float:
         """Coulomb friction [N], 0 where it cannot be told."""

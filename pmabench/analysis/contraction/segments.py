@@ -68,10 +68,10 @@ class Segments:
     """Segments of a whole campaign, one per row.
 
     `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed as
-    the velocity is. `P_mid` and `v` [m/s] have shape (n, s) and are averaged evenly. The others have shape (n,):
-    `force` is the mean F_L [N], with M x'' added where F_L is a weight and no cell measures it, `mass` that M [kg], 0
-    with a cell; `way` is +1 contracting, -1 relaxing; `trial` the number of the trial, `t` its first time [s]. `dt` is
-    the sampling period [s].
+    the velocity is. `P_mid`, `v` [m/s] and `F_mid`, F_L as a cell measured it or the weight [N], have shape (n, s) and
+    are averaged evenly. The others have shape (n,): `force` is the mean F_L [N], smoothed alike, with M x'' added where
+    F_L is a weight and no cell measures it, `mass` that M [kg], 0 with a cell; `way` is +1 contracting, -1 relaxing;
+    `trial` the number of the trial, `t` its first time [s]. `dt` is the sampling period [s].
     """
 
     trial: NDArray[np.intp]
@@ -81,6 +81,7 @@ class Segments:
     x: Array
     P_mid: Array
     v: Array
+    F_mid: Array
     force: Array
     mass: Array
     weights: Array
@@ -105,6 +106,7 @@ class Segments:
             x=self.x[rows],
             P_mid=self.P_mid[rows],
             v=self.v[rows],
+            F_mid=self.F_mid[rows],
             force=self.force[rows],
             mass=self.mass[rows],
         )
@@ -115,7 +117,16 @@ class Segments:
             return replace(self, P=self.P * (1 + gain) + offset, P_mid=self.P_mid * (1 + gain) + offset)
         if channel == "displacement":
             return replace(self, x=self.x * (1 + gain) + offset, v=self.v * (1 + gain))
-        return replace(self, force=np.where(self.mass > 0, self.force, self.force * (1 + gain) + offset))
+        cell = self.mass <= 0
+        return replace(
+            self,
+            force=np.where(cell, self.force * (1 + gain) + offset, self.force),
+            F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + offset, self.F_mid),
+        )
+
+    def pulled(self, by: Array) -> Segments:
+        """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
+        return replace(self, force=self.force + by, F_mid=self.F_mid + by[:, None])
 
 
 def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
@@ -183,9 +194,10 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     if not found:
         none = np.empty(0)
         wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
-        return Segments(np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, none, none, weights, 1 / rate)
-    trial, t, way, P, x, P_mid, v, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, force, mass, weights, 1 / rate)
+        first = np.empty(0, np.intp)
+        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, 1 / rate)
+    trial, t, way, P, x, P_mid, v, F_mid, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
 
 
 def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tuple[Array, ...] | None:
@@ -210,14 +222,15 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))
     if samples.force is not None:
-        force = samples.force[around] @ weights
+        force, F_mid = samples.force[around] @ weights, samples.force[middle]
     else:
+        F_mid = np.full(middle.shape, samples.load)
         mass += samples.mass
         gained = v[start + n] - v[start - 1]
         force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
     number = np.full(len(start), samples.trial)
     P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], force, mass
+    return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], F_mid, force, mass
 
 
 def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
