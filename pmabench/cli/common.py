@@ -196,3 +196,13 @@ def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(*args, session={"anew": new_session, "skip_warm_up": because.strip()}, **kwargs)
 
     return command
+
+
+def login_name() -> str:
+    """Who is logged in; `unknown` where the machine does not tell."""
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, login_name
 
 
 @click.command(name="note")
@@ -29,7 +29,7 @@ def command(
     from pmabench.store.notes import add_note
 
     index = None if exclude is None else exclude - 1
-    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or _user())
+    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or login_name())
     data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.told()}
 
     def human() -> None:
@@ -50,12 +50,3 @@ def _trial(run: Path, index: int) -> str:
     lines = decode((run / EVENTS).read_bytes()).lines
     data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)
     return f"trial {index + 1} ({point_text(data.get('point') or {})})"
-
-
-def _user() -> str:
-    import getpass
-
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, login_name
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
+    from pmabench.analysis.verdict.changes import Change
     from pmabench.store.recalibration import NewScale, Recalibration
-    from pmabench.store.records import RunData
+    from pmabench.store.records import ChannelInfo, RunData
 
 
 @click.command(name="recalibrate")
@@ -34,10 +35,18 @@ if TYPE_CHECKING:
     metavar="CHANNEL=TIME",
     help='How much older the values of a channel are than their time stamps, for instance "pressure=12 ms".',
 )
+@click.option("--because", default="", metavar="TEXT", help="Why; the new analyses and their report say so.")
+@click.option("--operator", default="", help="Who says so; the login name if not given.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of the new analyses, which must not exist.")
 @common
 def command(
-    ui: Ui, runs: tuple[Path, ...], calibrations: tuple[str, ...], skews: tuple[str, ...], out: Path | None
+    ui: Ui,
+    runs: tuple[Path, ...],
+    calibrations: tuple[str, ...],
+    skews: tuple[str, ...],
+    because: str,
+    operator: str,
+    out: Path | None,
 ) -> int | None:
     """Process RUNS again from their raw samples with other calibrations, and say what becomes of each coefficient.
 
@@ -59,17 +68,20 @@ def command(
     changed = open_chains(given, anew)
     told = _told(recorded, changed, anew)
     before = analyse(recorded)
+    who = {"at": _now(), "operator": operator or login_name(), "because": because.strip()}
     after = [_marked(analysis, told) for analysis in analyse(changed)]
     found = changes(before, after)
+    after = [_with_changes(analysis, found, who) for analysis in after]
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
     folder = out or _free(beside(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
         raise UsageError(f"{folder} exists; give --out the name of a new folder")
     folders = write(after, changed, folder)
-    tables = write_changes(found, told, folder)
+    tables = write_changes(found, told, who, folder)
     data: dict[str, Any] = {
         "schema": "pmabench.recalibrate/1",
         "runs": [run.id for run in recorded],
+        "recalibration": who,
         "channels": told,
         "folders": [str(path) for path in folders],
         "table": [str(path) for path in tables],
@@ -152,13 +164,20 @@ def _told(before: Sequence[RunData], after: Sequence[RunData], anew: Recalibrati
                 was, is_ = old.channels[name], new.channels[name]
                 scales.append({
                     "run": old.id,
-                    "before": {"calibration": was.calibration, "slope": was.slope, "offset": was.offset},
-                    "after": {"calibration": is_.calibration, "slope": is_.slope, "offset": is_.offset},
+                    "before": _scale_of(was),
+                    "after": _scale_of(is_),
                 })  # fmt: skip
         names = list(dict.fromkeys(str(scale["before"]["calibration"]) or "no calibration" for scale in scales))
         sentence = f"{name}: calibration {anew.scales[name].calibration.get('id')} instead of {', '.join(names)}"
-        told.append({"channel": name, "scales": scales, "sentence": sentence})
+        record = anew.scales[name].calibration
+        about = {key: record.get(key) for key in ("id", "reference", "date", "sha256")}
+        told.append({"channel": name, "calibration": about, "scales": scales, "sentence": sentence})
     return told
+
+
+def _scale_of(info: ChannelInfo) -> dict[str, Any]:
+    names = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertainty")
+    return {name: getattr(info, name) for name in names}
 
 
 def _marked(analysis: Analysis, told: Sequence[dict[str, Any]]) -> Analysis:
@@ -171,6 +190,18 @@ def _marked(analysis: Analysis, told: Sequence[dict[str, Any]]) -> Analysis:
         findings=(*said, *analysis.findings),
         facts={**analysis.facts, "recalibrated": [dict(channel) for channel in told]},
     )
+
+
+def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:
+    """The analysis with who asked for it, when and why, and what became of each of its coefficients."""
+    mine = [change.to_dict() for change in found if change.kind == analysis.kind and change.runs == analysis.runs]
+    return replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
+
+
+def _now() -> str:
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _free(folder: Path) -> Path:

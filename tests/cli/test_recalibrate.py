@@ -2,13 +2,18 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from math import hypot
 
 import pytest
 from click.testing import CliRunner
 
+from pmabench.analysis.results import Analysis
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
+from pmabench.report.document.content import content_of
+from pmabench.report.document.html import render
+from pmabench.report.files.analysis_folder import read_analysis
 from pmabench.store.reader import open_run
 from pmabench.store.recalibration import NewScale, Recalibration, refound
 from tests.benchmarks.archive import write_run
@@ -80,6 +85,42 @@ def test_a_scale_one_percent_larger_changes_strokes_and_nothing_that_rests_on_ti
     again = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), "--json").stdout)
     assert again["folders"] != told["folders"]
     assert again["changes"] == told["changes"]
+
+
+def test_a_report_names_both_calibrations_who_when_why_and_every_change(run, tmp_path):
+    asked = ("--because", "wrong <b>gauge</b>", "--operator", "A. Meyer", "--out", tmp_path / "a", "--json")
+    told = json.loads(call("recalibrate", run, "--calibration", file(tmp_path), *asked).stdout)
+    who = told["recalibration"]
+    assert (who["operator"], who["because"]) == ("A. Meyer", "wrong <b>gauge</b>")
+    analysis = read_analysis(tmp_path / "a" / "recorded-step")
+    content = content_of([analysis], [open_run(run)])
+    rows = [[cell.text for cell in row] for _, rows in content.calibrations.groups for row in rows]
+    heads = [column.head for column in content.calibrations.columns]
+    recorded, reduced = heads.index("recorded with"), heads.index("reduced here with")
+    by = {row[0]: (row[recorded], row[reduced]) for row in rows}
+    assert by["displacement"][0] == "C-1"
+    assert by["displacement"][1].startswith("C-2, 2026-03-01, gauge blocks, sha256 ")
+    assert by["pressure"] == ("C-1", "")
+    said = "by A. Meyer, because wrong <b>gauge</b>: displacement: calibration C-2 instead of C-1"
+    assert content.deviations[0] == f"R1: recalibrated on {who['at'][:16].replace('T', ' ')} UTC {said}"
+    (table,) = [t for t in content.sections[0].tables if t.caption.startswith("What the recalibration changed")]
+    shown = [[cell.text for cell in row] for _, rows in table.groups for row in rows]
+    assert len(shown) == len(told["changes"])
+    (stroke,) = [row for row in shown if row[0] == "X"]
+    assert stroke[3:5] == ["40.00", "40.40"]
+    assert stroke[-1] == "+1.00"
+    page = render([analysis], [open_run(run)])
+    assert "<b>gauge</b>" not in page
+    plain = content_of([replace(analysis, facts={})], [open_run(run)])
+    assert [column.head for column in plain.calibrations.columns][1] == "calibration"
+
+
+@pytest.mark.parametrize("odd", [7, "x", [7], [{}], [{"scales": 3}], [{"channel": [], "scales": [{"after": 1}]}]])
+def test_odd_facts_of_a_recalibration_make_no_trouble(run, odd):
+    facts = {"recalibrated": odd, "recalibration": {"changes": odd, "at": 3, "because": [], "operator": {}}}
+    content_of([Analysis("recorded-step", ("r",), False, facts=facts)], [open_run(run)])
+    facts["recalibration"] = odd
+    content_of([Analysis("recorded-step", ("r",), False, facts=facts)], [open_run(run)])
 
 
 def test_the_same_calibration_changes_nothing(run, tmp_path):

@@ -15,6 +15,7 @@ class Change:
     """One coefficient on both sides; None where one side does not have it at all."""
 
     kind: str
+    runs: tuple[str, ...]
     before: Estimate | None
     after: Estimate | None
 
@@ -81,10 +82,11 @@ def changes(before: Sequence[Analysis], after: Sequence[Analysis]) -> list[Chang
         left = list(sides.pop((analysis.kind, analysis.runs), ()))
         pairs = [(estimate, _take(left, estimate)) for estimate in analysis.estimates]
         found += [
-            Change(analysis.kind, other or _take(left, estimate, exact=False), estimate) for estimate, other in pairs
+            Change(analysis.kind, analysis.runs, other or _take(left, estimate, exact=False), estimate)
+            for estimate, other in pairs
         ]
-        found += [Change(analysis.kind, other, None) for other in left]
-    found += [Change(kind, other, None) for (kind, _), estimates in sides.items() for other in estimates]
+        found += [Change(analysis.kind, analysis.runs, other, None) for other in left]
+    found += [Change(kind, runs, other, None) for (kind, runs), estimates in sides.items() for other in estimates]
     return found
 
 

@@ -1,6 +1,6 @@
 """What a report says, before any format, and the formats.
 
 - `content`, made of `front` (first page), `provenance`, `deviations`, `checklist`, `citation`, `run_notes`, `parents`
-  (trials behind a number), `tables`, `budget_tables`, `check_tables`
+  (trials behind a number), `tables`, `budget_tables`, `check_tables`, `recalibration_tables`
 - as HTML page, PDF, workbook: `html`, `pdf`, `workbook`; tables ready for any of them: `grids`
 """

@@ -23,6 +23,8 @@ from pmabench.report.document.deviations import deviations
 from pmabench.report.document.front import Tile, Verdict, first_findings, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
 from pmabench.report.document.parents import Parents
+from pmabench.report.document.recalibration_tables import change_tables, reduced_with
+from pmabench.report.document.recalibration_tables import who as who_changed
 from pmabench.report.document.run_notes import Said, notes_of
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
@@ -147,7 +149,8 @@ def content_of(
         else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
     )
     when = provenance.when(runs)
-    remarks = deviations(runs, names)
+    told = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
+    remarks = [*dict.fromkeys(told), *deviations(runs, names)]
     who = (issuer or Issuer()).cleaned()
     details = provenance.run_table(runs, names).to_dict("records")
     return Content(
@@ -185,7 +188,7 @@ def content_of(
         dropped=_dropped(analyses, names),
         methods=_methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
         run_details=[[(str(head), str(text)) for head, text in row.items()] for row in details],
-        calibrations=grid(provenance.calibration_table(runs, names), group=False),
+        calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
         versions=provenance.versions(runs),
         parents=[
             grid(parents.trials.table(), "Sets of trials that the values come from"),
@@ -236,7 +239,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
-    told = (*tables.other_tables(analysis), *check_tables(analysis))
+    told = (*tables.other_tables(analysis), *check_tables(analysis), *change_tables(analysis))
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)

@@ -209,8 +209,13 @@ def versions(runs: Sequence[RunData]) -> list[str]:
     return list(dict.fromkeys(text_of(run.manifest.get("versions")) for run in runs if run.manifest.get("versions")))
 
 
-def calibration_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
-    """Channel, calibration and its expanded uncertainty, with the runs that used it."""
+def calibration_table(
+    runs: Sequence[RunData], names: Mapping[str, str], reduced: Mapping[tuple[str, str], str]
+) -> pd.DataFrame:
+    """Channel, calibration that it was recorded with and its expanded uncertainty, with the runs that used it.
+
+    `reduced` says by run and channel what was taken in its place, where that is another.
+    """
     rows: dict[tuple[str, ...], list[str]] = {}
     for run in runs:
         for info in run.channels.values():
@@ -218,8 +223,10 @@ def calibration_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.D
             offset = f"{info.offset_uncertainty / unit.scale:.3g} {unit.unit}" if info.offset_uncertainty else ""
             gain = f"{info.gain_uncertainty:.2%}" if info.gain_uncertainty else ""
             lag = f"{info.sensor_lag * 1e3:.3g} ms" if info.sensor_lag else ""
-            key = (clean(info.name, 60), clean(info.calibration, 80) or "none", offset, gain, lag)
+            other = reduced.get((run.id, info.name), "")
+            key = (clean(info.name, 60), clean(info.calibration, 80) or "none", offset, gain, lag, other)
             rows.setdefault(key, []).append(names.get(run.id, "?"))
-    heads = ("channel", "calibration", "offset, 95 %", "gain, 95 %", "sensor lag")
+    recorded = "recorded with" if reduced else "calibration"
+    heads = ("channel", recorded, "offset, 95 %", "gain, 95 %", "sensor lag", "reduced here with")
     frame = pd.DataFrame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
     return frame.loc[:, lambda f: (f != "").any()] if len(frame) else frame

@@ -58,7 +58,9 @@ def _signed(value: float, half: float | None, size: float) -> str:
     return text if text.startswith(("-", "−")) else f"+{text}"
 
 
-def write_changes(changes: Sequence[Change], told: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
+def write_changes(
+    changes: Sequence[Change], told: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
+) -> list[Path]:
     """`changes.csv` in display units and `changes.json` in SI; raises RecordError where they cannot be written."""
     rows = []
     for change in changes:
@@ -76,7 +78,12 @@ def write_changes(changes: Sequence[Change], told: Sequence[Mapping[str, Any]], 
             row |= {f"{name} low95": scaled(ends[0]), f"{name} high95": scaled(ends[1])}
         row |= {"difference": scaled(change.difference), "half width 95 %": scaled(change.half_width)}
         rows.append(row | {"method": e.method})
-    data = {"schema": SCHEMA, "channels": list(told), "changes": [change.to_dict() for change in changes]}
+    data = {
+        "schema": SCHEMA,
+        "recalibration": dict(who),
+        "channels": list(told),
+        "changes": [change.to_dict() for change in changes],
+    }
     paths = [folder / f"{NAME}.csv", folder / f"{NAME}.json"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
