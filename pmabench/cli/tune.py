@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
@@ -54,7 +53,7 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, rules_named, tune
+    from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
     from pmabench.base.errors import UsageError
 
     given = [value is not None for value in (ku, tu)]
@@ -86,7 +85,7 @@ def command(
         reduced = by_folder(contractions, where)
     if reduced is not None:
         notes = [f"{finding.level}: {finding.text}" for finding in reduced.findings]
-        pairs = _pairs(reduced)
+        pairs = measured_loops(reduced)
     elif analysis is not None:
         pairs = _measured(analysis)
     else:
@@ -206,35 +205,14 @@ def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[floa
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
+    from pmabench.analysis.loops.tuning import measured_loops
     from pmabench.base.errors import invalid
     from pmabench.report.files.analysis_folder import read_analysis
 
-    found = _pairs(read_analysis(folder))
+    found = measured_loops(read_analysis(folder))
     if not found:
         raise invalid(folder, "holds no ultimate gain and period")
     return found
-
-
-def _pairs(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
-    from pmabench.model.loop import Loop
-
-    loops = {
-        _point(fact["at"]): Loop(
-            fact["gain"],
-            fact["dead_time"],
-            tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"]),
-        )
-        for fact in analysis.facts.get("loops", [])
-    }
-    known = [e for e in analysis.estimates if e.value is not None]
-    periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
-    gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]
-    first = {_point(e.at): e for e in reversed(gains)}  # of several ways the first one told
-    return [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
-
-
-def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
-    return tuple(sorted(at.items()))
 
 
 Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
@@ -242,24 +220,20 @@ Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
 def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
-    from pmabench.analysis.loops.tuning import plausibility
+    from pmabench.analysis.loops.tuning import loop_of
     from pmabench.base.errors import UsageError
-    from pmabench.model.loop import Loop, ultimate
 
     if dead_time is None:
         raise UsageError("--lag is for --dead-time; give both, or neither")
-    loop = Loop(1.0, _seconds("--dead-time", dead_time), tuple(_seconds("--lag", lag) for lag in lags))
+    dead, rest = _seconds("--dead-time", dead_time), [_seconds("--lag", lag) for lag in lags]
     found, notes = [], []
     for gain, period, known in pairs:
         try:
-            finding = plausibility(period.value or 0.0, loop)
+            scaled, finding = loop_of(gain.value or 1.0, period.value or 0.0, dead, rest)
         except ValueError as error:
             raise UsageError(f"--dead-time {dead_time} with --lag {', '.join(lags) or 'none'}: {error}") from error
         notes.append(f"{finding.level}: {finding.text}")
-        scaled = None
-        if finding.level == "note" and gain.value:
-            scaled = replace(loop, gain=ultimate(loop).gain / gain.value)  # the gain that oscillates at K_u
-        found.append((gain, period, known or scaled))
+        found.append((gain, period, known or (scaled if gain.value else None)))
     return found, notes
 
 

@@ -11,7 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Ratio, Time
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.controller import Controller, gains_at, schedule
+from pmabench.protocol.controller import MODEL, Controller, gains_at, model_for_gains, of_model, schedule
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set, TrialRecord
 from pmabench.protocol.reference_model import ReferenceModel, described
 from pmabench.protocol.sweep import LengthAxis, Sweep, expand
@@ -66,17 +66,23 @@ class Positioning(ProtocolHead):
             c.fault(("controller", "output"), "must rise")
         if controller.tracking is not None:
             c.positive(controller.tracking, ("controller", "tracking"))
-        table = schedule(c, controller, ("controller",))
+        model = None if self.model is None else described(c, self.model, ("model",))
+        by_model = controller.gains == MODEL
+        muscle = model_for_gains(c, model, ("controller",)) if by_model else None
+        table = [] if by_model else schedule(c, controller, ("controller",))
         longest = c.mounted.specimen_file.limits.contraction * c.mounted.bench.length
         for index, point in enumerate(expand(self.sweep, c.document)):
             setpoint, place = point.values["setpoint"], point.places["setpoint"]
             c.positive(setpoint, place)
             if setpoint > longest:
                 c.fault(place, f"{show(setpoint, 'length')} is above the specimen's limit, {show(longest, 'length')}")
-            if not table:
+            if not table and muscle is None:
                 continue
-            gains = gains_at(c, table, setpoint, place)
             values = {**c.load(point.values["load"], point.places["load"]), "setpoint": setpoint}
+            if muscle is not None:
+                gains = of_model(c, controller, muscle, values, place)
+            else:
+                gains = gains_at(c, table, setpoint, place)
             c.put_on(values)
             if index == 0:
                 c.precondition()
@@ -106,7 +112,5 @@ class Positioning(ProtocolHead):
         settings: dict[str, Any] = {"window": [begin, end], "band": trial.band, "form": controller.form}
         if len(table) == 1 and isfinite(table[0][0]):
             settings["gains_of"] = table[0][0]
-        if self.model is not None:
-            model = described(c, self.model, ("model",))
-            settings |= {"model": model} if model is not None else {}
+        settings |= {"model": model} if model is not None else {}
         return c.plan("positioning", settings)

@@ -199,8 +199,14 @@ def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
         "source": f"analysis of {', '.join(analysis.runs)}",
         "points": _rising(table),
         "F_c": max(0.0, _overall(analysis, "F_c", "") or 0.0),
-        "regulator": (_overall(analysis, "t_d", "command-to-pressure") or 0.0, _overall(analysis, "tau_P", "") or 0.0),
+        "regulator": (_first(analysis, "t_d", "dead time", "command-to-pressure"), _first(analysis, "tau_P", "lag")),
     }
+
+
+def _first(analysis: Analysis, symbol: str, *coordinates: str) -> float:
+    """The first of several ways to a time that is known [s]; 0 where none is."""
+    found = (_overall(analysis, symbol, coordinate) for coordinate in coordinates)
+    return max(0.0, next((value for value in found if value is not None), 0.0))
 
 
 def _overall(analysis: Analysis, symbol: str, coordinate: str) -> float | None:

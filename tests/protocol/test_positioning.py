@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from math import atan, pi, prod, sqrt
 from pathlib import Path
 
 import pytest
+from scipy.optimize import brentq
 
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.errors import InvalidFile
@@ -88,6 +90,85 @@ def test_gains_of_one_set_point_are_used_at_all_and_the_plan_says_so(tmp_path):
     assert "gains_of" not in plan("positioning-pi").settings
 
 
+SIMC = ("controller.rule", "SIMC")
+
+
+def theory(x: float, load: float, mass: float) -> tuple[float, float, list[float]]:
+    """k_g [m/Pa], dead time [s] and lags [s] of plant 5.1 at x [m], behind 40 ms, 95.5 ms and half a sample."""
+    P = brentq(lambda p: 1.08e-3 * p - 49 - load - (5600 + 1e-3 * p + 9.7e-9 * p * p) * x, 5e4, 6e5)
+    K, B = 5600 + 1e-3 * P + 9.7e-9 * P * P, 0.5 * (1200 + 1.6e-3 * P + 1100 + 3.4e-3 * P)
+    root = (B * B - 4 * mass * K) ** 0.5
+    lags = [(B + root) / (2 * K), 0.0955, (B - root) / (2 * K)]
+    return (1.08e-3 - (1e-3 + 2 * 9.7e-9 * P) * x) / K, 0.041, sorted(lags, reverse=True)
+
+
+def skogestad_pi(k_g: float, theta: float, lags: list[float]) -> tuple[float, float]:
+    """The half rule and SIMC's PI settings with tau_c = theta (Skogestad 2003, equations 10, 23 and 24)."""
+    first, second, *rest = lags
+    tau, theta = first + second / 2, theta + second / 2 + sum(rest)
+    return tau / (2 * k_g * theta), min(tau, 8 * theta)
+
+
+def test_simc_takes_its_settings_from_the_model_of_the_plan_at_each_set_point():
+    model = ("model", "{coefficients: paper0 ideal, regulator: {dead_time: 40 ms, lag: 95.5 ms}}")
+    seeks = loops(plan("positioning-pi", model, (GAINS, "model"), SIMC))
+    assert len(seeks) == 11
+    for seek in seeks:
+        K_p, T_i = skogestad_pi(*theory(seek.parameters["setpoint"], 0.0, 2.0))
+        assert (seek.parameters["K_p"], seek.parameters["T_i"]) == pytest.approx((K_p, T_i), rel=1e-3)
+    assert seeks[-1].parameters["K_p"] > 2 * seeks[0].parameters["K_p"]
+
+
+def test_other_rules_take_k_u_and_t_u_of_the_model():
+    model = ("model", "{coefficients: paper0 ideal, regulator: {dead_time: 40 ms, lag: 95.5 ms}}")
+    for seek in loops(plan("positioning-pi", model, (GAINS, "model"))):
+        k_g, dead, lags = theory(seek.parameters["setpoint"], 0.0, 2.0)
+        w = brentq(lambda w: w * dead + sum(atan(w * T) for T in lags) - pi, 1.0, 100.0)  # noqa: B023
+        K_u = prod(sqrt(1 + (w * T) ** 2) for T in lags) / k_g
+        assert seek.parameters["K_p"] == pytest.approx(0.45 * K_u, rel=1e-3)
+        assert seek.parameters["T_i"] == pytest.approx(2 * pi / w / 1.2, rel=1e-3)
+
+
+def test_simc_with_times_that_are_given():
+    """Lags of 95 ms and 0.27 s and 41 ms: w solves 0.041 w + atan(0.095 w) + atan(0.27 w) = pi, T_u = 0.3508 s."""
+    lags, dead = [0.27, 0.095], 0.041
+    w = brentq(lambda w: w * dead + sum(atan(w * T) for T in lags) - pi, 1.0, 100.0)
+    k_g = prod(sqrt(1 + (w * T) ** 2) for T in lags) / 60e6
+    given = f"{{K_u: 60 kPa/mm, T_u: {2 * pi / w} s, dead_time: 41 ms, lags: [95 ms, 0.27 s]}}"
+    (one, *_) = loops(plan("positioning-pi", (GAINS, given), SIMC))
+    assert (one.parameters["K_p"], one.parameters["T_i"]) == pytest.approx(skogestad_pi(k_g, dead, lags))
+    assert "impossible" in refused((GAINS, "{K_u: 60 kPa/mm, T_u: 9 s, dead_time: 41 ms, lags: [95 ms]}"), SIMC)
+
+
+def test_simc_of_an_analysis_takes_its_loop(tmp_path):
+    k_g, dead, lags = 2e-7, 0.041, [0.27, 0.095]
+    folder = ultimate(tmp_path / "u", (0.03, 60e6, 0.36))
+    assert "SIMC needs the dead time and the lags" in refused((GAINS, str(folder)), SIMC)
+    told = json.loads((folder / "analysis.json").read_text())
+    told["facts"]["loops"] = [{"at": {"setpoint": 0.03, "load": 0.0}, "gain": k_g, "dead_time": dead, "lags": lags}]
+    (folder / "analysis.json").write_text(json.dumps(told))
+    (one, *_) = loops(plan("positioning-pi", (GAINS, str(folder)), SIMC))
+    assert (one.parameters["K_p"], one.parameters["T_i"]) == pytest.approx(skogestad_pi(k_g, dead, lags))
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ([SIMC], "these gains are taken as they stand"),
+        ([SIMC, (GAINS, "{K_u: 60 kPa/mm, T_u: 0.35 s}")], "SIMC needs the dead time and the lags of the loop"),
+        ([SIMC, (GAINS, "{K_u: 60 kPa/mm, T_u: 0.35 s, dead_time: 40 ms}")], "dead_time and lags of a loop go together"),
+        ([SIMC, (GAINS, "{K_u: 60 kPa/mm, T_u: 0.35 s, dead_time: 0 ms, lags: [0.1 s]}")], "no ultimate gain"),
+        ([SIMC, (GAINS, "model"), ("controller.form", "P")], "SIMC has no rule for a P controller"),
+        ([(GAINS, "model"), ("model", "{coefficients: specimen}")], "tells no dead time and no lag of the regulator"),
+        ([(GAINS, "model"), ("controller.output", "[0 kPa, 200 kPa]")], "no pressure from 0 to 200 kPa holds 30 mm under 0 N"),
+    ],
+)  # fmt: skip
+def test_what_a_rule_needs_and_is_not_known_is_told(settings, told):
+    message = refused(*settings)
+    assert told in message
+    assert "--set" in message or ".yaml:" in message
+
+
 @pytest.mark.parametrize(
     ("setting", "told"),
     [
@@ -149,7 +230,7 @@ def fitted(folder: Path, **change: float | None) -> Path:
     estimates += [
         Estimate("F_c", 6.0, "N", "force", "measured-pressure"),
         Estimate("t_d", 0.04, "s", "time", "onset", coordinate="command-to-pressure"),
-        Estimate("tau_P", 0.0955, "s", "time", "onset"),
+        Estimate("tau_P", 0.0955, "s", "time", "regulator-response", coordinate="lag"),
         Estimate("K", 1.0, "N/m", "stiffness", "step-exponential", {"pressure": 2e5}),
     ]
     return write_analysis(Analysis("contraction-relaxation", ("r7",), True, tuple(estimates)), folder)

@@ -5,7 +5,7 @@ Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from math import inf, isfinite, sqrt
@@ -13,7 +13,7 @@ from typing import Any
 
 from pmabench.analysis.loops.simc import SOURCE as SIMC_PAPER
 from pmabench.analysis.loops.simc import simc
-from pmabench.analysis.results import Estimate, Finding, Parts
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
@@ -245,6 +245,37 @@ def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
     if off > AGREES:
         return Finding("doubt", f"{sentence}: more than {AGREES:.0%} apart")
     return Finding("note", f"{sentence}: they agree")
+
+
+def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> tuple[Loop | None, Finding]:
+    """The loop of `dead_time` and `lags` [s] that oscillates at `K_u`, and whether T_u [s] can be its period.
+
+    None where it cannot. Raises ValueError for times that make no loop, or one that never oscillates.
+    """
+    loop = Loop(1.0, dead_time, tuple(lags))
+    finding = plausibility(T_u, loop)
+    return (replace(loop, gain=ultimate(loop).gain / K_u) if finding.level == "note" else None), finding
+
+
+def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
+    """K_u, T_u and the identified loop (where there is one) at each operating point; of several ways the first told."""
+    loops = {
+        _point(fact["at"]): Loop(
+            fact["gain"],
+            fact["dead_time"],
+            tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"]),
+        )
+        for fact in analysis.facts.get("loops", [])
+    }
+    known = [e for e in analysis.estimates if e.value is not None]
+    periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
+    gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]
+    first = {_point(e.at): e for e in reversed(gains)}
+    return [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
+
+
+def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(at.items()))
 
 
 def facts(gains: Iterable[Gains], at: Mapping[str, float]) -> list[dict[str, Any]]:
