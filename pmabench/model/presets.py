@@ -237,6 +237,8 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         dead_band=chosen("dead_band", given.dead_band),
         leak=chosen("leak", given.leak),
     )
+    if change.damping_ratio is not None and not regulator.natural_frequency:
+        raise ValueError("damping_ratio is for a regulator of second order; give natural_frequency beside it")
     air = setup.air
     if air is not None:
         air = replace(

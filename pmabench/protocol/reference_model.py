@@ -128,6 +128,8 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
         else:
             setup = preset(name, kind.strip() or "ideal")
         muscle, regulator = setup.muscle, setup.regulator
+        if setup.air is not None:
+            source += ", pressure without the motion's part"
         if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
             raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
         if model.friction is not None:

@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pmabench.model.library import MODELS
+from pmabench.model.overrides import Overrides
+from pmabench.model.presets import preset
 from pmabench.model.regulator import Regulated, Regulator, Trace, answer, swung
 from pmabench.model.signal import Wave, constant, ramp, sine
 
@@ -262,3 +264,10 @@ def test_a_lag_beside_an_equal_pole_is_the_limit():
 def test_orders_exclude_each_other(wrong):
     with pytest.raises(ValueError, match="order|negative|damping ratio"):
         Regulator(**wrong)
+
+
+def test_a_damping_ratio_needs_a_second_order():
+    with pytest.raises(ValueError, match="second order"):
+        preset("paper0", "bench", Overrides(damping_ratio=0.5))
+    assert preset("paper0", "bench", Overrides(damping_ratio=0.5, natural_frequency=3.0)).regulator.lag == 0
+    assert preset("paper0-air", "bench", Overrides(regulator_lag=0.1)).regulator.natural_frequency == 0
