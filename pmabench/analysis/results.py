@@ -18,7 +18,9 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 SCHEMA = "pmabench.analysis/1"
-POSITIVE = frozenset(("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "eta", "t_d", "tau_c", "tau_r", "tau_P", "K_u", "T_u"))
+POSITIVE = frozenset(
+    ("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "eta", "t_d", "tau_c", "tau_r", "tau_P", "f_b", "K_u", "T_u")
+)
 """Symbols of what cannot be below 0; terms of their curves and differences of them can."""
 POINT_QUANTITIES = {
     "pressure": "pressure",

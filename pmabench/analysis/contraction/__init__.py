@@ -2,8 +2,8 @@
 
 - `contraction` reduces, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`, `drift`,
   `contraction_values`, `curves` (regressions on pressure)
-- the papers' way and the dead times: `contraction_steps`, `steps`; words and figures: `contraction_view`;
-  whole trials run freely: `free_run`
+- the papers' way, dead times and bandwidth: `contraction_steps`, `steps`, `bandwidth`; words and figures:
+  `contraction_view`; whole trials run freely: `free_run`
 - where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; output error in
   `contraction_polish`, `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in
   `regulator_response`

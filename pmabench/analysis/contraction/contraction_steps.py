@@ -1,4 +1,4 @@
-"""Beside the pooled fit: the papers' exponentials (method `step-exponential`) and dead times of contraction runs.
+"""Beside the pooled fit: the papers' exponentials (method `step-exponential`), dead times, bandwidth of contraction.
 
 Knows trials and what the primary method found; computes no interval of the latter.
 """
@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.contraction import bandwidth
 from pmabench.analysis.contraction.campaign import Campaign
 from pmabench.analysis.contraction.curves import curve
 from pmabench.analysis.contraction.pooled import SYMBOLS, Fit
+from pmabench.analysis.contraction.regulator_response import responses
 from pmabench.analysis.contraction.segments import Gate
 from pmabench.analysis.contraction.steps import Regression, Step, regress, steps_of, stiffness
 from pmabench.analysis.results import Curve, Estimate, Finding, Parts
@@ -96,7 +98,14 @@ def compare(
         for step in steps
     ]
     ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
-    return Beside((*ordered, *_dead_times(campaign, moved)), tuple(curves), _findings(estimates), table)
+    regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
+    widths = bandwidth.estimates(campaign, found, regulator)
+    return Beside(
+        (*ordered, *_dead_times(campaign, moved), *widths),
+        tuple(curves),
+        (*_findings(estimates), *bandwidth.findings(widths)),
+        table,
+    )
 
 
 def _at(

@@ -91,13 +91,7 @@ def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
 
 def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     """Dead time and lags [s] at each tested pressure and over all of them, and how well they describe the steps."""
-    found: dict[float, tuple[Response, tuple[str, ...]]] = {}
-    for P in campaign.tested:
-        rises = [rise for number in range(len(campaign.trials)) if (rise := _rise(campaign, number, P)) is not None]
-        if rises:
-            fitted = response(rises[0][1], np.mean([y for _, _, y in rises], axis=0))
-            if fitted is not None:
-                found[P] = fitted, tuple(name for name, _, _ in rises)
+    found = responses(campaign)
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
     estimates = [e for P, (one, trials) in found.items() for e in _at(campaign, P, one, trials)]
@@ -109,6 +103,18 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
         f" rms, at {show(worst, 'pressure', 4)} ({show(one.times[0], 'time', 3)}, then {lags})"
     )
     return [*estimates, *whole], [Finding("note", text)]
+
+
+def responses(campaign: Campaign) -> dict[float, tuple[Response, tuple[str, ...]]]:
+    """Fit to the mean step at each tested pressure [Pa], with the names of its trials; none where none fits."""
+    found: dict[float, tuple[Response, tuple[str, ...]]] = {}
+    for P in campaign.tested:
+        rises = [rise for number in range(len(campaign.trials)) if (rise := _rise(campaign, number, P)) is not None]
+        if rises:
+            fitted = response(rises[0][1], np.mean([y for _, _, y in rises], axis=0))
+            if fitted is not None:
+                found[P] = fitted, tuple(name for name, _, _ in rises)
+    return found
 
 
 def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array] | None:

@@ -38,6 +38,7 @@ SYMBOLS: dict[str, str] = {
     "tau_c": "time constant, contracting",
     "tau_r": "time constant, relaxing",
     "t_d": "dead time",
+    "f_b": "bandwidth under commanded pressure, −3 dB",
     "K_u": "ultimate gain",
     "T_u": "ultimate period",
     "m": "slope of force over pressure",
