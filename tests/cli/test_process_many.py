@@ -56,6 +56,17 @@ def lab(archive, tmp_path):
     return tmp_path
 
 
+def test_the_analysis_of_a_run_of_a_folder_is_that_of_the_run_alone(archive, tmp_path):
+    lab, _ = archive
+    run = sorted((lab / "runs" / "2018").iterdir())[0]
+    call("process", run, "--out", tmp_path)
+    alone = files_of(tmp_path / "recorded-step")
+    assert alone == files_of(lab / "analyses" / "each" / "2018" / run.name / "recorded-step")
+    assert {"analysis.json", "coefficients.csv", "estimates.csv", "curves.csv", "dropped.csv", "findings.csv"} <= set(
+        alone
+    )
+
+
 def test_each_run_is_its_own_analysis_and_the_table_has_what_is_behind_each(archive):
     lab, told = archive
     assert (told["computed"], told["unchanged"], told["failed"]) == (RUNS, 0, [])

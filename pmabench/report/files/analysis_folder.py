@@ -17,7 +17,7 @@ import numpy as np
 
 from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
-from pmabench.report.files.csv_files import TABLES, write_tables
+from pmabench.report.files.csv_files import write_tables
 from pmabench.report.words.wording import clean
 from pmabench.store.folder import plain
 
@@ -47,8 +47,8 @@ def file_names(names: Iterator[str] | list[str]) -> list[str]:
     return result
 
 
-def write_analysis(analysis: Analysis, folder: Path, *, tables: bool = True) -> Path:
-    """Write `analysis.json`, `traces/<name>.parquet` and the CSV `tables` into `folder`; files of an earlier one go.
+def write_analysis(analysis: Analysis, folder: Path) -> Path:
+    """Write `analysis.json`, `traces/<name>.parquet` and the tables as CSV into `folder`; files of an earlier one go.
 
     Raises RecordError where it cannot be written.
     """
@@ -63,11 +63,7 @@ def write_analysis(analysis: Analysis, folder: Path, *, tables: bool = True) -> 
             entry["file"] = f"{TRACES}/{name}.parquet"
             entry["columns"] = list(trace.columns)
             _write_trace(trace, folder / entry["file"])
-        if tables:
-            write_tables(analysis, folder)
-        else:
-            for name in TABLES:
-                (folder / f"{name}.csv").unlink(missing_ok=True)
+        write_tables(analysis, folder)
         text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
         (folder / ANALYSIS).write_bytes(f"{text}\n".encode())
     except OSError as error:

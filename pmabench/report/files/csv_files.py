@@ -14,9 +14,6 @@ from typing import Any
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.report.words.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
 
-TABLES = ("coefficients", "estimates", "curves", "dropped", "findings")
-
-
 FORMULA = tuple("=+-@＝＋－＠")
 """A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""
 

@@ -59,7 +59,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
         return {"skipped": f"is a run of kind {kind}"}
     runs = open_chains([path])
     (analysis,) = reduce_runs(runs, options)
-    written = write_analysis(analysis, out / folder / analysis.kind, tables=False)
+    written = write_analysis(analysis, out / folder / analysis.kind)
     told: dict[str, Any] = plain(
         {
             "run": runs[-1].id,
