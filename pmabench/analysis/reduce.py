@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
+from pmabench.analysis.shared import repeats
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import STATIC, agreement
@@ -65,15 +67,17 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
         kinds.setdefault(kind, []).append(run)
     found: list[Analysis] = []
     for kinds in specimens.values():
-        analyses = [
-            with_checks(
-                import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(group, (options or {}).get(kind)), group
-            )
-            for kind, group in kinds.items()
-        ]
+        analyses = [_reduced(kind, group, (options or {}).get(kind)) for kind, group in kinds.items()]
         compared = agreement(analyses)
         found += analyses if compared is None else [*analyses, compared]
     return found
+
+
+def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
+    """The reduction of a kind, with the checks and the repeats of its trials."""
+    analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
+    checked: Analysis = with_checks(analysis, runs)
+    return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:

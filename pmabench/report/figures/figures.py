@@ -40,6 +40,7 @@ from pmabench.report.figures.pictures import (
 )
 from pmabench.report.figures.plots import Array, Panel
 from pmabench.report.figures.position_figures import positions, validations
+from pmabench.report.figures.repeat_figures import repeats
 from pmabench.report.figures.section_figures import sections
 from pmabench.report.figures.volume_figures import volumes
 from pmabench.report.words.wording import COLUMNS, clean, shown
@@ -283,5 +284,6 @@ DRAWN: tuple[tuple[tuple[str, ...], Callable[[Sequence[Trace], bool], list[Pictu
     (("volume",), volumes),
     (("free-contraction",), lengths),
     (("arm-angle",), angles),
+    (("repeats",), repeats),
 )
 """Kinds of traces -> how they are drawn; all others are drawn as lines."""
