@@ -37,8 +37,8 @@ LOOK = 0.01
 """At rest the regulator is looked at so often [s], whether it comes to the other side of the muscle's pressure."""
 PER_SWING = 16
 """And at least so often in a period of what swings [1]."""
-BESIDE = 0.01
-"""So far it counts as on neither side [Pa]."""
+BESIDE, SOON = 0.01, 1e-3
+"""So far it counts as on neither side [Pa]; then that of so much later counts [s]."""
 
 
 class Passed(NamedTuple):
@@ -138,7 +138,7 @@ class AirPlant(Plant):
         u, t, P = self._u, self.time, self._known.value(self.time)
         gap = u.value(t) - P
         if abs(gap) < BESIDE:
-            gap = u.rate(t)
+            gap = u.value(t + SOON) - P
         fills = gap > 0
         total, share = self._flows(fills=fills)
         if total == 0:
@@ -156,12 +156,16 @@ class AirPlant(Plant):
         if beyond.size == 0:
             return found, end
         low, high = float(grid[max(beyond[0] - 1, 0)]), float(grid[beyond[0]])
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            if side * (u.value(middle) - found.value(middle)) < 0:
-                high = middle
+        before, after = (side * (u.value(s) - found.value(s)) for s in (low, high))
+        for _ in range(30):  # regula falsi, the end that stays for the second time counting half
+            if not before > 0 or after > -BESIDE:
+                break
+            middle = high - after * (high - low) / (after - before)
+            off = side * (u.value(middle) - found.value(middle))
+            if off > 0:
+                low, before, after = middle, off, 0.5 * after
             else:
-                low = middle
+                high, after, before = middle, off, 0.5 * before
         return found, max(to_nanosecond(high), to_nanosecond(t + 1e-6))
 
     # -- sliding -------------------------------------------------------------------------------------------------
