@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import sys
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from pmabench.analysis.results import Parts, Source
 from pmabench.base.errors import UsageError
 from pmabench.report.document.content import content_of
 from pmabench.report.document.pdf import pdf_bytes, write_pdf
+from pmabench.report.document.pdf_compact import packed
 from pmabench.report.document.run_notes import Said
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
 
@@ -63,7 +65,37 @@ def test_the_pdf_says_what_the_page_says(content, pdf):
     for words in (content.verdict.word, "SIMULATED", content.report_id, "Figure 4", content.tiles[0].value):
         assert words in first
     assert 4 < len(reader.pages) < 40
-    assert len(pdf) < 2_000_000
+    assert len(pdf) < 600_000
+
+
+def _object(reader, number):
+    """An object as text, its references without the reader, and the data of a stream."""
+    found = reader.get_object(pypdf.generic.IndirectObject(number, 0, reader))
+    data = found.get_data() if isinstance(found, pypdf.generic.StreamObject) else b""
+    return re.sub(r"IndirectObject\((\d+), 0, \d+\)", r"\1", repr(found)), data
+
+
+def test_packing_a_pdf_changes_no_page_and_no_object(content, monkeypatch):
+    """Every object of the file as typst wrote it is there again, read by another program."""
+    plain = []
+    monkeypatch.setattr("pmabench.report.document.pdf.packed", lambda data: plain.append(data) or data)
+    small = replace(content, sections=content.sections[:1], front=content.front[:1])
+    before = pdf_bytes(small)
+    after = packed(before)
+    assert plain == [before]
+    assert len(after) < 0.5 * len(before)
+    one, two = (pypdf.PdfReader(io.BytesIO(data), strict=True) for data in (before, after))
+    numbers = [number for number, at in one.xref[0].items() if at]
+    assert len(numbers) > 1000
+    for number in numbers:
+        first, second = (_object(reader, number) for reader in (one, two))
+        assert first == second
+    assert [page.extract_text() for page in one.pages] == [page.extract_text() for page in two.pages]
+
+
+def test_a_pdf_that_is_not_as_expected_is_left_as_it_is(pdf):
+    for data in (b"", b"no PDF", pdf, pdf[:-200], b"%PDF-1.7\ntrailer<<>>\nstartxref\n9\n%%EOF"):
+        assert packed(data) == data
 
 
 def test_the_same_report_gives_the_same_bytes(content, pdf):

@@ -2,5 +2,6 @@
 
 - `content`, made of `front` (first page), `provenance`, `deviations`, `checklist`, `citation`, `run_notes`, `parents`
   (trials behind a number), `tables`, `budget_tables`, `check_tables`, `recalibration_tables`
-- as HTML page, PDF, workbook: `html`, `pdf`, `workbook`; tables ready for any of them: `grids`
+- as HTML page, PDF, workbook: `html`, `pdf` (made smaller by `pdf_compact`), `workbook`; tables ready for any of
+  them: `grids`
 """

@@ -19,6 +19,7 @@ from warnings import catch_warnings, simplefilter
 from pmabench.base.errors import PmaError, RecordError, UsageError
 from pmabench.report.document.content import LEVELS, Content, Numbered
 from pmabench.report.document.grids import Grid
+from pmabench.report.document.pdf_compact import packed
 from pmabench.report.document.run_notes import Said
 from pmabench.report.figures.svg import symbol_parts
 from pmabench.report.words.wording import clean
@@ -55,15 +56,17 @@ def pdf_bytes(content: Content) -> bytes:
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         known = FT2Font(str(fonts / "DejaVuSans.ttf")).get_charmap()
         try:
-            return bytes(
-                typst.compile(
-                    str(folder / "report.typ"),
-                    root=str(folder),
-                    font_paths=[str(fonts)],
-                    ignore_system_fonts=all(ord(sign) in known for sign in set(told)),
-                    format="pdf",
-                    pdf_standards="ua-1",
-                    timestamp=0,
+            return packed(
+                bytes(
+                    typst.compile(
+                        str(folder / "report.typ"),
+                        root=str(folder),
+                        font_paths=[str(fonts)],
+                        ignore_system_fonts=all(ord(sign) in known for sign in set(told)),
+                        format="pdf",
+                        pdf_standards="ua-1",
+                        timestamp=0,
+                    )
                 )
             )
         except (RuntimeError, typst.TypstError) as error:

@@ -22,6 +22,9 @@ SYMBOL = re.compile(
     r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,3}|0))?(?![\w'’-])"
 )
 """A symbol of the field; without a subscript it counts only in front of a unit or an equals sign, or alone."""
+PLACES = re.compile(r' (?:x|y|x1|x2|y1|y2|width|height|transform)="[^"]*"')
+MARKS = re.compile(r'<use [^>]*style="(?P<style>[^"]*)"/>\s*(?:<use [^>]*style="(?P=style)"/>\s*)+')
+"""Marks of one look, one after another."""
 UNITS = {"N", "s", "J", "V", "A", "m"}
 """Letters that by themselves are a unit and no symbol."""
 GREEK = {"tau": "τ", "phi": "φ", "eta": "η", "eps": "ε", "omega": "ω", "theta": "θ", "alpha": "α"}
@@ -67,8 +70,8 @@ def to_svg(figure: Figure, alt: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = text.replace("xlink:href=", "href=")
-    text = re.sub(r' d="([^"]*)"', lambda m: f' d="{_short(m[1])}"', text)
     text = re.sub(r'<g id="[^"]*"', "<g", text)
+    text = lean(text)
     text = re.sub(r"font-family: [^;\"]*; ?", "", text).replace("<g/>\n", "")
     text = re.sub(r"(<text[^>]*>)([^<]*)(</text>)", lambda m: m[1] + _subscripts(m[2]) + m[3], text)
     mark = hashlib.sha256((alt + text).encode()).hexdigest()[:8]
@@ -79,9 +82,55 @@ def to_svg(figure: Figure, alt: str) -> str:
     return head + re.sub(r"\n\s*", "\n", text[text.index(">") + 1 :]).strip()
 
 
-def _short(path: str) -> str:
-    """Path data with two decimals."""
-    return " ".join(re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]):.2f}".rstrip("0").rstrip("."), path).split())
+def lean(text: str) -> str:
+    """The same drawing in fewer letters: two decimals, paths by differences, short names, marks of one look grouped."""
+    found = re.findall(r'<[a-zA-Z][^>]* id="([^"]*)"', text)
+    names = {name: f"{n:x}" for n, name in enumerate(dict.fromkeys(found))}
+
+    def tag(match: re.Match[str]) -> str:
+        told = re.sub(r' d="([^"]*)"', lambda m: f' d="{shortened(m[1])}"', match[0])
+        told = re.sub(r' transform="rotate\(-?0 [^)]*\)"', "", told)
+        told = PLACES.sub(lambda m: re.sub(r"-?\d+\.\d+", lambda n: _number(round(100 * float(n[0]))), m[0]), told)
+        return re.sub(r'(id="|href="#|url\(#)([^")]*)', lambda m: m[1] + names.get(m[2], m[2]), told)
+
+    return MARKS.sub(_marks, re.sub(r"<[a-zA-Z][^>]*>", tag, text))
+
+
+def _marks(run: re.Match[str]) -> str:
+    return f'<g style="{run["style"]}">\n' + re.sub(r' style="[^"]*"', "", run[0]) + "</g>\n"
+
+
+def shortened(path: str) -> str:
+    """Path data (absolute M, L, Q, C and z) as differences with two decimals; what rounding leaves does not add up."""
+    here = start = (0, 0)
+    told: list[tuple[str, list[int]]] = []
+    for command, numbers in re.findall(r"([MLQCz])([^A-Za-z]*)", path):
+        values = [round(100 * float(value)) for value in numbers.split()]
+        points = list(zip(values[::2], values[1::2], strict=True))
+        if command == "M":
+            told.append(("M", values))
+            start = points[0]
+        elif command != "z":
+            moved = [value for x, y in points for value in (x - here[0], y - here[1])]
+            if told[-1][0] == command.lower():
+                told[-1][1].extend(moved)
+            else:
+                told.append((command.lower(), moved))
+        else:
+            told.append(("z", []))
+        here = start if command in "Mz" else points[-1]
+    return "".join(command + _joined(values) for command, values in told)
+
+
+def _joined(values: list[int]) -> str:
+    """Hundredths as numbers, apart only where they would run into each other."""
+    texts = [_number(value) for value in values]
+    return "".join(text if i == 0 or text[0] == "-" else " " + text for i, text in enumerate(texts))
+
+
+def _number(hundredths: int) -> str:
+    """`1.5` for 150."""
+    return f"{hundredths / 100:.2f}".rstrip("0").rstrip(".") if hundredths else "0"
 
 
 def _subscripts(text: str) -> str:
