@@ -19,6 +19,7 @@ for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 COMMANDS = {
     "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
+    "init": ("init", "Write a lab folder to begin with: bench, specimen, protocol, README."),
     "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
     "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
     "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
