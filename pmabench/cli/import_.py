@@ -56,7 +56,8 @@ def command(
                 f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count
             )
             name = printable(run.source.name)
-            click.echo(f"{name}: {run.rows:,} rows, {run.trials} trials; flagged: {flagged or 'nothing'}")
+            trials = f"{run.trials} trial{'' if run.trials == 1 else 's'}"
+            click.echo(f"{name}: {run.rows:,} rows, {trials}; flagged: {flagged or 'nothing'}")
             for finding in run.findings:
                 if ui.verbose or finding.level != "note":
                     click.echo(printable(f"  {finding.level}: {finding.text}"))

@@ -143,6 +143,17 @@ def test_a_mat_file_whose_columns_have_no_names_says_so():
         ("t_s p_psi F_N\n0 1.5 2\n0.1 1.6 n/a\n0.2 1.7 3\n", {"delimiter": "blank", "missing": ["n/a"]}, "s psi N"),
         ("t_s|p_MPa|note|x_mm\n0|1|good|2\n0.1|2|bad|2\n", {"delimiter": "bar"}, "s MPa mm"),
         ("a,b\nt_s,p_bar\n0,1\n0.5,2\n", {"skip_lines": 1, "header": "first line"}, "s bar"),
+        (
+            '"t_s";"p_bar";"F_N"\n"0.00";"1.23";"4.56"\n"0.10";"1.25";"4.60"\n',
+            {"quoted": True, "delimiter": "semicolon", "decimal": "point", "header": "first line"},
+            "s bar N",
+        ),
+        (
+            '"t_s","p_bar","F_N"\n"0,00","1,23","4,56"\n"0,10","1,25","4,60"\n',
+            {"quoted": True, "delimiter": "comma", "decimal": "comma"},
+            "s bar N",
+        ),
+        ("t_s,p_bar,F_N\n0,1,2\n0.1,,\n0.2,,\n0.3,2,3\n", {"missing": [""]}, "s bar N"),
     ],
 )
 def test_layouts_of_text(tmp_path, content, layout, units):
@@ -154,6 +165,93 @@ def test_layouts_of_text(tmp_path, content, layout, units):
     path = written(tmp_path, guess)
     if guess.role("force") or guess.role("displacement"):
         assert import_files([tmp_path / "old.txt"], path, tmp_path / "runs")
+
+
+def test_numbers_in_quotation_marks_are_those_numbers(tmp_path):
+    """The same numbers with point and comma, and what is not quoted among them."""
+    files = {
+        "point.csv": '"t_s";"p_bar";"F_N"\n"0.00";"1.23";"4.56"\n0.10;"1.25";"-4.60"\n"0.20";"1.5";"1e1"\n',
+        "comma.csv": '"t_s","p_bar","F_N"\n"0,00","1,23","4,56"\n"0,10","1,25","-4,60"\n"0,20","1,5","1e1"\n',
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(map_text(guess_files([tmp_path / name]), {}), encoding="utf-8")
+        (run,) = import_files([tmp_path / name], path, tmp_path / "runs")
+        channels = open_run(run.path).trials[0].channels
+        assert channels["pressure"] == pytest.approx([1.23e5, 1.25e5, 1.5e5])
+        assert channels["force"] == pytest.approx([4.56, -4.6, 10.0])
+    (tmp_path / "cut.csv").write_text(files["point.csv"][:-2], encoding="utf-8")
+    with pytest.raises(InvalidFile, match="cut.csv:4:1  the line ends within quotation marks"):
+        import_files([tmp_path / "cut.csv"], tmp_path / "point.csv.yaml", tmp_path / "runs")
+
+
+def test_columns_with_different_decimal_signs_are_told(tmp_path):
+    rows = "".join(f'"{0.1 * k:.2f}";"{1 + k},5";"{k}.25"\n' for k in range(9))
+    (tmp_path / "mixed.csv").write_text('"t_s";"p_bar";"F_N"\n' + rows, encoding="utf-8")
+    guess = guess_files([tmp_path / "mixed.csv"])
+    assert any("the other decimal sign than the others are taken for words: p_bar" in r for r in guess.reasons["file"])
+
+
+def matrix():
+    """Steps of a command, a pressure with a lag behind it, force above a threshold, contraction [mm]."""
+    t = np.arange(0, 20, 0.01)
+    command = np.where(t < 2, 0.0, np.where(t < 8, 300.0, np.where(t < 14, 500.0, 100.0)))
+    P = np.zeros_like(t)
+    for k in range(1, len(t)):
+        P[k] = P[k - 1] + 0.05 * (command[k] - P[k - 1])
+    noise = np.random.default_rng(1).standard_normal((3, len(t)))
+    P = P + 0.5 * noise[0] + 2.0
+    force = np.maximum(0.0, 1.08 * (P - 50.0)) + noise[1]
+    return np.column_stack([t, command, force, P, 0.05 * np.maximum(0.0, P - 80) + 0.01 * noise[2]])
+
+
+@pytest.mark.parametrize("name", ["X", "data"])
+def test_columns_of_a_matrix_are_told_apart_by_what_they_hold(tmp_path, name):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "old.mat", {name: matrix()})
+    guess = guess_files([tmp_path / "old.mat"])
+    assert roles(guess) == {
+        f"{name}(:,1)": ("time", "s"),
+        f"{name}(:,2)": ("pressure_command", "kPa"),
+        f"{name}(:,3)": ("force", "N"),
+        f"{name}(:,4)": ("pressure", "kPa"),
+        f"{name}(:,5)": ("displacement", "mm"),
+    }
+    assert all(column.reasons for column in guess.columns)
+    for column in guess.columns[1:]:
+        assert column.doubts, column.name
+    (asked,) = [doubt for doubt in guess.doubts if "to be confirmed" in doubt]
+    assert all(f"{name}(:,{k})" in asked for k in (2, 3, 4, 5))
+    path = written(tmp_path, guess)
+    (run,) = import_files([tmp_path / "old.mat"], path, tmp_path / "runs")
+    assert max(float(trial.channels["pressure"].max()) for trial in open_run(run.path).trials) == pytest.approx(
+        502e3, rel=0.01
+    )
+
+
+def test_a_matrix_without_a_pressure_is_not_made_into_one(tmp_path):
+    from scipy.io import savemat
+
+    rng = np.random.default_rng(1)
+    savemat(tmp_path / "old.mat", {"X": np.column_stack([np.arange(500) * 0.01, rng.normal(-5e4, 1e3, (500, 2))])})
+    guess = guess_files([tmp_path / "old.mat"])
+    assert [column.role for column in guess.columns] == ["time", "ignore", "ignore"]
+    assert any("no column was found that is a pressure" in doubt for doubt in guess.doubts)
+
+
+def test_what_the_guess_left_open_is_told_where_it_stands(tmp_path):
+    files = sorted((OLD / "polled").glob("*step_exp/*.dat"))
+    path = written(tmp_path, guess_files(files))
+    with pytest.raises(InvalidFile, match="was left open by import --guess") as caught:
+        read_map(path)
+    assert [problem.line for problem in caught.value.problems] == still_open(path.read_text(encoding="utf-8"))
+
+
+def test_a_table_without_time_is_told_what_it_is_good_for(tmp_path):
+    (tmp_path / "chart.csv").write_text("P_bar,contraction,F_N\n2,0,100\n2,0.1,50\n3,0,200\n", encoding="utf-8")
+    assert any("report --overlay" in doubt for doubt in guess_files([tmp_path / "chart.csv"]).doubts)
 
 
 def test_other_encodings(tmp_path):
@@ -183,7 +281,12 @@ def test_units_in_names(name, unit):
 
 
 def test_what_is_no_table_is_refused_in_a_sentence(tmp_path):
-    for content, told in ((b"hello\nthere\n", "no rows of at least two numbers"), (b"\x00\x01\x02\x03", "is binary")):
+    prose = b"A LICENCE\nVersion 3, 29 June 2007\n" + b"and many more words without any number\n" * 9
+    for content, told in (
+        (b"hello\nthere\n", "no rows of at least two numbers"),
+        (b"\x00\x01\x02\x03", "is binary"),
+        (prose, "is no table of numbers"),
+    ):
         (tmp_path / "old").write_bytes(content)
         with pytest.raises(InvalidFile, match=told):
             guess_files([tmp_path / "old"])

@@ -58,6 +58,18 @@ def test_decimal_comma_tabs_blanks_and_line_ends(tmp_path):
     assert '"1.5" is no number' in problem.message
 
 
+def test_quotation_marks_only_where_they_are_told(tmp_path):
+    quoted = {**PLAIN, "quoted": True}
+    assert table(tmp_path, b'"0","1.5","2"\n1,"2.5",3\n', quoted).columns["p"].tolist() == [1.5, 2.5]
+    comma = {**quoted, "decimal": "comma"}
+    assert table(tmp_path, b'"0","1,5","2"\n', comma).columns["p"].tolist() == [1.5]
+    assert "is no number" in refused(tmp_path, b'"0","1.5","2"\n')[0].message
+    for content, told in ((b'0,"1.5,2\n', "within quotation marks"), (b'0,"1.5"x,2\n', "within quotation marks"),
+                          (b'0,"1\t5",2\n', "a tab within a field"), (b'0,"two",2\n', '"two" is no number')):  # fmt: skip
+        (problem,) = refused(tmp_path, content, quoted)
+        assert (problem.line, told in problem.message) == (1, True)
+
+
 def test_missing_values_only_where_they_are_told(tmp_path):
     read = table(tmp_path, b"0,n/a,2\n1,3,-\n", {**PLAIN, "missing": ["n/a", "-"]})
     assert np.isnan(read.columns["p"][0])

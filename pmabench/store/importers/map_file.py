@@ -41,6 +41,8 @@ class TextLayout(Strict):
     format: Literal["text"] = "text"
     delimiter: Literal["comma", "semicolon", "tab", "blank", "bar"]
     """`blank`: any run of blanks and tabs."""
+    quoted: bool = False
+    """Numbers may stand in quotation marks, and the delimiter inside of them parts nothing."""
     header: Literal["first line", "none"]
     names: Annotated[list[Short], Field(max_length=200)] = []
     """Names of the columns in order, where the file does not give them."""
@@ -62,8 +64,12 @@ class TextLayout(Strict):
             raise ValueError('"header: none" needs "names", and "header: first line" has them already')
         if len(set(self.names)) != len(self.names):
             raise ValueError("two columns have the same name")
-        if self.delimiter == "comma" and self.decimal == "comma":
-            raise ValueError("comma cannot be delimiter and decimal sign at once")
+        if self.delimiter == "comma" and self.decimal == "comma" and not self.quoted:
+            raise ValueError(
+                'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
+            )
+        if self.delimiter == "blank" and self.quoted:
+            raise ValueError('"quoted: true" needs a delimiter that is no run of blanks')
         return self
 
 

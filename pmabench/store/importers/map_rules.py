@@ -6,7 +6,7 @@ Reads the map and nothing else; knows no data.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import inf, pi
 from pathlib import Path
@@ -27,6 +27,8 @@ POINT_QUANTITY = {
     "pressure": "pressure",
     "frequency": "frequency",
 }
+OPEN = "??"
+"""What a proposed map begins a value with that no file tells."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -122,7 +124,20 @@ class ImportMap:
 def read_map(path: Path) -> ImportMap:
     """Read a map file; raises InvalidFile with every mistake at file:line:column."""
     document = read_document(path)
+    left = list(_left_open(document.data, ()))
+    if left:
+        told = "was left open by import --guess (??), for no file tells it: write it here, or guess again with --span"
+        raise InvalidFile(document.problem(location, told) for location in left)
     return _Rules(document, validate(MapFile, document)).build()
+
+
+def _left_open(value: Any, location: Location) -> Iterator[Location]:
+    """Places of texts that begin with `??`."""
+    if isinstance(value, str) and value.startswith(OPEN):
+        yield location
+    elif isinstance(value, Mapping | list):
+        for key, inside in value.items() if isinstance(value, Mapping) else enumerate(value):
+            yield from _left_open(inside, (*location, key))
 
 
 class _Rules:

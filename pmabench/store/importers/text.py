@@ -6,6 +6,7 @@ short rows and takes words for numbers without a word.
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections.abc import Sequence
@@ -57,6 +58,9 @@ def parse(
         raise invalid(path, "is empty")
     text = _decoded(path, content, layout.encoding)
     kept, lines = _kept(path, text, layout)
+    if layout.quoted:
+        kept = _unquoted(path, kept, lines, layout)
+        layout = layout.model_copy(update={"delimiter": "tab"})
     names, first = _names(path, kept, lines, layout, optional)
     wanted = [*wanted, *(name for name in optional if name in names)]
     missing = [name for name in wanted if name not in names]
@@ -116,6 +120,20 @@ def _kept(path: str, text: str, layout: TextLayout) -> tuple[list[str], list[int
     if not kept:
         raise invalid(path, "holds no data: all lines are blank, skipped or comments")
     return kept, lines
+
+
+def _unquoted(path: str, kept: list[str], lines: list[int], layout: TextLayout) -> list[str]:
+    """The lines with fields parted by tabs, without the quotation marks around them."""
+    told = []
+    for line, number in zip(kept, lines, strict=True):
+        try:
+            (fields,) = csv.reader([line], delimiter=_DELIMITER[layout.delimiter], strict=True)
+        except (csv.Error, ValueError) as error:
+            raise invalid(path, "the line ends within quotation marks, or they are set wrongly", number, 1) from error
+        if any("\t" in field for field in fields) and layout.delimiter != "tab":
+            raise invalid(path, "holds a tab within a field", number, 1)
+        told.append("\t".join(fields))
+    return told
 
 
 def _split(line: str, layout: TextLayout) -> list[str]:

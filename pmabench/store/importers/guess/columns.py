@@ -73,6 +73,8 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    bare: bool = False
+    """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
 
     @property
     def good(self) -> Array:
@@ -104,7 +106,8 @@ def words(name: str) -> set[str]:
 def choose(proposals: Sequence[Proposal]) -> None:
     """Give every column its role; at most one of each."""
     for proposal in proposals:
-        _by_name(proposal)
+        if not proposal.bare:
+            _by_name(proposal)
     _time(proposals)
     _one_each(proposals)
     _by_shape(proposals)
@@ -225,8 +228,8 @@ def _moves(values: Array) -> float:
 
 
 def _by_shape(proposals: Sequence[Proposal]) -> None:
-    """Columns without names: phases are few whole numbers in order; of the others pressure and force are told apart."""
-    bare = [p for p in proposals if p.role == "ignore" and p.name.startswith("column ") and not p.unit and len(p.good)]
+    """Columns without names: phases are whole numbers in order, a command rests, the others go with the pressure."""
+    bare = [p for p in proposals if p.role == "ignore" and p.bare and not p.unit and len(p.good)]
     for proposal in list(bare):
         marks = np.unique(proposal.good)
         if len(marks) <= 6 and np.array_equal(marks, np.round(marks)) and bool(np.all(np.diff(proposal.good) >= 0)):
@@ -235,6 +238,9 @@ def _by_shape(proposals: Sequence[Proposal]) -> None:
                 proposal.role = "phase"
                 proposal.reasons.append(f"few whole numbers in order, {', '.join(f'{m:g}' for m in marks)}: phases")
     taken = {p.role for p in proposals}
+    command = None if "pressure_command" in taken else _command(bare)
+    if command is not None:
+        bare.remove(command)
     if "pressure" in taken or not bare:
         return
     order = sorted(bare, key=lambda p: _like_pressure(p.good), reverse=True)
@@ -245,6 +251,15 @@ def _by_shape(proposals: Sequence[Proposal]) -> None:
     pressure.role, pressure.unit = "pressure", scale
     top = float(np.quantile(pressure.good, 0.99))
     pressure.reasons.append(f"never far below zero, {top:.4g} at most: like a pressure in {scale}")
+    if command is not None:
+        command.role, command.unit = "pressure_command", scale
+        together = _together(command.values, pressure.values)
+        command.reasons.append(f"rests at levels, and the pressure goes with it (correlation {together:.2f})")
+        command.doubts.append("that it is the command of the pressure is a guess: no name tells it")
+    follow = [p for p in others if abs(_together(p.values, pressure.values)) > 0.5]
+    if len(follow) > 1 and not taken & {"force", "displacement"}:
+        _displacement(follow, pressure)
+    others = [p for p in others if p.role == "ignore"]
     if others and "force" not in taken:
         force = max(others, key=lambda p: abs(_together(p.values, pressure.values)))
         together = _together(force.values, pressure.values)
@@ -262,6 +277,40 @@ def _by_shape(proposals: Sequence[Proposal]) -> None:
                 f"stands in steps of {step:.4g}: counts were turned into it; where you know the line say it with "
                 '"recorded_with"'
             )
+
+
+def _command(bare: Sequence[Proposal]) -> Proposal | None:
+    """A column of the size of a pressure that rests at levels while another one goes with it."""
+    for proposal in bare:
+        values = proposal.good
+        if len(values) < 10 or np.ptp(values) == 0 or _pressure_unit(values) is None:
+            continue
+        rests = float(np.mean(np.diff(values) == 0)) > 0.9
+        twin = any(
+            _together(proposal.values, p.values) > 0.8 and _pressure_unit(p.good) == _pressure_unit(values)
+            for p in bare
+            if p is not proposal and float(np.mean(np.diff(p.good) == 0)) <= 0.9
+        )
+        if rests and twin:
+            return proposal
+    return None
+
+
+def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
+    """Of several columns that go with the pressure the one with the smallest numbers, where they could be a length."""
+    smallest = min(follow, key=lambda p: float(np.quantile(np.abs(p.good), 0.99)))
+    top = float(np.quantile(np.abs(smallest.good), 0.99))
+    unit = "m" if top < 0.5 else "mm" if top < 200.0 else ""
+    if not unit:
+        return
+    smallest.role, smallest.unit = "displacement", unit
+    together = _together(smallest.values, pressure.values)
+    smallest.reasons.append(
+        f"goes with the pressure (correlation {together:.2f}), {top:.4g} at most: a length in {unit}?"
+    )
+    smallest.doubts.append(
+        "that it is a displacement is a guess by its size: no name tells it; look whether it is not the force"
+    )
 
 
 def _together(a: Array, b: Array) -> float:

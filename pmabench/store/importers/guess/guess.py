@@ -29,6 +29,7 @@ MAGIC = (
     (b"TDSm", "tdms"),
     (b"MATLAB ", "mat"),
 )
+_MATRIX = re.compile(r"(.+)\(:,\d+\)")
 LONG_PAUSE = 2.0
 """Seconds; a log that pauses so long several times was switched off between its parts."""
 
@@ -87,6 +88,14 @@ def _guess(files: Sequence[Path]) -> Guess:
     for role in ("time", "pressure"):
         if guess.role(role) is None:
             guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
+    if guess.role("time") is None and guess.role("pressure") is not None and isinstance(guess.layout, TextLayout):
+        guess.doubts.append(
+            "a table of points without time is no recording: report --overlay draws it beside your own, and model fit "
+            "fits a model to it"
+        )
+    bare = [column.name for column in guess.columns if column.bare and column.role not in ("ignore", "time")]
+    if bare:
+        guess.doubts.append(f"to be confirmed by who knows the bench, for numbers alone tell it: {', '.join(bare)}")
     return guess
 
 
@@ -113,8 +122,12 @@ def _look(path: Path) -> Guess:
         for name in groups[group]
     ]
     for column in columns:
+        matrix = _MATRIX.fullmatch(column.name)
+        column.bare = matrix is not None and sum(name.startswith(f"{matrix[1]}(:,") for name in groups[group]) > 1
         if spelled(table.units.get(column.name, "")):
             column.reasons.append(f"the file says its unit, {column.unit}")
+    if any(column.bare for column in columns):
+        reasons.append("columns of a matrix have no names of their own: they are told apart by what they hold")
     choose(columns)
     guess = Guess([path], layout, columns, [], [*others, *table.left_out], reasons={"file": reasons})
     if guess.role("time") is None:
@@ -125,7 +138,10 @@ def _look(path: Path) -> Guess:
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
     table = read_table(path, told.layout, numbers, (), told.texts)
-    columns = [Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name)) for name in numbers]
+    columns = [
+        Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name), bare=not told.named)
+        for name in numbers
+    ]
     choose(columns)
     words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in told.texts]
     every = {column.name: column for column in [*columns, *words]}
@@ -149,7 +165,7 @@ def _alike(guess: Guess, path: Path) -> None:
     other = _look(path)
     same = type(other.layout) is type(guess.layout)
     if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
-        keys = ("delimiter", "decimal", "encoding", "header", "skip_lines", "comment")
+        keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
         same = all(getattr(guess.layout, key) == getattr(other.layout, key) for key in keys)
         blank = "skip" if "skip" in {guess.layout.blank_lines, other.layout.blank_lines} else "refuse"
         missing = sorted({*guess.layout.missing, *other.layout.missing})

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
 from pmabench.store.importers.map_file import TextLayout
 
+TABLE = 0.5
+"""Least share of the lines below the first row of numbers that are such rows, too."""
 LOOKED_AT = 400
 """Lines from the beginning."""
 MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
 NO_VALUE = {"nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"}
 MOST_MISSING = 12
+_QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
 _POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?\s*")
 _COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d{1,3})?\s*")
 
@@ -42,24 +47,35 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
-    delimiter, decimal, rows = _cells(path, lines)
+    quoted = sum(_QUOTED.search(line) is not None for line in lines) > TABLE * sum(map(bool, lines))
+    delimiter, decimal, rows = _cells(path, lines, quoted=quoted)
     width = rows[-1][1]
     first = next(number for number, count in rows if count == width)
     comment = _comment(lines, first)
     reasons = [why, _told(delimiter, decimal, width, len(rows))]
-    names, units, skip = _header(lines, first, delimiter, width, comment, reasons)
+    if quoted:
+        reasons.append("numbers stand in quotation marks")
+
+    def cut(line: str) -> list[str]:
+        return split(line, delimiter, quoted=quoted)
+
+    names, units, skip = _header(lines, first, cut, width, comment, reasons)
     blank = any(not line.strip() for line in lines[:-1])
     if blank:
         reasons.append("blank lines stand in it, and are skipped")
-    texts, missing = _words(lines, rows, delimiter, decimal, width)
+    texts, missing, other = _words(lines[first:], cut, decimal, width)
     if missing:
         reasons.append(f"texts that stand for no value: {', '.join(repr(text) for text in missing)}")
+    if other:
+        told = ", ".join(str(names[k] if names else k + 1) for k in other)[:200]
+        reasons.append(f"columns with the other decimal sign than the others are taken for words: {told}")
     called = names or [f"column {k + 1}" for k in range(width)]
     header_line = bool(names) and not units and skip is not None and not _twice(called)
     called = _apart(called)
     layout = TextLayout.model_validate(
         {
             "delimiter": delimiter,
+            "quoted": quoted,
             "decimal": decimal,
             "encoding": encoding,
             "header": "first line" if header_line else "none",
@@ -89,22 +105,26 @@ def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
     return part.decode("utf-8-sig", "ignore"), "utf-8", "text in utf-8"
 
 
-def split(line: str, delimiter: str) -> list[str]:
+def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
     """Fields of a line as the importer takes them."""
+    if quoted:
+        with suppress(csv.Error):
+            return next(csv.reader([line], delimiter=MARKS[delimiter]), [])
+        return []
     return line.split() if delimiter == "blank" else line.split(MARKS[delimiter])
 
 
-def _cells(path: str, lines: Sequence[str]) -> tuple[str, str, list[tuple[int, int]]]:
+def _cells(path: str, lines: Sequence[str], *, quoted: bool) -> tuple[str, str, list[tuple[int, int]]]:
     """Delimiter, decimal sign, and (line from 0, fields) of all rows of numbers: the pair with most numbers wins."""
     best: tuple[tuple[int, int], str, str, list[tuple[int, int]]] | None = None
-    for delimiter in ("tab", "semicolon", "comma", "bar", "blank"):
+    for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
         for decimal, number in (("point", _POINT), ("comma", _COMMA)):
-            if delimiter == decimal:
+            if delimiter == decimal and not quoted:
                 continue
             rows: list[tuple[int, int]] = []
             numbers = 0
             for index, line in enumerate(lines):
-                fields = split(line, delimiter)
+                fields = split(line, delimiter, quoted=quoted)
                 good = sum(number.fullmatch(text) is not None for text in fields)
                 if len(fields) > 1 and good >= 2 and 2 * good >= len(fields):
                     rows.append((index, len(fields)))
@@ -118,6 +138,11 @@ def _cells(path: str, lines: Sequence[str]) -> tuple[str, str, list[tuple[int, i
                 best = (score, delimiter, decimal, alike)
     if best is None:
         raise invalid(path, "holds no rows of at least two numbers in its first lines: nothing can be guessed")
+    first, count = best[3][0][0], len(best[3])
+    below = sum(bool(line.strip()) for line in lines[first:])
+    if count < TABLE * below:
+        told = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
+        raise invalid(path, f"is no table of numbers ({told}): nothing can be guessed")
     return best[1], best[2], best[3]
 
 
@@ -133,7 +158,12 @@ def _comment(lines: Sequence[str], first: int) -> str | None:
 
 
 def _header(
-    lines: Sequence[str], first: int, delimiter: str, width: int, comment: str | None, reasons: list[str]
+    lines: Sequence[str],
+    first: int,
+    cut: Callable[[str], list[str]],
+    width: int,
+    comment: str | None,
+    reasons: list[str],
 ) -> tuple[list[str], dict[str, str], int | None]:
     """Names, units by name from a second line, and lines before the header (None: it is a comment)."""
     from pmabench.store.importers.units import spelled
@@ -143,7 +173,7 @@ def _header(
     for k, line in above[-3:]:
         commented = comment is not None and line.lstrip().startswith(comment)
         told = line.lstrip()[len(comment or "") :] if commented else line
-        fields = [text.strip().strip('"').strip() for text in split(told, delimiter)]
+        fields = [text.strip().strip('"').strip() for text in cut(told)]
         if len(fields) == width and any(re.search(r"[^\W\d_]", text) for text in fields):
             candidates.append((k, fields, commented))
     if not candidates:
@@ -169,22 +199,25 @@ def _before(lines: Sequence[str], first: int, comment: str | None) -> int:
 
 
 def _words(
-    lines: Sequence[str], rows: Sequence[tuple[int, int]], delimiter: str, decimal: str, width: int
-) -> tuple[list[int], list[str]]:
-    """Columns of words, and the texts that stand for no value in the others."""
-    number = _COMMA if decimal == "comma" else _POINT
-    cells = [split(lines[k], delimiter) for k, _ in rows]
+    lines: Sequence[str], cut: Callable[[str], list[str]], decimal: str, width: int
+) -> tuple[list[int], list[str], list[int]]:
+    """Columns of words, texts that stand for no value in the others, and which of the words are numbers otherwise."""
+    number, otherwise = (_COMMA, _POINT) if decimal == "comma" else (_POINT, _COMMA)
+    cells = [row for row in map(cut, lines) if len(row) == width]
     texts: list[int] = []
     missing: set[str] = set()
+    other: list[int] = []
     for column in range(width):
         strange = [row[column].strip() for row in cells if number.fullmatch(row[column]) is None]
         if not strange:
             continue
         if len(strange) > len(cells) / 2 or any(text.lower() not in NO_VALUE for text in strange):
             texts.append(column)
+            if all(otherwise.fullmatch(text) for text in strange):
+                other.append(column)
         else:
             missing |= set(strange)
-    return texts, sorted(missing)[:MOST_MISSING]
+    return texts, sorted(missing)[:MOST_MISSING], other
 
 
 def _twice(names: Sequence[str]) -> bool:

@@ -12,9 +12,9 @@ import numpy as np
 from pmabench.store.importers.guess.columns import OF_ROLE, Proposal
 from pmabench.store.importers.guess.guess import Guess
 from pmabench.store.importers.map_file import TextLayout
+from pmabench.store.importers.map_rules import OPEN
 from pmabench.store.importers.units import QUANTITY
 
-OPEN = "??"
 EDGE = {"pressure": "bar", "length": "mm", "force": "N"}
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual ranges of sensors: unit, ends, and beyond which it is another."""
@@ -100,10 +100,10 @@ def _file(guess: Guess) -> list[str]:
     lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
         lines.append(f"  names: [{', '.join(_text(name) for name in layout.names)}]")
-    for key in ("decimal", "encoding", "blank_lines", "skip_lines"):
+    for key in ("quoted", "decimal", "encoding", "blank_lines", "skip_lines"):
         value = getattr(layout, key)
         if value != TextLayout.model_fields[key].default:
-            lines.append(f"  {key}: {value}")
+            lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
     if layout.missing:
