@@ -126,6 +126,11 @@ class Acquisition:
             source.stream.stop()
 
     @property
+    def goes_back(self) -> bool:
+        """Whether time can be taken back to any sample: virtual time, and one stream that gives all channels."""
+        return not self._realtime and len(self._sources) == 1
+
+    @property
     def recording(self) -> bool:
         """Whether samples are recorded."""
         return self._recording

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from pmabench.base.clock import Clock
-from pmabench.engine.acquire import Acquisition
+from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.engine.commanded import Commander
 from pmabench.protocol.plan import Seek
 
@@ -26,8 +26,12 @@ SCRIPTED = {
 """Laws that ramp, and wait or watch for a crossing: module in `engine.laws` and function."""
 
 
+AT_ONCE = 100
+"""Samples that a law which rarely changes its command is given at once [1]."""
+
+
 class SampledLaw(Protocol):
-    """A law that is called at every sample."""
+    """A law that is called at every sample. With a true `rarely` it keeps its command for many of them."""
 
     done: bool
 
@@ -97,11 +101,59 @@ def run_seek(
     module, name = SAMPLED[step.law]
     law: SampledLaw = getattr(import_module(f"pmabench.engine.laws.{module}"), name)(**step.parameters)
     deadline = clock.now() + step.limit
+    run = _rarely if getattr(law, "rarely", False) and acquisition.goes_back else _always
+    return run(step, law, guard, acquisition, clock, deadline)
+
+
+def _always(
+    step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
+) -> dict[str, Any]:
+    """Sample by sample; a command that stands is not sent again."""
+    stands: float | None = None
     t, values = acquisition.sample()
     while not law.done:
         command = min(max(law.update(t, values), step.low), step.high)
-        guard.set(step.output, command)
+        if command == stands:
+            guard.wait()
+        else:
+            guard.set(step.output, command)
+            stands = command
         if clock.now() >= deadline:
-            return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}
+            return _late(step, law)
         t, values = acquisition.sample()
     return {"found": True, **law.result()}
+
+
+def _rarely(
+    step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
+) -> dict[str, Any]:
+    """The same, block by block, where time can be taken back to the sample at which the law changes its command."""
+    stands: float | None = None
+    command = step.low
+
+    def changes(samples: Samples) -> int | None:
+        """The first sample of a block after which the command is another one, or the law is done."""
+        nonlocal command
+        columns = {name: column.tolist() for name, column in samples.values.items()}
+        for i, t in enumerate(samples.t.tolist()):
+            command = min(
+                max(law.update(t, {name: column[i] for name, column in columns.items()}), step.low), step.high
+            )
+            if command != stands or law.done:
+                return i
+        return None
+
+    while not law.done:
+        if acquisition.until(min(clock.now() + AT_ONCE / acquisition.rate, deadline), changes) is None:
+            guard.wait()
+        else:
+            guard.set(step.output, command)
+            stands = command
+        if clock.now() >= deadline:
+            return _late(step, law)
+    acquisition.sample()
+    return {"found": True, **law.result()}
+
+
+def _late(step: Seek, law: SampledLaw) -> dict[str, Any]:
+    return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}

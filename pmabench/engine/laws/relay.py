@@ -45,6 +45,8 @@ class Relay:
     watched : channel -> lowest and highest value [SI]; leaving it ends the search
     """
 
+    rarely = True
+
     def __init__(
         self,
         *,
