@@ -32,6 +32,8 @@ MODEL, STEP = "bandwidth, by coefficients", "bandwidth, by steps"
 LOWEST, HIGHEST = 0.01, 200.0
 """Where it is looked for [Hz]."""
 LEVEL = sqrt(0.5)
+EXACT = 1e-9
+"""It is found within this share of itself, or of the gain [1]."""
 LEAST_STEP = 1e-3
 """Steps that move less tell nothing of a bandwidth [m]."""
 NEAR_REST = 0.03
@@ -40,7 +42,7 @@ SHIFT = 1e-3
 
 
 def crossing(gain: Callable[[Array], Array]) -> float | None:
-    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2), by bisection; None where it is not looked for."""
+    """Lowest frequency [Hz] from which on |G| is below 1/sqrt(2); None where it is not looked for."""
     f = np.geomspace(LOWEST, HIGHEST, 120)
     for first in range(0, len(f), 12):
         below = first + np.flatnonzero(gain(f[first : first + 12]) < LEVEL)
@@ -49,9 +51,16 @@ def crossing(gain: Callable[[Array], Array]) -> float | None:
     if not len(below) or below[0] == 0:
         return None
     low, high = float(f[below[0] - 1]), float(f[below[0]])
-    for _ in range(30):
-        middle = sqrt(low * high)
-        low, high = (low, middle) if float(gain(np.array([middle]))[0]) < LEVEL else (middle, high)
+    over, under = (float(g) - LEVEL for g in gain(np.array([low, high])))
+    for _ in range(60):  # regula falsi, the end that stays for the second time counting half
+        middle = high - under * (high - low) / (under - over)
+        off = float(gain(np.array([middle]))[0]) - LEVEL
+        if abs(off) < EXACT or high - low < EXACT * low:
+            return middle
+        if off < 0:
+            high, under, over = middle, off, 0.5 * over
+        else:
+            low, over, under = middle, off, 0.5 * under
     return sqrt(low * high)
 
 
