@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.text import printable
 from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
@@ -103,10 +104,10 @@ def _show(found: Guess) -> None:
     """Layout, columns with their course, and what is doubtful."""
     from pmabench.display.sparkline import sparkline
 
-    click.echo(_clean(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
+    click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):
-            click.echo(_clean(f"  {reason}"))
+            click.echo(printable(f"  {reason}"))
     if found.known:
         click.echo(f"  the shipped map {found.known} takes them as they are: --map {found.known}")
     seconds = found.seconds
@@ -117,19 +118,14 @@ def _show(found: Guess) -> None:
         click.echo(f"\nthe first {min(SECONDS, float(seconds[rows - 1] - seconds[0])):.3g} s:")
     for column in found.columns:
         told = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
-        click.echo("\n" + _clean(f"{column.name}: {told}"))
+        click.echo("\n" + printable(f"{column.name}: {told}"))
         shown = column.values[: max(rows or 0, 2)] if rows else column.values
         good = shown[abs(shown) < float("inf")] if len(shown) else shown
         if len(good):
             click.echo(f"  {sparkline(shown.tolist())}  {good.min():.5g} to {good.max():.5g}")
         for text in column.reasons:
-            click.echo(_clean(f"  because: {text}"))
+            click.echo(printable(f"  because: {text}"))
         for text in column.doubts:
-            click.echo(_clean(f"  DOUBT: {text}"))
+            click.echo(printable(f"  DOUBT: {text}"))
     for text in found.doubts:
-        click.echo("\n" + _clean(f"DOUBT: {text}"))
-
-
-def _clean(text: str) -> str:
-    """Without signs that a terminal would obey."""
-    return "".join(sign if sign.isprintable() else "?" for sign in text)
+        click.echo("\n" + printable(f"DOUBT: {text}"))

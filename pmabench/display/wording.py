@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Mapping
 from math import ceil, isfinite, log10
@@ -11,6 +10,7 @@ from typing import Any
 from rich.cells import cell_len
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, Quantity, in_words
+from pmabench.base.text import printable
 from pmabench.store.records import Event
 
 LONGEST = 400
@@ -39,9 +39,7 @@ _HIDDEN = ("mass",)
 
 def clean(text: object) -> str:
     """A text on one line without anything that a terminal could obey."""
-    told = " ".join(str(text)[: 4 * LONGEST].split())
-    told = "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c)[0] == "C" else c for c in told)
-    return told if len(told) <= LONGEST else told[: LONGEST - 1] + "…"
+    return printable(" ".join(str(text)[: 4 * LONGEST].split()), LONGEST)
 
 
 def quantity(name: str) -> Quantity:

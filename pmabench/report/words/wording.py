@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
+from pmabench.base.text import clean as clean
 
 SYMBOLS: dict[str, str] = {
     "F_ce": "contractile force",
@@ -200,7 +201,6 @@ COLUMNS: dict[str, str] = {
 """Column of a trace -> words for axes and headers."""
 
 _FACTORS = {"Pa": ("kPa", 1e3), "m": ("mm", 1e-3)}
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
 
 
 @dataclass(frozen=True)
@@ -295,9 +295,3 @@ def symbol_text(symbol: str, coordinate: str = "") -> str:
 def kind_title(kind: str) -> str:
     """The kind of test as a heading."""
     return KINDS.get(kind) or clean(kind).replace("-", " ").capitalize() or "Unnamed test"
-
-
-def clean(text: object, longest: int = 2000) -> str:
-    """Untrusted text without control and direction characters, cut where it is too long."""
-    told = _CONTROL.sub("", str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8"))
-    return told if len(told) <= longest else told[: longest - 1] + "…"

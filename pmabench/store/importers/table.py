@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid
+from pmabench.base.text import printable
 from pmabench.store.importers.map_file import TIME, BinaryLayout, TextLayout
-from pmabench.store.importers.warm import read_apart, shown
+from pmabench.store.importers.warm import read_apart
 from pmabench.store.records import Array
 
 MAX_BYTES = 200_000_000
@@ -75,8 +76,8 @@ def read_table(
         cut_end=bool(head.get("cut_end")),
         units={**units, TIME: "s"} if made else units,
         started=datetime.fromisoformat(started) if started else None,
-        doubts=tuple(shown(text) for text in head.get("doubts", [])),
-        left_out=tuple(shown(text) for text in head.get("left_out", [])),
+        doubts=tuple(printable(text) for text in head.get("doubts", [])),
+        left_out=tuple(printable(text) for text in head.get("left_out", [])),
     )
 
 

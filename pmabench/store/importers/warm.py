@@ -20,6 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, PmaError, Problem, invalid
+from pmabench.base.text import printable
 from pmabench.store.importers.child import CPU, CPU_PER_MB, MEMORY
 from pmabench.store.importers.recorded import NEEDS
 from pmabench.store.records import Array
@@ -176,13 +177,10 @@ def read_apart(
             )
         raise invalid(path, "is nested deeper than any file of measurements; it is damaged or hostile")
     if "problems" in head:
-        raise InvalidFile(Problem(path, int(line), int(column), shown(text)) for line, column, text in head["problems"])
+        raise InvalidFile(
+            Problem(path, int(line), int(column), printable(text)) for line, column, text in head["problems"]
+        )
     return _answer(head, numbers)
-
-
-def shown(text: object) -> str:
-    """What a file says, without signs that a terminal would obey."""
-    return "".join(sign if sign.isprintable() else f"\\x{ord(sign):02x}" for sign in str(text))
 
 
 def _asked(kind: str, path: str, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:

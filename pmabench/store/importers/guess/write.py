@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmabench.base.text import printable
 from pmabench.store.importers.guess.columns import OF_ROLE, Proposal
 from pmabench.store.importers.guess.guess import Guess
 from pmabench.store.importers.map_file import TextLayout
@@ -66,8 +67,7 @@ def still_open(text: str) -> list[int]:
 
 
 def _comment(text: str) -> str:
-    plain = "".join(sign if sign.isprintable() else " " for sign in text)
-    return f"# {plain[:400]}"
+    return f"# {printable(text, 400)}"
 
 
 def _why(guess: Guess, key: str) -> str:
