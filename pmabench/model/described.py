@@ -6,20 +6,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from pmabench.model.air import Air
 from pmabench.model.curve import Curve
+from pmabench.model.free_air import AirPlant
 from pmabench.model.muscle import Friction, Muscle
+from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
 
 
 @dataclass(frozen=True)
 class Described:
-    """A muscle and the regulator before it, and in words where both come from."""
+    """A muscle, the regulator before it and the air that it moves, and in words where they come from."""
 
     muscle: Muscle
     regulator: Regulator
     source: str
     domain: tuple[float, float]
     """Pressures at which the coefficients are known [Pa]; outside they are continued."""
+    air: Air | None = None
+    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+
+    def plant(self, force: float, mass: float, pressure: float = 0.0) -> Plant:
+        """The muscle at `pressure` [Pa] with a load F_L = `force` [N] of moving `mass` [kg] on its free end."""
+        if self.air is not None:
+            return AirPlant(self.muscle, self.regulator, self.air, force=force, mass=mass, pressure=pressure)
+        return Plant(self.muscle, self.regulator, force=force, mass=mass, pressure=pressure)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
@@ -28,6 +39,7 @@ class Described:
             "source": self.source,
             "domain": list(self.domain),
             "regulator": asdict(self.regulator),
+            **({} if self.air is None else {"air": asdict(self.air)}),
             **{name: _plain(value) for name, value in told.items() if value is not None},
         }
 
@@ -37,7 +49,8 @@ class Described:
         told = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
         muscle = Muscle(**{"name": str(data["source"]), **told})
         low, high = data["domain"]
-        return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)))
+        air = Air(**data["air"]) if "air" in data else None
+        return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air)
 
 
 def _plain(value: Any) -> Any:

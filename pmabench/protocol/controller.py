@@ -150,6 +150,13 @@ def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Loca
             c.fault((*place, "gains"), 'the protocol has no "model"; give one, or other gains')
         return None
     told = Described.of(model)
+    if told.air is not None:
+        c.fault(
+            (*place, "gains"),
+            f"the model, {told.source}, has air that its regulator has to move, which makes no loop of lags alone; "
+            'give a "model.regulator" in its place, or take an analysis of relays or steps',
+        )
+        return None
     if told.regulator.dead_time or told.regulator.lag or told.regulator.natural_frequency:
         return told
     c.fault(

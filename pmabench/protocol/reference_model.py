@@ -127,7 +127,7 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
             source, domain = f"plant file {name}, {kind}: {numbers['name']}", (0.0, float(numbers["highest_pressure"]))
         else:
             setup = preset(name, kind.strip() or "ideal")
-        muscle, regulator = setup.muscle, setup.regulator
+        muscle, regulator, air = setup.muscle, setup.regulator, setup.air
         if setup.air is not None:
             source += ", pressure without the motion's part"
         if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
@@ -135,14 +135,14 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
         if model.friction is not None:
             muscle = replace(muscle, friction=Friction(model.friction.static, model.friction.kinetic))
         if model.regulator is not None:
-            regulator = Regulator(**model.regulator.model_dump())
+            regulator, air = Regulator(**model.regulator.model_dump()), None
     except InvalidFile as error:
         c.problems += error.problems
         return None
     except ValueError as error:
         c.fault((*at, "coefficients"), str(error))
         return None
-    return Described(muscle, regulator, source, domain).to_dict()
+    return Described(muscle, regulator, source, domain, air).to_dict()
 
 
 def _plant_file(text: str) -> tuple[str, str] | None:

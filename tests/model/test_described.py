@@ -12,20 +12,21 @@ from pmabench.model.described import Described
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.plant_file import setup_of
 from pmabench.model.presets import KINDS, MUSCLES, changed, preset
+from pmabench.model.signal import constant
 
 FILES = sorted((Path(__file__).parents[2] / "fixtures" / "plants").glob("*.yaml"))
 
 
-def through_json(muscle, regulator):
-    told = Described(muscle, regulator, "where it is from", (1e5, 5e5))
+def through_json(setup, **changes):
+    muscle = replace(setup.muscle, **changes)
+    told = Described(muscle, setup.regulator, "where it is from", (1e5, 5e5), setup.air)
     assert Described.of(json.loads(json.dumps(told.to_dict()))) == told
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", MUSCLES)
 def test_every_field_of_a_preset_comes_back(name, kind):
-    setup = preset(name, kind)
-    through_json(setup.muscle, setup.regulator)
+    through_json(preset(name, kind))
 
 
 def test_every_field_of_the_shipped_plant_files_comes_back():
@@ -33,8 +34,9 @@ def test_every_field_of_the_shipped_plant_files_comes_back():
     setups = [changed(setup_of(read_plant(path).numbers), "bench") for path in FILES]
     models = [setup for setup in setups if isinstance(setup.muscle, Muscle)]
     assert len(models) >= 3
+    assert any(setup.air for setup in models)
     for setup in models:
-        through_json(setup.muscle, setup.regulator)
+        through_json(setup)
 
 
 def test_a_muscle_of_which_no_field_is_as_it_is_by_itself_comes_back():
@@ -44,7 +46,7 @@ def test_a_muscle_of_which_no_field_is_as_it_is_by_itself_comes_back():
     for field in fields(Muscle):
         if field.name not in {*odd, "F_ce", "K", "B_c", "B_r"}:
             odd[field.name] = 0.123
-    through_json(replace(setup.muscle, **odd), setup.regulator)
+    through_json(setup, **odd)
 
 
 def test_a_plan_of_an_earlier_version_is_still_read():
@@ -54,3 +56,19 @@ def test_a_plan_of_an_earlier_version_is_still_read():
     for name in ("name", "tau_r", "diameter", "braid_angle"):
         told.pop(name, None)
     assert Described.of(told).muscle == replace(setup.muscle, name="preset paper0")
+
+
+def test_its_plant_is_that_of_the_setup_with_the_air_too():
+    """A step to 300 kPa: the air of `paper0-air` holds the contraction back by more than a millimetre."""
+    x = {}
+    for name in ("paper0", "paper0-air"):
+        setup = preset(name, "bench")
+        told = Described(setup.muscle, setup.regulator, name, (0.0, 1e7), setup.air)
+        plants = Described.of(told.to_dict()).plant(20.0, 2.0), setup.free(20.0, 2.0)
+        x[name] = []
+        for plant in plants:
+            plant.command(constant(0.0, 3e5))
+            plant.advance(0.4)
+            x[name].append(plant.x)
+        assert x[name][0] == x[name][1]
+    assert abs(x["paper0"][0] - x["paper0-air"][0]) > 1e-3

@@ -160,6 +160,7 @@ def test_simc_of_an_analysis_takes_its_loop(tmp_path):
         ([SIMC, (GAINS, "{K_u: 60 kPa/mm, T_u: 0.35 s, dead_time: 0 ms, lags: [0.1 s]}")], "no ultimate gain"),
         ([SIMC, (GAINS, "model"), ("controller.form", "P")], "SIMC has no rule for a P controller"),
         ([(GAINS, "model"), ("model", "{coefficients: specimen}")], "tells no dead time and no lag of the regulator"),
+        ([(GAINS, "model"), ("model", "{coefficients: paper0-air bench}")], "makes no loop of lags alone"),
         ([(GAINS, "model"), ("controller.output", "[0 kPa, 200 kPa]")], "no pressure from 0 to 200 kPa holds 30 mm under 0 N"),
     ],
 )  # fmt: skip

@@ -12,7 +12,6 @@ import numpy as np
 from pmabench.analysis.contraction import replay
 from pmabench.model.described import Described
 from pmabench.model.pid import PID
-from pmabench.model.plant import Plant
 from pmabench.model.signal import constant
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -92,7 +91,7 @@ def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 
     """
     load, mass = load_of(trial)
     start = float(trial.t[0])
-    plant = Plant(model.muscle, model.regulator, force=load, mass=mass)
+    plant = model.plant(load, mass)
     plant.x = min(max(0.0, origin), model.muscle.stop)
     for command in trial.commands:
         if command.output == "pressure" and command.kind == "set" and command.t <= trial.t[-1]:
@@ -128,7 +127,7 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
         start=float(law["start"]),
     )
     setpoint = float(law["setpoint"])
-    plant = Plant(model.muscle, model.regulator, force=load, mass=mass, pressure=float(law["start"]))
+    plant = model.plant(load, mass, float(law["start"]))
     plant.x = min(max(0.0, origin), model.muscle.stop)
     count = round((end - begin) / period) + 1
     x, command = np.empty(count), np.empty(count)
