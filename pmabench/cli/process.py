@@ -209,6 +209,7 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
     from pmabench.report.terminal_coefficients import print_coefficients
+    from pmabench.report.words.rounding import printed
     from pmabench.report.words.wording import clean
 
     console = ui.console()
@@ -219,7 +220,7 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
                 f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
             )
         for finding in analysis.findings:
-            console.print(_wrapped(clean(f"{finding.level}: {finding.text}"), console.width), soft_wrap=True)
+            console.print(_wrapped(clean(f"{finding.level}: {printed(finding.text)}"), console.width), soft_wrap=True)
 
 
 def _wrapped(text: str, width: int) -> str:

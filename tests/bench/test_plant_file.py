@@ -129,9 +129,9 @@ REFUSED = {
         "K falls to -0.65 N/mm at 250 kPa; it must be at least 0.001 N/mm from 0 kPa to highest_pressure, 500 kPa",
     ),
     "damping below zero at the end": (
-        "B_r", "B_r: {coefficients: [1, -0.0021], unit: N.s/mm, pressure: kPa}", "B_r falls to -0.05 N.s/mm at 500 kPa",
+        "B_r", "B_r: {coefficients: [1, -0.0021], unit: N.s/mm, pressure: kPa}", "B_r falls to -0.05 N·s/mm at 500 kPa",
     ),
-    "no damping at all": ("B_c", "B_c: 0 N.s/mm", "at least 0.001 N.s/mm"),
+    "no damping at all": ("B_c", "B_c: 0 N.s/mm", "at least 0.001 N·s/mm"),
     "a force that pushes": (
         "F_ce", "F_ce: {coefficients: [-49, 1.08], unit: N, pressure: kPa}",
         "F_ce falls to -49 N at 0 kPa; it must be never below zero from 0 kPa to highest_pressure, 500 kPa; "
@@ -142,7 +142,7 @@ REFUSED = {
     ),
     "a jump": (
         "B_r", "B_r: {pieces: [[0.55], [0.35, 0.0012]], breaks: [250 kPa], unit: N.s/mm, pressure: kPa}",
-        "B_r jumps at 250 kPa from 0.55 N.s/mm to 0.65 N.s/mm",
+        "B_r jumps at 250 kPa from 0.55 N·s/mm to 0.65 N·s/mm",
     ),
     "a domain that ends too early": (
         "K", "K: {coefficients: [3.1], unit: N/mm, pressure: kPa, domain: [100 kPa, 400 kPa]}",

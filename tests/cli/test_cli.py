@@ -213,7 +213,7 @@ def test_no_number_is_cut_in_a_narrow_terminal(run_folder, tmp_path, monkeypatch
     monkeypatch.setenv("COLUMNS", columns)
     tune = ["tune", "--ku", "7.1 bar/cm", "--tu", "9 s"]
     shown = call(*tune).output
-    for value in ("35.5 kPa/mm", "31.95 kPa/mm", "4.26 kPa/(mm.s)", "47.92 kPa.s/mm", "1.125 s"):
+    for value in ("35.5 kPa/mm", "31.95 kPa/mm", "4.26 kPa/(mm·s)", "47.92 kPa·s/mm", "1.125 s"):
         assert value in shown
     narrow = call("process", run_folder, "--out", tmp_path / "a").output
     monkeypatch.setenv("COLUMNS", "300")

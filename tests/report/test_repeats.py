@@ -33,7 +33,7 @@ def of(*trials):
 
 def test_the_point_with_most_repeats_is_shown():
     (trace,) = of((1e5, 0.01), (2e5, 0.02), (2e5, 0.02), (3e5, 0.03), (2e5, 0.02), (3e5, 0.03))
-    assert trace.title == "load 100 N, pressure 200 kPa: 3 repeats over each other"
+    assert trace.title == "pressure 200 kPa, load 100 N: 3 repeats over each other"
     assert [name for name in trace.columns if name != "t"] == ["repeat 1", "repeat 2", "repeat 3"]
     assert float(trace.columns["repeat 3"][-1]) == pytest.approx(0.02, abs=1e-5)
 

@@ -12,7 +12,7 @@ from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Part
 from pmabench.report.document import tables
 from pmabench.report.files.csv_files import write_tables
 from pmabench.report.terminal_coefficients import print_coefficients
-from pmabench.report.words.rounding import half_width, rounded
+from pmabench.report.words.rounding import half_width, printed, rounded
 from pmabench.report.words.wording import shown
 
 from . import samples
@@ -229,3 +229,16 @@ def test_what_the_computer_rounds_is_no_number():
     term = replace(error, unit="N/m/Pa2", quantity="stiffness per pressure squared", value=9.7e-12)
     assert tables.cell(replace(term, parts=Parts(repeats=1e-13))) != "below resolution"
     assert half_width(9.96e-4) == "0.0010"
+
+
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        ("begins at 45.77 +- 1.5 kPa", "begins at 45.77 ± 1.5 kPa"),
+        ("K -0.025 to +0.03 %, known to +-7 %", "K −0.025 to +0.03 %, known to ±7 %"),
+        ("B 1.5 N.s/mm, gain (-3 kPa.s/mm)", "B 1.5 N·s/mm, gain (−3 kPa·s/mm)"),
+        ("run 2026-11-22 of R1-4, eq. 8.1", "run 2026-11-22 of R1-4, eq. 8.1"),
+    ],
+)
+def test_sentences_have_the_signs_of_print(told, expected):
+    assert printed(told) == expected

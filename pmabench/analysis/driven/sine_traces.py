@@ -23,6 +23,7 @@ def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], mu
     where = ", ".join(
         show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
     )
+    where += f" ± {show(at['amplitude'], 'length')}" if "amplitude" in at else ""
     name = "-".join(f"{at[key]:g}" for key in at)
     held = {key: at[key] for key in ("pressure",) if key in at}
     traces = []

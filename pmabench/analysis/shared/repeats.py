@@ -58,7 +58,7 @@ def traces(kind: str, runs: Sequence[RunData]) -> list[Trace]:
         return []
     grid = np.linspace(begin, end, POINTS)
     columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(told, 1)}
-    known = [(name, at) for name, at in point if name in POINT_QUANTITIES and name not in HIDDEN]
+    known = [(name, at) for name in POINT_QUANTITIES for told, at in point if name == told and name not in HIDDEN]
     where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in known)
     quantity = "force" if channel == "force" else "length"
     return [

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -26,12 +27,14 @@ from pmabench.report.document.parents import Parents
 from pmabench.report.document.recalibration_tables import change_tables, reduced_with
 from pmabench.report.document.recalibration_tables import who as who_changed
 from pmabench.report.document.run_notes import Said, notes_of
+from pmabench.report.document.wide_tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
 from pmabench.report.figures.pictures import Picture
 from pmabench.report.words import wording
 from pmabench.report.words.method_words import described
+from pmabench.report.words.rounding import printed
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -88,7 +91,7 @@ class Content:
     protocol: Grid
     deviations: list[str]
     notes: list[Said]
-    coefficients: Grid
+    coefficients: list[Grid]
     compared: list[Grid]
     curves: Grid
     polynomials: Grid
@@ -140,6 +143,7 @@ def content_of(
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
     findings = tables.findings_table(analyses)
+    findings["finding"] = [_named(text, names) for text in findings["finding"]]
     shown, more = first_findings(findings)
     specimens = provenance.specimens(runs)
     kinds = [wording.kind_title(a.kind) for a in analyses if a.kind != wording.AGREEMENT]
@@ -177,7 +181,7 @@ def content_of(
         protocol=grid(provenance.protocol_table(runs, names)),
         deviations=remarks,
         notes=notes_of(runs, names),
-        coefficients=grid(*tables.primary_table(analyses)),
+        coefficients=_primary(analyses),
         compared=[grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
         curves=grid(tables.curves_table(analyses), group=True),
         polynomials=grid(tables.polynomials_table(analyses), group=True),
@@ -232,14 +236,15 @@ def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: 
 
 
 def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents: Parents) -> Section:
-    trials = analysis.facts.get("trials_used", analysis.facts.get("trials"))
+    trials = next((analysis.facts[name] for name in ("trials_used", "trials", "tests") if name in analysis.facts), None)
     dropped = len(analysis.dropped)
     counts = f"{len(analysis.runs)} run{'s' if len(analysis.runs) != 1 else ''}"
     if isinstance(trials, int) and not isinstance(trials, bool):
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
-    told = (*tables.other_tables(analysis), *check_tables(analysis), *change_tables(analysis))
+    values = [part for table in tables.other_tables(analysis) for part in narrow(table)]
+    told = (*values, *check_tables(analysis), *change_tables(analysis))
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)
@@ -247,6 +252,13 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     budget = budget_table(analysis)
     section.budget = grid(budget.frame, budget.caption) if budget else None
     return section
+
+
+def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
+    """The coefficients of the primary methods, in as many tables as a page needs."""
+    frame, told = tables.primary_table(analyses)
+    caption = "Primary methods, by pressure" + (f"; {told}" if told else "")
+    return [grid(part.frame, part.caption) for part in narrow(tables.Table(caption, frame)) if len(part.frame)]
 
 
 def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
@@ -289,6 +301,13 @@ def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
     frame = tables.dropped_table(analyses)
     frame["trial"] = [_short(trial, names) for trial in frame["trial"]]
     return grid(frame.rename(columns={"test": "method"})) if len(frame) else grid(frame)
+
+
+def _named(text: str, names: Mapping[str, str]) -> str:
+    """A sentence with runs and trials as the report names them: `R2 / 25`; signs as in print."""
+    for run in sorted(names, key=len, reverse=True):
+        text = re.sub(re.escape(run) + r"/(?=\d)", f"{names[run]} / ", text).replace(run, names[run])
+    return printed(text)
 
 
 def _short(trial: str, names: Mapping[str, str]) -> str:

@@ -112,7 +112,7 @@ class _Data:
             "deviations": [symbol_parts(text) for text in c.deviations],
             "missing": ", ".join(c.missing),
             "notes": [self.note(note) for note in c.notes],
-            "coefficients": self.grid(c.coefficients, "Primary methods, by pressure"),
+            "coefficients": [self.grid(grid) for grid in c.coefficients],
             "compared": [self.grid(grid) for grid in c.compared],
             "curves": self.grid(c.curves, "Fitted curves over pressure; valid inside their range only"),
             "polynomials": self.grid(c.polynomials, "Fitted polynomials, terms by power of z"),

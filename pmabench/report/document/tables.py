@@ -204,7 +204,8 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
     """
     rows = []
     skewed = any(e.parts.skew for e in analysis.estimates)
-    for e in analysis.estimates:
+    methods = list(dict.fromkeys(e.method for e in analysis.estimates))
+    for e in sorted(analysis.estimates, key=lambda e: methods.index(e.method)):
         unit = shown(e.quantity, e.unit)
 
         def half(value: float | None, scale: float = unit.scale, floor: float = least(e)) -> str:

@@ -46,10 +46,20 @@ def over_pressure(analyses: Sequence[Analysis]) -> list[Picture]:
             for e in analysis.estimates
             if e.symbol in symbols and "pressure" in e.at and set(e.at) <= BESIDE and not e.coordinate
         ]
-        drawn = _figure(symbols, "pressure", members)
+        drawn = _figure(symbols, "pressure", _without_variants(members))
         if drawn is not None:
             found.append(drawn)
     return found
+
+
+def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
+    """Without `loop-gap, mean over the stroke` where there is `loop-gap`: variants stand in the tables."""
+    methods = {e.method for _, e in members}
+    return [
+        (a, e)
+        for a, e in members
+        if a.kind == PUBLISHED or "," not in e.method or e.method.partition(", ")[0] not in methods
+    ]
 
 
 def others(analysis: Analysis) -> list[Picture]:

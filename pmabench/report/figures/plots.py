@@ -204,8 +204,9 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
     """Limits of y from all values and the bars of the primary method: wide bars of others do not squeeze the plot."""
     ends: list[float] = []
     reach = float(np.ptp(np.concatenate([p.y for p in points]))) if points else 0.0
+    none = not any(p.primary for p in points)
     for p in points:
-        below, above = (np.nan_to_num(bar) if p.primary else 0 * p.y for bar in (p.below, p.above))
+        below, above = (np.nan_to_num(bar) if p.primary or none else 0 * p.y for bar in (p.below, p.above))
         most = max(2 * reach, 1.5 * float(np.median(above)))
         ends += [*(p.y - np.minimum(below, most)), *(p.y + np.minimum(above, most))]
         if p.curve is not None and p.primary:

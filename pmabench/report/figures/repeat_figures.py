@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmabench.analysis.results import Trace
-from pmabench.report.figures.pictures import Picture, bound, column, has, head, numbers, picture, unit_of
+from pmabench.report.figures.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.report.figures.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
+from pmabench.report.words.wording import clean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +27,7 @@ def _repeats(trace: Trace, simulated: bool) -> Picture | None:
     names = [name for name in trace.columns if name.startswith("repeat ") and has(trace, "t", name)]
     if len(names) < 2:
         return None
-    t = column(trace, "t")
+    where, t = clean(trace.title.partition(":")[0], 140), column(trace, "t")
     values = np.array([column(trace, name) for name in names])
     mean = values.mean(axis=0)
     unit = unit_of(trace, names[0]).unit
@@ -35,11 +36,11 @@ def _repeats(trace: Trace, simulated: bool) -> Picture | None:
     word = WORDS.get(trace.quantities.get(names[0], ""), "value")
     last = "the second" if len(names) == 2 else "the mean of the later ones"
     caption = (
-        f"{len(names)} trials at {head(trace)}, the first in red. Below: each less the mean of all. Standard deviation "
+        f"{len(names)} trials at {where}, the first in red. Below: each less the mean of all. Standard deviation "
         f"between repeats {spread:.2g} {unit}, over the whole time; the first is {first:.2g} {unit} rms off {last}."
     )
     alt = (
-        f"{word.capitalize()} over time of {len(names)} repeats at {head(trace)}, which scatter by {spread:.2g} "
+        f"{word.capitalize()} over time of {len(names)} repeats at {where}, which scatter by {spread:.2g} "
         f"{unit}; the first is {first:.2g} {unit} rms off {last}."
     )
     draw = bound(drawing_of, t, values, mean, unit_of(trace, "t").label("time"), word, unit)

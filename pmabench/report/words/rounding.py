@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from math import floor, isfinite, log10
 
@@ -34,6 +35,12 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
         return text
     raised = f"×10{str(power).translate(RAISED)}"
     return f"({text}){raised}" if half is not None else text + raised
+
+
+def printed(text: str) -> str:
+    """A sentence with the signs of print: `±` for `+-`, a minus before a number, products of units by a middle dot."""
+    text = re.sub(r"(?<![\w.,)\]])-(?=\d)", "−", text.replace("+-", "±").replace("+/-", "±"))
+    return re.sub(r"(?<=[A-Za-z])\.(?=(?:s|m|K)\b(?:[/) ,;]|$))", "·", text)
 
 
 def cut(value: float, half: float) -> str:

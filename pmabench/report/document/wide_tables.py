@@ -1,0 +1,61 @@
+"""Tables too wide for a page, cut into several: by method where methods have columns of their own, else by columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from pmabench.report.document.tables import Table
+from pmabench.report.words.wording import POINTS, clean, point_shown
+
+MOST = 7
+"""Most columns of values beside those of the operating point."""
+
+
+def narrow(table: Table) -> list[Table]:
+    """The table, or tables whose cells are together those of it; every row has a value in each."""
+    keys, values = _columns(table.frame)
+    if len(values) <= MOST:
+        return [table]
+    if "method" in keys and table.frame["method"].nunique() > 1:
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for method in dict.fromkeys(table.frame["method"]):
+            rows = table.frame[table.frame["method"] == method]
+            groups.setdefault(tuple(c for c in values if (rows[c] != "").any()), []).append(str(method))
+        if len(groups) > 1:
+            return [
+                part
+                for told, methods in groups.items()
+                for part in narrow(_part(table, keys, told, f"{table.caption}: {clean(', '.join(methods))}", methods))
+            ]
+    chunks: list[list[str]] = [[]]
+    for value in values:
+        alike = chunks[-1] and _symbol(chunks[-1][-1]) == _symbol(value)
+        room = MOST - len(chunks[-1])
+        if room < (1 if alike else min(MOST, sum(_symbol(v) == _symbol(value) for v in values))):
+            chunks.append([])
+        chunks[-1].append(value)
+    chunks = [chunk for chunk in chunks if chunk]
+    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
+    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+
+
+def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Heads of method and operating point, and those of values."""
+    heads = {"method", *(point_shown(name)[1].label(point_shown(name)[0]) for name in POINTS)}
+    return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
+
+
+def _symbol(head: str) -> str:
+    return head.partition(" [")[0]
+
+
+def _part(
+    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
+) -> Table:
+    """Some columns of values with the rows that have any, and what of the operating point these rows have."""
+    frame = table.frame if methods is None else table.frame[table.frame["method"].isin(methods)]
+    frame = frame[(frame[list(values)] != "").any(axis=1)]
+    kept = [key for key in keys if (frame[key] != "").any()]
+    return Table(caption, frame[[*kept, *values]].reset_index(drop=True))

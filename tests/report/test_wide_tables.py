@@ -1,0 +1,60 @@
+"""Tables too wide for a page: several that hold the same cells, none of them wide, none with an empty row."""
+
+import pandas as pd
+import pytest
+
+from pmabench.report.document.tables import Table
+from pmabench.report.document.wide_tables import MOST, narrow
+
+
+def cells(tables):
+    """(method, pressure, head) -> cell, of all that is not empty."""
+    found = {}
+    for table in tables:
+        for row in table.frame.to_dict("records"):
+            told = {head: text for head, text in row.items() if head not in ("method", "P [kPa]") and text}
+            assert told, row
+            for head, text in told.items():
+                place = row.get("method", ""), row["P [kPa]"], head
+                assert place not in found
+                found[place] = text
+    return found
+
+
+def frame(methods):
+    """Each method has columns of its own, at two pressures."""
+    rows = [
+        {"method": method, "P [kPa]": str(P)} | {head: f"{method} {head} {P}" for head in heads}
+        for method, heads in methods.items()
+        for P in (100, 200)
+    ]
+    return pd.DataFrame(rows).fillna("")
+
+
+@pytest.mark.parametrize(
+    "methods",
+    [
+        {"a": ["K [N/mm]", "H [N]"], "b": ["W [J]", "eta [%]"], "c": ["w [mm]", "y [mm]", "z [mm]", "u [s]"]},
+        {"a": [f"c{n} [N]" for n in range(20)]},
+        {"a": [f"c{n} [N]" for n in range(9)], "b": ["d [N]"], "c": ["d [N]"]},
+    ],
+)
+def test_every_cell_is_in_one_of_them(methods):
+    whole = Table("Values", frame(methods))
+    parts = narrow(whole)
+    assert len(parts) > 1
+    assert cells(parts) == cells([whole])
+    for part in parts:
+        assert len([c for c in part.frame.columns if c not in ("method", "P [kPa]")]) <= MOST
+        assert part.caption.startswith("Values")
+
+
+def test_columns_of_one_symbol_stay_together():
+    heads = ["F [N] a", "F [N] b", "F [N] c", "K [N/mm] a", "K [N/mm] b", "K [N/mm] c", "B [N] a", "B [N] b"]
+    parts = narrow(Table("", frame({"m": heads}).drop(columns="method")))
+    assert [list(part.frame.columns[1:]) for part in parts] == [heads[:6], heads[6:]]
+
+
+def test_a_table_that_fits_is_left_alone():
+    whole = Table("Values", frame({"a": ["K [N/mm]"], "b": ["H [N]"]}))
+    assert narrow(whole) == [whole]
