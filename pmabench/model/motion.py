@@ -12,6 +12,8 @@ from pmabench.model.curve import Array
 
 GAP = 0.004
 """Longest time that is not looked at for a turn of motion [s]."""
+INSTANT = 0.5e-9
+"""Samples that are nearer to now than half a nanosecond are of this moment [s]: LSODA takes no shorter stretch."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +79,11 @@ class Record:
     def grid(self, now: float, end: float) -> Grid:
         """The samples before `end` with `now` first and `end` last, filled up where they are far apart."""
         samples = self.t[self.done : self.done + self.count(end)]
-        times = np.concatenate(([now], samples[samples > now], [end]))
+        times = np.concatenate(([now], samples[samples > now + INSTANT], [end]))
         if np.diff(times).max() > GAP:
             even = np.linspace(now, end, int((end - now) / GAP) + 2)
             times = np.union1d(times, even)
-        return Grid(times, np.searchsorted(times, samples), samples)
+        return Grid(times, np.searchsorted(times, samples - INSTANT), samples)
 
     def due(self, count: int) -> Array:
         """When the next samples are due."""

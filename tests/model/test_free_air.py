@@ -245,3 +245,43 @@ def test_a_driven_end_has_the_same_air():
     solved = solve_ivp(rates, (0.0, 1.5), [0.0] * 3, t_eval=t, rtol=1e-9, atol=1e-4, max_step=1e-3)
     assert np.ptp(solved.y[0] - solved.y[1]) > 20e3, "the motion is felt"
     np.testing.assert_allclose(plant.advance(1.5, t).P, solved.y[0], atol=100.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_is_commanded_both_ways_of_going_on_agree(seed):
+    """Random regulators, conductances, masses, commands, loads and a valve; numbers and bounds, LSODA against steps."""
+    rng = np.random.default_rng(seed)
+    changes = {
+        "friction": rng.choice([0.0, 1.0, 3.0]),
+        "natural_frequency": 10 ** rng.uniform(-0.3, 1.5),
+        "damping_ratio": rng.choice([0.2, 0.7, 1.0, 3.0]),
+        "conductance_fill": 10 ** rng.uniform(-8, -5),
+        "conductance_vent": 10 ** rng.uniform(-8, -5),
+        "leak": rng.choice([0.0, 0.02, 1.0]),
+    }
+    mass, force = 10 ** rng.uniform(-2, 1.7), rng.choice([0.0, 50.0, 200.0])
+    parts = [(rng.integers(5), rng.uniform(0, 550e3), rng.uniform(0, 300), rng.uniform(0.01, 20)) for _ in range(4)]
+    long, short = (bench(float(force), float(mass), **{k: float(v) for k, v in changes.items()}) for _ in range(2))
+    for what, level, other, heavy in parts:
+        t = long.time + np.arange(1, 201) / 500
+        found = []
+        for plant in (long, short):
+            plant.shut(shut=bool(what == 1))
+            if what == 2:
+                plant.load(float(other), float(heavy))
+            elif what == 3:
+                plant.command(sine(plant.time, 200e3, 100e3, 3.0, 5))
+            elif what == 4:
+                plant.command(ramp(plant.time, plant.supply.setpoint(plant.time), float(level), 200e3))
+            else:
+                plant.command(constant(plant.time, float(level)))
+        motion = long.advance(float(t[-1]), t)
+        for s in t.tolist():
+            short.reach(s, 4e-4)
+            found.append((short.x, short.pressure))
+        x, P = np.array(found).T
+        assert np.isfinite(motion.F).all()
+        assert motion.x.min() >= 0
+        assert motion.x.max() <= STOP
+        np.testing.assert_allclose(motion.x, x, atol=10 * MICROMETRE)
+        np.testing.assert_allclose(motion.P, P, atol=500.0)

@@ -335,3 +335,15 @@ def test_pure_coulomb_friction_needs_no_stribeck_range():
 def test_an_impossible_load_is_refused(force, mass):
     with pytest.raises(ValueError, match="load"):
         free_end().load(force, mass)
+
+
+@pytest.mark.parametrize("name", ["paper0", "paper0-air"])
+def test_a_sample_may_come_within_a_rounding_of_now(name):
+    plant = preset(name, "bench").free(force=58.86, mass=8.0)
+    plant.command(constant(0.0, 300e3))
+    plant.advance(0.3)
+    assert plant.way == 1
+    now = plant.reading()[0]
+    motion = plant.advance(0.5, np.array([np.nextafter(0.3, 1.0), 0.4]))
+    assert motion.x[0] == pytest.approx(now, abs=1e-12)
+    assert motion.x[1] > now + 1e-3
