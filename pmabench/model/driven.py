@@ -197,7 +197,8 @@ class DrivenPlant:
         """
         if len(times) == 0 and until == self.time:
             return NOTHING
-        t = np.append(np.asarray(times, dtype=np.float64), until)
+        asked = np.asarray(times, dtype=np.float64)
+        t = asked if len(asked) and asked[-1] == until else np.append(asked, until)
         P_set, x_set = self.supply.setpoints(t), self.wanted.setpoints(t)
         columns = [np.empty(t.shape) for _ in range(4)]
         done = 0
@@ -215,8 +216,8 @@ class DrivenPlant:
             done += count
         self.wanted.piece(until)
         self.time = until
-        x, v, P, F = (column[:-1] for column in columns)
-        return Motion(t[:-1], x, v, P, F, P_set[:-1], x_set[:-1])
+        x, v, P, F, P_set, x_set = (column[: len(asked)] for column in (*columns, P_set, x_set))
+        return Motion(asked, x, v, P, F, P_set, x_set)
 
     def _evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """Contraction, its rate, pressure and force at rising times."""
