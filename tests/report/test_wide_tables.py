@@ -58,3 +58,14 @@ def test_columns_of_one_symbol_stay_together():
 def test_a_table_that_fits_is_left_alone():
     whole = Table("Values", frame({"a": ["K [N/mm]"], "b": ["H [N]"]}))
     assert narrow(whole) == [whole]
+
+
+def test_rows_at_points_of_another_kind_stand_apart():
+    """Sines have an amplitude, the rest has not."""
+    heads = [f"c{n} [N]" for n in range(8)]
+    rows = [{"P [kPa]": str(P), "amplitude [mm]": ""} | {head: f"{head} {P}" for head in heads[:5]} for P in (100, 200)]
+    rows += [{"P [kPa]": "200", "amplitude [mm]": a} | {head: f"{head} {a}" for head in heads[5:]} for a in ("2", "5")]
+    rest, sines = narrow(Table("", pd.DataFrame(rows).fillna("")))
+    assert list(rest.frame.columns) == ["P [kPa]", *heads[:5]]
+    assert list(sines.frame.columns) == ["P [kPa]", "amplitude [mm]", *heads[5:]]
+    assert len(rest.frame) == len(sines.frame) == 2

@@ -72,10 +72,14 @@ def _tile(members: list[Estimate]) -> Tile:
     reach = ""
     if len(members) > 1 and len(varying) == 1:
         _, at_unit = wording.point_shown(varying[0])
-        ends = [(e.value or 0.0) / unit.scale for e in (members[0], members[-1])]
+        values = [(e.value or 0.0) / unit.scale for e in members]
+        ends, word = [values[0], values[-1]], "from"
+        if not min(ends) <= min(values) <= max(values) <= max(ends):
+            ends, word = [min(values), max(values)], "between"
         places = [wording.number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
         reach = (
-            f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} from {places[0]} to {places[1]} {at_unit.unit}"
+            f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} {word} {places[0]} "
+            f"{'to' if word == 'from' else 'and'} {places[1]} {at_unit.unit}"
         )
     name = wording.SYMBOLS.get(middle.symbol, "")
     where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)

@@ -1,8 +1,13 @@
-"""Tables too wide for a page, cut into several: by method where methods have columns of their own, else by columns."""
+"""Tables too wide for a page, cut into several.
+
+Rows at points of another kind (with an amplitude) stand apart, then methods that have columns of their own; what is
+still too wide is cut by columns.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pandas as pd
 
@@ -14,15 +19,20 @@ MOST = 7
 
 
 def narrow(table: Table) -> list[Table]:
-    """The table, or tables whose cells are together those of it; every row has a value in each."""
+    """The table, or tables whose cells are together those of it; every row of them has a value."""
     keys, values = _columns(table.frame)
     if len(values) <= MOST:
         return [table]
+    for key in (key for key in keys if key != "method"):
+        told = table.frame[key] != ""
+        if told.any() and not told.all():
+            parts = [replace(table, frame=table.frame[rows]) for rows in (~told, told)]
+            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
     if "method" in keys and table.frame["method"].nunique() > 1:
         groups: dict[tuple[str, ...], list[str]] = {}
         for method in dict.fromkeys(table.frame["method"]):
             rows = table.frame[table.frame["method"] == method]
-            groups.setdefault(tuple(c for c in values if (rows[c] != "").any()), []).append(str(method))
+            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
         if len(groups) > 1:
             return [
                 part
@@ -45,6 +55,11 @@ def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Heads of method and operating point, and those of values."""
     heads = {"method", *(point_shown(name)[1].label(point_shown(name)[0]) for name in POINTS)}
     return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
+
+
+def _used(frame: pd.DataFrame, values: Sequence[str]) -> list[str]:
+    """Columns that have a cell."""
+    return [c for c in values if (frame[c] != "").any()]
 
 
 def _symbol(head: str) -> str:
