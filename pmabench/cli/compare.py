@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 AGREEMENT = "agreement"
 """Kind of the analysis that compares tests of one side already."""
-_LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=|≤|=)\s*(.+?)\s*")
+_LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 
 
 @click.command(name="compare")
@@ -126,7 +126,7 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     """The analyses that a path stands for, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import analyse, load_runs
-    from pmabench.report.files.analysis_folder import read_analysis, runs_of
+    from pmabench.report.files.analysis_folder import analyses_below, read_analysis, runs_of
 
     path = Path(text)
     if _is_table(text):
@@ -136,7 +136,7 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     if (path / "manifest.json").exists():
         analyses, runs = analyse(load_runs([path])), [path]
     else:
-        folders = _analysis_folders(path)
+        folders = analyses_below(path)
         if not folders:
             raise invalid(path, "holds no analysis; give an analysis folder, a folder of them or a run")
         analyses = [read_analysis(folder) for folder in folders]
@@ -147,14 +147,6 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     about = [str(path), *dict.fromkeys(filter(None, map(_bench_and_day, manifests)))]
     calibrations = frozenset(item for manifest in manifests for item in _calibrations(manifest)) if known else None
     return Side(name, tuple(analyses), "; ".join(about), calibrations), runs
-
-
-def _analysis_folders(path: Path) -> list[Path]:
-    """The folder itself, or the analyses that lie up to two levels below it."""
-    for pattern in ("analysis.json", "*/analysis.json", "*/*/analysis.json"):
-        if found := sorted(path.glob(pattern)):
-            return [file.parent for file in found]
-    return []
 
 
 def _manifest(run: Path) -> Mapping[str, Any]:

@@ -24,8 +24,10 @@ SAMPLES = ("csv", "parquet", "mat")
 def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int | None:
     """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
 
-    For latex, json and python-control runs are processed first. Units stand in the heads of columns.
+    A folder of analyses stands for all in it. For latex, json and python-control runs are processed first. Units stand
+    in the heads of columns.
     """
+    from pmabench.cli.process import apart
     from pmabench.notebook import Results, open_analysis, open_run
     from pmabench.report.files.export import export_results, export_run
 
@@ -36,8 +38,7 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int |
         raise UsageError(f"{output} is a file; --format {form} writes a folder")
     if not folder and output.is_dir():
         raise UsageError(f"{output} is a folder; --format {form} writes one file")
-    folders = [source for source in sources if (source / "analysis.json").is_file()]
-    others = [source for source in sources if source not in folders]
+    folders, others = apart(sources)
     if form in SAMPLES and others:
         if len(sources) > 1:
             raise UsageError(f"--format {form} of runs takes one run at a time; of analysis folders any number")

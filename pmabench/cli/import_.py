@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     metavar="CHANNEL=LOW..HIGH",
     help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
 )
-@click.option("-o", "output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @common
 def command(

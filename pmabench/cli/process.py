@@ -153,6 +153,21 @@ def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
     return [path for path in paths if path not in skipped]
 
 
+def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Analysis folders, and the other sources.
+
+    A folder of analyses stands for all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
+    """
+    from pmabench.report.files.analysis_folder import analyses_below
+
+    below = {source: analyses_below(source) for source in sources}
+    runs = [source for source in sources if not below[source]]
+    own = [source for source in sources if (source / "analysis.json").is_file()]
+    if runs:
+        return own, [source for source in sources if source not in own]
+    return list(dict.fromkeys(folder for source in sources for folder in below[source])), []
+
+
 def _nothing_to_process(path: Path) -> str:
     """What a folder is that nothing can be fitted to, in words; empty for any other."""
     if _holds_analyses(path):
@@ -180,8 +195,13 @@ def _holds_analyses(path: Path) -> bool:
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
+    from pmabench.store.below import holds_runs
     from pmabench.store.chain import open_chains
 
+    for path in paths:
+        if holds_runs(path):
+            told = "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
+            raise invalid(path, told)
     return open_chains(paths)
 
 

@@ -26,7 +26,9 @@ from pmabench.cli.common import Ui, common
 @click.option("--laboratory", default="", metavar="TEXT", help="Name and address of the laboratory.")
 @click.option("--customer", default="", metavar="TEXT", help="For whom it was tested.")
 @click.option("--authorised-by", default="", metavar="TEXT", help="Who authorises the report.")
-@click.option("--issued", default="", metavar="DATE", help="Date of issue; today's is not put in by itself.")
+@click.option(
+    "--issued", default="", metavar="DATE", help="Date of issue as it is printed; today's is not put in by itself."
+)
 @common
 def command(
     ui: Ui,
@@ -38,8 +40,8 @@ def command(
     title: str | None,
     **told: str,
 ) -> int | None:
-    """Write the characterisation report of runs (processed now) or of analysis folders."""
-    from pmabench.cli.process import analyse, load_runs, without_analyses
+    """Write the characterisation report of runs (processed now), of analysis folders, or of folders of them."""
+    from pmabench.cli.process import analyse, apart, load_runs, without_analyses
     from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of
@@ -49,10 +51,14 @@ def command(
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")
     published = read_overlays(overlays)
-    folders = [source for source in sources if (source / "analysis.json").is_file()]
-    others = [source for source in sources if source not in folders]
+    folders, others = apart(sources)
     runs = load_runs(without_analyses(ui, others) if others else [])
     analyses = [read_analysis(folder) for folder in folders]
+    seen: dict[tuple[str, tuple[str, ...]], Path] = {}
+    for folder, analysis in zip(folders, analyses, strict=True):
+        other = seen.setdefault((analysis.kind, analysis.runs), folder)
+        if other != folder:
+            raise UsageError(f"{other} and {folder} are analyses of the same runs: give one of the two")
     for folder in folders:
         runs += load_runs(runs_of(folder))
     analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])

@@ -116,6 +116,16 @@ def read_analysis(folder: Path) -> Analysis:
         )
 
 
+def analyses_below(path: Path) -> list[Path]:
+    """The folder itself where it is an analysis, else the analyses up to two levels below it; none in a run."""
+    if (path / "manifest.json").exists():
+        return []
+    for pattern in (ANALYSIS, f"*/{ANALYSIS}", f"*/*/{ANALYSIS}"):
+        if found := sorted(path.glob(pattern)):
+            return [file.parent for file in found]
+    return []
+
+
 def runs_of(folder: Path) -> list[Path]:
     """The folders of the runs behind an analysis, as far as they lie where `process` and `demo` leave them.
 

@@ -1,0 +1,53 @@
+"""What `report` and `export` take: runs, analysis folders, folders of these; what is none is told with what to give."""
+
+import shutil
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from tests.benchmarks.archive import write_run
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Two runs, each with its analysis."""
+    lab = tmp_path_factory.mktemp("lab")
+    for number in (0, 1):
+        call("process", write_run(lab / "runs", number))
+    return lab
+
+
+def test_a_folder_of_analyses_stands_for_all_in_it(lab, tmp_path):
+    one, two = sorted((lab / "analyses").iterdir())
+    call("report", lab / "analyses", "-o", tmp_path / "folder.html")
+    call("report", one / "recorded-step", two / "recorded-step", "-o", tmp_path / "each.html")
+    assert (tmp_path / "folder.html").read_bytes() == (tmp_path / "each.html").read_bytes()
+    call("export", one, "--format", "json", "-o", tmp_path / "folder.json")
+    call("export", one / "recorded-step", "--format", "json", "-o", tmp_path / "each.json")
+    assert (tmp_path / "folder.json").read_bytes() == (tmp_path / "each.json").read_bytes()
+
+
+def test_among_runs_a_folder_of_analyses_is_skipped_and_that_is_said(lab, tmp_path):
+    told = call("report", *(lab / "runs").iterdir(), lab / "analyses", "-o", tmp_path / "a.html")
+    assert "analyses: holds analyses, skipped" in told.stderr
+
+
+def test_two_analyses_of_one_run_are_not_one_report(lab, tmp_path):
+    one = sorted((lab / "analyses").iterdir())[0] / "recorded-step"
+    shutil.copytree(one, tmp_path / "again" / "recorded-step")
+    told = call("report", one, tmp_path / "again", "-o", tmp_path / "a.html", code=2)
+    assert "are analyses of the same runs: give one of the two" in told.output
+
+
+@pytest.mark.parametrize("command", [("report",), ("recalibrate", "--skew", "pressure=1 ms")])
+def test_a_folder_of_runs_is_told_from_a_run(lab, tmp_path, command):
+    target = ("-o", tmp_path / "a.html") if command[0] == "report" else ()
+    told = call(*command, lab / "runs", *target, code=3)
+    assert "is a folder of runs: name those in it, for instance with /*" in told.output
