@@ -39,6 +39,8 @@ PER_SWING = 16
 """And at least so often in a period of what swings [1]."""
 BESIDE, SOON = 0.01, 1e-3
 """So far it counts as on neither side [Pa]; then that of so much later counts [s]."""
+FAR, BRIEF = 200.0, 1e-6
+"""Further from the regulator's [Pa] the pressure takes no step that is longer than its lag, or than this [s]."""
 
 
 class Passed(NamedTuple):
@@ -89,12 +91,14 @@ class AirPlant(Plant):
         self.air, self._tube = air, Tube(muscle)
         self._leak = air.leak * self._tube.at(0.0)[0]
         self._shut = False
+        self._flows = self._paces()
         self._u = self.supply.piece(start)[0]
         self._still = Trace(start, pressure)
         self._known: Trace | Passed = self._still
         self._resting: tuple[tuple[Trace, float, bool], float] | None = None
         self._made: tuple[list[float], list[float]] | None = None
-        self._begun = pressure, (pressure, pressure), 0.0, pressure
+        self._begun = pressure, pressure, self._tube.at(0.0)[0], (0.0, 1.0)
+        self._ended = pressure, pressure
 
     @property
     def pressure(self) -> float:
@@ -104,12 +108,13 @@ class AirPlant(Plant):
     def shut(self, *, shut: bool) -> None:
         """From now on a valve keeps the regulator from the muscle's air, or no longer."""
         self._shut = shut
+        self._flows = self._paces()
 
-    def _flows(self, *, fills: bool) -> tuple[float, float]:
-        """V / lag of the pressure [m3/s], and how far it comes towards the regulator's [1]."""
-        pace = 0.0 if self._shut else self.air.polytropic * self.air.rT * (self.air.fill if fills else self.air.vent)
-        total = pace + self._leak
-        return total, pace / total if total else 1.0
+    def _paces(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """V / lag of the pressure [m3/s], and how far it comes towards the regulator's [1]; venting, and filling."""
+        paces = [0.0 if self._shut else self.air.polytropic * self.air.rT * C for C in (self.air.vent, self.air.fill)]
+        venting, filling = ((pace + self._leak, pace / (pace + self._leak) if pace else 0.0) for pace in paces)
+        return venting, filling
 
     def _course(self, trace: Trace) -> Course:
         """What is known of the pressure in the muscle."""
@@ -140,7 +145,7 @@ class AirPlant(Plant):
         if abs(gap) < BESIDE:
             gap = u.value(t + SOON) - P
         fills = gap > 0
-        total, share = self._flows(fills=fills)
+        total, share = self._flows[fills]
         if total == 0:
             return Trace(t, P), math.inf
         if u.settled(t, SETTLED_PRESSURE):
@@ -224,37 +229,48 @@ class AirPlant(Plant):
         self._made = None
 
     def _ends(self, trace: Trace, until: float) -> tuple[float, float, float, float]:
-        P, x, span = self._known.value(self.time), self.x, until - self.time
-        u, u_end = self._u.value(self.time), self._u.value(until)
-        V, slope = self._tube.at(x)
-        P_end, kept = self._next(P, (u, u_end), span, (V, V, V))
-        self._begun = P, (u, u_end), V, P_end
+        (P, u, V, flows), x, span, u_end = self._begun, self.x, until - self.time, self._u.value(until)
+        P_end, kept = self._next(P, flows, (u, u_end), span, (V, V, V))
         gained = self._f_ce(P + 1) - self._f_ce(P) - (self._stiffness(P + 1) - self._stiffness(P)) * x
-        lost = self.air.polytropic * (P + self.air.atmosphere) * slope / V * kept
+        lost = self.air.polytropic * (P + self.air.atmosphere) * self._tube.at(x)[1] / V * kept
+        self._ended = P_end, u_end
         return P, P_end, P_end - lost * self.v * span, max(gained * lost, 0.0)
 
     def _step(self, trace: Trace, until: float) -> None:
-        begin, place = self.time, self.x
+        while self.time < until:
+            P, u, V = self._known.value(self.time), self._u.value(self.time), self._tube.at(self.x)[0]
+            flows = self._flows[u > P]
+            self._begun = P, u, V, flows
+            lag = max(V / flows[0], BRIEF) if flows[0] else math.inf
+            quick = abs(u - P) > FAR and self.time + 1.5 * lag < until
+            self._one_step(trace, to_nanosecond(self.time + lag) if quick else until)
+
+    def _one_step(self, trace: Trace, until: float) -> None:
+        begin, place, (P, u, V, flows) = self.time, self.x, self._begun
         super()._step(trace, until)
-        P, wanted, V, P_end = self._begun
+        P_end, u_end = self._ended
         if self.x != place:
             volumes = V, self._tube.at(0.5 * (place + self.x))[0], self._tube.at(self.x)[0]
-            P_end, _ = self._next(P, wanted, until - begin, volumes)
+            P_end, _ = self._next(P, flows, (u, u_end), until - begin, volumes)
         self._known, self._resting = Trace(until, P_end), None
         if self._made is not None:
             self._made[0].append(until)
             self._made[1].append(P_end)
 
     def _next(
-        self, P: float, wanted: tuple[float, float], span: float, volumes: tuple[float, float, float]
+        self,
+        P: float,
+        flows: tuple[float, float],
+        wanted: tuple[float, float],
+        span: float,
+        volumes: tuple[float, float, float],
     ) -> tuple[float, float]:
         """Pressure [Pa] after a `span` [s] from P on, and how much of what a change of volume makes is left then [1].
 
         The regulator's pressure goes from one to the other of `wanted` [Pa]; `volumes` are those before, between and
         after [m3]. As in `pmabench.model.air`.
         """
-        room, (u, u_end), (V, middle, V_end) = self.air.atmosphere, wanted, volumes
-        total, share = self._flows(fills=u > P)
+        room, (total, share), (u, u_end), (V, middle, V_end) = self.air.atmosphere, flows, wanted, volumes
         z = total * span / middle
         fade = math.exp(-z)
         mean = -math.expm1(-z) / z if z else 1.0

@@ -123,7 +123,7 @@ LEAST = {
     "steps, stiction": 2000,
     "steps, everything": 2000,
     "steps, everything, 10 g": 2000,
-    "closed loop at 500 Hz, everything": 100,
+    "closed loop at 500 Hz, everything": 80,
     "ramp 2 kPa/s, stick-slip": 1200,
     "sine 0.5 Hz, stiction": 800,
     "dmsp-40-305, steps": 1200,
