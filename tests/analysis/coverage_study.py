@@ -6,7 +6,7 @@ uncertainty (k = 2), besides noise and counts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
 from math import ceil
@@ -26,6 +26,7 @@ BENCH = rig("serres2009", uncertainty=True)
 CELLS = [(load, 1e3 * P) for load in LOADS[:6:2] for P in range(200, 551, 50)]
 """24 of (load [N], pressure [Pa]); up to 550 kPa, so that 500 kPa is relaxed through."""
 WATCHED = (200e3, 350e3, 500e3)
+CHANNELS = ("pressure", "displacement", "force")
 SAMPLES = round(8.0 * RATE)
 Row = dict[tuple[str, float], tuple[float, float]]
 
@@ -49,19 +50,29 @@ def motion(load: float, pressure: float) -> tuple[Array, dict[str, Array]]:
     return t, {"pressure": moved.P, "displacement": moved.x, "force": moved.F, "pressure_command": moved.P_set}
 
 
-def campaign(seed: int, wrong: Sequence[str] = ("pressure", "displacement", "force"), noise: float = 1.0) -> RunData:
-    """One campaign; `wrong` names the channels whose sensors err, `noise` scales the noise of all."""
+def campaign(
+    seed: int,
+    wrong: Sequence[str] = CHANNELS,
+    noise: float | Mapping[str, float] = 1.0,
+    counts: Mapping[str, float] | None = None,
+) -> RunData:
+    """One campaign; `wrong` names the channels whose sensors err, `noise` scales the noise of all, or of each by name.
+
+    `counts` [SI] in place of those of the mock bench, by name; where they lie is then drawn, too.
+    """
     chance = np.random.default_rng(seed)
-    off = {name: 0.5 * UNITS[name][3] * chance.standard_normal() for name in ("pressure", "displacement", "force")}
+    off = {name: 0.5 * UNITS[name][3] * chance.standard_normal() for name in CHANNELS}
     trials = []
     for load, pressure in CELLS:
         t, clean = motion(load, pressure)
         channels = {}
         for name, values in clean.items():
-            count = UNITS[name][2]
-            shaken = noise * getattr(BENCH.setup.noise, name, 0.0) * chance.standard_normal(len(values))
+            count = (counts or {}).get(name, UNITS[name][2])
+            scale = noise if isinstance(noise, float) else noise.get(name, 0.0)
+            shaken = scale * getattr(BENCH.setup.noise, name, 0.0) * chance.standard_normal(len(values))
             read = values - (off.get(name, 0.0) if name in wrong else 0.0) + shaken
-            channels[name] = np.rint(read / count) * count
+            lies = count * chance.uniform(-0.5, 0.5) if name in (counts or {}) else 0.0
+            channels[name] = np.rint((read - lies) / count) * count + lies
         start = 9.0 * len(trials) + 5.0
         done = tuple(
             Command(start + at, "pressure", "set", value, before, phase)

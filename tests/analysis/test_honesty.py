@@ -164,14 +164,19 @@ def compare(
     reduce: Callable[[list[RunData]], Analysis], run: RunData, channel: str, gain: float, offset: float,
     symbols: set[str], within: float,
 ) -> int:  # fmt: skip
-    """Values move by their calibration part when the channel reads wrong by its uncertainty; how many were compared."""
+    """Values move by their calibration part when the channel reads wrong by its uncertainty; how many were compared.
+
+    Both ways, and the mean of both: where a coefficient bends, they differ.
+    """
     right = values(reduce([told(run, channel, gain, offset)]))
-    wrong = values(reduce([told(reads(run, channel, gain, offset), channel, gain, offset)]))
+    high, low = (
+        values(reduce([told(reads(run, channel, way * gain, way * offset), channel, gain, offset)])) for way in (1, -1)
+    )
     count = 0
     for key, e in right.items():
-        if e.symbol not in symbols or key not in wrong:
+        if e.symbol not in symbols or key not in high or key not in low:
             continue
-        moved = abs(wrong[key].value - e.value)
+        moved = abs(high[key].value - low[key].value) / 2
         part = e.parts.calibration or 0.0
         assert moved == pytest.approx(part, rel=within, abs=within * 1e-2 * abs(e.value)), (key, moved, part)
         count += 1

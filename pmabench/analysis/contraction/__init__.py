@@ -1,6 +1,6 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
-- `contraction` reduces, made of `campaign`, `segments`, `pooled`, `replay`, `intervals`, `drift`,
+- `contraction` reduces, made of `campaign`, `segments`, `segment_noise`, `pooled`, `replay`, `intervals`, `drift`,
   `contraction_values`, `curves` (regressions on pressure)
 - the papers' way, dead times and bandwidth: `contraction_steps`, `steps`, `bandwidth`; words and figures:
   `contraction_view`; whole trials run freely: `free_run`

@@ -143,7 +143,7 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         skews = _skews(campaign, segments_of, again, other)
         drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
         scales = Scales.of(campaign.runs)
-        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.steps, drifts)
+        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 
     def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
         return trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)

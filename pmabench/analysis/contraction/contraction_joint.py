@@ -52,7 +52,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> B
     segments, noise = pooled.segments.where(rows), rms_of(pooled.noise[rows])
     knots = pooled.fit.knots[pooled.fit.knots >= least]
     orders, scores = choose(segments, {s: wanted.get(s) for s in SYMBOLS}, knots, noise)
-    solved = solve(segments, forms_of(orders, knots), noise, least)
+    solved = solve(segments, forms_of(orders, knots), noise, least, pooled.fit.added)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     told = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
     estimates = values(Told(campaign, segments, solved, pooled.fit.knots, trust, METHOD, told))

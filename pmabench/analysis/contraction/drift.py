@@ -36,8 +36,9 @@ def causes(
 ) -> tuple[Cause, ...]:  # fmt: skip
     """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`."""
 
-    def change(other: Segments) -> Array:
-        return np.asarray(fit.again(other, noise).theta - fit.theta)
+    def change(other: Segments, channel: str = "", by: Array | None = None) -> Array:
+        begun = fit if by is None or channel != "pressure" else fit.followed(0.0, float(np.mean(by)))
+        return np.asarray(begun.again(other, noise).theta - fit.theta)
 
     found = []
     off = _specimen(runs, trials)
@@ -59,7 +60,7 @@ def causes(
             found.append(Cause(name, None, NO_CHECK))
             continue
         whole, growing = (-by[segments.trial] for by in ends)
-        ways = [change(_offset(segments, channel, by)) for by in (whole, growing)]
+        ways = [change(_offset(segments, channel, by), channel, by) for by in (whole, growing)]
         found.append(Cause(name, np.array(ways)))
     return tuple(found)
 

@@ -134,6 +134,7 @@ def assess(
     replays: Sequence[Array],
     scales: Scales,
     skews: Array,
+    shaken: Noise = NO_NOISE,
     steps: Noise = NO_NOISE,
     drifts: tuple[Cause, ...] = (),
 ) -> Trust:
@@ -151,6 +152,8 @@ def assess(
         How well the channels are known.
     skews, drifts
         As in `Trust`.
+    shaken
+        Noise of the channels, for what neighbouring segments share of it.
     steps
         The part of the channels' noise that the steps of their values make.
     """
@@ -158,7 +161,7 @@ def assess(
     expected = rms_of(noise)
     channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
     more = max(1.0, fit.rms / expected)
-    covariance = more**2 * _covariance(fit, noise)
+    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, shaken)
     analytic = np.diag(covariance)
     seen = analytic
     if len(replays) > 1:
@@ -251,15 +254,21 @@ def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float
 
 
 def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scales) -> dict[str, Array]:
-    """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty."""
+    """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty: the mean of both ways."""
     shifts = {}
     for channel in CHANNELS:
         offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
         for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
             if any(by):
-                again = fit.again(segments.shifted(channel, *by), expected)
-                shifts[f"{channel}, {name}"] = again.theta - fit.theta
+                up, down = (_off(segments, fit, channel, way * by[0], way * by[1], expected) for way in (1.0, -1.0))
+                shifts[f"{channel}, {name}"] = 0.5 * (up - down)
     return shifts
+
+
+def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: float, expected: float) -> Array:
+    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI]."""
+    begun = fit.followed(gain, offset) if channel == "pressure" else fit
+    return begun.again(segments.shifted(channel, gain, offset), expected).theta
 
 
 def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:

@@ -15,7 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.contraction.forms import MOST_ORDER, Form, forms_of
-from pmabench.analysis.contraction.pooled import BEND, FLOOR, SYMBOLS, Solved, bent, sizes_of, spread
+from pmabench.analysis.contraction.pooled import (
+    BEND,
+    FLOOR,
+    NONE,
+    SYMBOLS,
+    Solved,
+    bent,
+    carried,
+    follow,
+    sizes_of,
+    spread,
+)
 from pmabench.analysis.contraction.segments import Segments
 from pmabench.store.records import Array
 
@@ -33,6 +44,8 @@ class Joint(Solved):
     forms: Mapping[str, Form]
     least: float
     """Pressure [Pa] above which the forms hold: segments below are left out."""
+    added: Array
+    """Knots [Pa] of polygons that were put where a residual asked for one."""
 
     def columns(self, symbol: str) -> slice:
         """See `Solved`."""
@@ -55,7 +68,16 @@ class Joint(Solved):
 
     def again(self, segments: Segments, noise: float) -> Joint:
         """See `Solved`."""
-        return solve(segments.where(above(segments, self.least)), self.forms, noise, self.least)
+        return solve(segments.where(above(segments, self.least)), self.forms, noise, self.least, self.added)
+
+    def followed(self, gain: float, offset: float) -> Joint:
+        """See `Solved`."""
+        there = follow(self.added, gain, offset)
+        forms = {
+            symbol: form if form.knots is None else replace(form, knots=carried(form.knots, self.added, there))
+            for symbol, form in self.forms.items()
+        }
+        return replace(self, forms=forms, added=there)
 
     def bends(self, segments: Segments, noise: float) -> Array:
         """0: what a form leaves shows in the residual, against that of straight lines between pressures."""
@@ -67,14 +89,16 @@ def above(segments: Segments, least: float) -> NDArray[np.bool_]:
     return np.asarray(segments.P.min(axis=1) >= least)
 
 
-def solve(segments: Segments, forms: Mapping[str, Form], noise: float, least: float = 0.0) -> Joint:
+def solve(
+    segments: Segments, forms: Mapping[str, Form], noise: float, least: float = 0.0, added: Array = NONE
+) -> Joint:
     """Least squares, with the weak prior of `pooled` for polygons; `noise` [N] is what a residual should have."""
     design = np.hstack(_design(segments, forms))
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, sum(form.size for form in forms.values())] = 0.0
     inverse, theta = _solved(design.T @ design + _prior(segments, forms, noise), design.T @ segments.force)
-    return Joint(theta, inverse, design, segments.force - design @ theta, friction, forms, least)
+    return Joint(theta, inverse, design, segments.force - design @ theta, friction, forms, least, added)
 
 
 def _prior(segments: Segments, forms: Mapping[str, Form], noise: float) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmabench.analysis.contraction.pooled import FEWEST_KNOTS, FLOOR, SYMBOLS, Fit, place, prior_of, sizes_of
+from pmabench.analysis.contraction.pooled import FEWEST_KNOTS, FLOOR, NONE, SYMBOLS, Fit, place, prior_of, sizes_of
 from pmabench.analysis.contraction.segments import Noise, Segments
 from pmabench.analysis.contraction.stretch import Stretch, answers
 from pmabench.store.records import Array
@@ -69,7 +69,7 @@ class Polished(Fit):
         if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
             return np.zeros(len(self.theta))
         values = [self.values(symbol, kept) for symbol in SYMBOLS]
-        coarse = replace(self, theta=np.concatenate((*values, [self.theta[-1]])), knots=kept, halves=np.empty(0))
+        coarse = replace(self, theta=np.concatenate((*values, [self.theta[-1]])), knots=kept, halves=NONE)
         coarse = coarse.again(segments, noise).again(segments, noise)
         fine = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
         return np.asarray((np.concatenate((*fine, [coarse.theta[-1]])) - self.theta) / 3.0)
@@ -83,6 +83,10 @@ class Polished(Fit):
             found += scores @ one.covariance(noise) @ scores.T
         return np.asarray(self.inverse @ found @ self.inverse)
 
+    def shared(self, segments: Segments, noise: Noise) -> Array:
+        """See `Solved`: nothing, rows are whitened."""
+        return np.zeros((len(self.theta), len(self.theta)))
+
     def newton(self, segments: Segments) -> Array:
         """The step of Gauss and Newton from here, shape (p,)."""
         prior = _prior(segments, self.design, self)
@@ -95,10 +99,10 @@ class Polished(Fit):
 
 def polish(segments: Segments, fit: Fit, noise: Noise, unit: float) -> Polished:
     """The fit by output error that is begun at `fit`; `noise` of the channels, `unit` [N] as in `Polished`."""
-    none = np.empty(0)
     begun = Polished(
         fit.theta, fit.inverse, fit.design, fit.residual, fit.friction, fit.knots, fit.halves,
-        unit=unit, noise=noise, starts=0, misses=none, expected=none,
+        fit.added,
+        unit=unit, noise=noise, starts=0, misses=NONE, expected=NONE,
     )  # fmt: skip
     now = linear(segments, begun)
     for number in range(1, MOST_STEPS + 1):

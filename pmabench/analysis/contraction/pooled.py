@@ -9,12 +9,13 @@ lines between. Linear in all of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.contraction.segment_noise import covariance
 from pmabench.analysis.contraction.segments import Noise, Segments
 from pmabench.store.records import Array
 
@@ -71,13 +72,26 @@ class Solved(ABC):
         """The same fit to other segments, whose residual should be `noise` [N]."""
 
     @abstractmethod
+    def followed(self, gain: float, offset: float) -> Solved:
+        """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
+        is then read elsewhere, and the knot goes with it; tested pressures stay where they are.
+        """
+
+    @abstractmethod
     def bends(self, segments: Segments, noise: float) -> Array:
         """What the forms leave of a bend in each unknown, shape (p,)."""
 
     def scatter(self, segments: Segments, noise: Noise) -> Array:
         """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
-        each = expected_noise(segments, self, noise)
-        return np.asarray(self.inverse @ ((self.design * each[:, None] ** 2).T @ self.design) @ self.inverse)
+        own, _ = noise_covariance(segments, self, noise)
+        alone = self.inverse @ ((self.design * own[:, None]).T @ self.design) @ self.inverse
+        return np.asarray(alone + self.shared(segments, noise))
+
+    def shared(self, segments: Segments, noise: Noise) -> Array:
+        """What of `scatter` comes from samples that neighbouring segments share, shape (p, p)."""
+        _, after = noise_covariance(segments, self, noise)
+        cross = (self.design[1:] * after[:, None]).T @ self.design[:-1]
+        return np.asarray(self.inverse @ (cross + cross.T) @ self.inverse)
 
     @property
     def coulomb(self) -> float:
@@ -98,6 +112,8 @@ class Fit(Solved):
     knots: Array
     halves: Array = field(default_factory=lambda: np.empty(0))
     """Those of them [Pa] that only halve a stretch."""
+    added: Array = field(default_factory=lambda: np.empty(0))
+    """Those of them [Pa] that were put where the residual asked for one."""
 
     def index(self, symbol: str, knot: int = 0) -> int:
         """Place of a coefficient in `theta`."""
@@ -131,7 +147,12 @@ class Fit(Solved):
 
     def again(self, segments: Segments, noise: float) -> Fit:
         """See `Solved`."""
-        return solve(segments, self.knots, noise, self.halves)
+        return solve(segments, self.knots, noise, self.halves, self.added)
+
+    def followed(self, gain: float, offset: float) -> Fit:
+        """See `Solved`."""
+        there = follow(self.added, gain, offset)
+        return replace(self, knots=carried(self.knots, self.added, there), added=there)
 
     def bends(self, segments: Segments, noise: float) -> Array:
         """A third of what it changes to halve no stretch (Richardson): errors of straight lines go with length^2."""
@@ -175,7 +196,22 @@ def design_of(segments: Segments, knots: Array) -> Array:
     )
 
 
-def solve(segments: Segments, knots: Array, noise: float, halves: Array | None = None) -> Fit:
+NONE = np.empty(0)
+
+
+def follow(added: Array, gain: float, offset: float) -> Array:
+    """Where knots [Pa] go when pressure reads (1 + gain) times as much, plus `offset` [Pa]."""
+    return np.asarray(added * (1 + gain) + offset)
+
+
+def carried(knots: Array, old: Array, new: Array) -> Array:
+    """The knots [Pa] with `new` in place of `old`, in the same order; as they are where that would change."""
+    there = knots.copy()
+    there[np.isin(knots, old)] = new
+    return there if (np.diff(there) > 0).all() else knots
+
+
+def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE) -> Fit:
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
     design = design_of(segments, knots)
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
@@ -193,7 +229,8 @@ def solve(segments: Segments, knots: Array, noise: float, halves: Array | None =
         segments.force - design @ theta,
         friction,
         knots,
-        np.empty(0) if halves is None else halves,
+        halves,
+        added,
     )
 
 
@@ -228,24 +265,20 @@ def sizes_of(segments: Segments) -> tuple[float, float, float, float]:
 
 
 def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
-    """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,).
+    """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,)."""
+    return np.asarray(np.sqrt(noise_covariance(segments, fit, noise)[0]))
 
-    Force noise, or displacement noise in M x'' where no cell measures; pressure noise times the slope of F_ce - K x;
-    displacement noise in the velocity times B.
+
+def noise_covariance(segments: Segments, fit: Solved, noise: Noise) -> tuple[Array, Array]:
+    """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
+    pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
-    share = float(segments.weights @ segments.weights)
-    n = segments.v.shape[1]
-    window = segments.x.shape[1] - n
     P, step = segments.pressure, 1e3
     x = segments.x @ segments.weights
     slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
     slope = (slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step)
     damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
-    per_window = noise.displacement / (window * segments.dt)
-    speed = per_window * np.sqrt(2 * min(n, window)) / n
-    inertia = segments.mass * per_window * 2 / ((n + 1) * segments.dt)
-    load = np.where(segments.mass > 0, inertia**2, noise.force**2 * share)
-    return np.asarray(np.sqrt(load + (slope * noise.pressure) ** 2 * share + (damping * speed) ** 2))
+    return covariance(segments, slope, fit.values("K", P), damping, noise)
 
 
 def first_knots(tested: Array, commanded: Array) -> Array:
@@ -288,7 +321,7 @@ def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
             break
         solved = finer
     each = np.maximum(floor, expected_noise(segments, solved, noise))
-    return solve(segments, solved.knots, rms_of(each), knots[1::2]), each
+    return solve(segments, solved.knots, rms_of(each), knots[1::2], np.setdiff1d(solved.knots, knots)), each
 
 
 def rms_of(values: Array) -> float:
