@@ -6,11 +6,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from pmabench.analysis.loops.model_gain import by_model
+from pmabench.analysis.loops.model_gain import by_model, kink
 from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis
 from pmabench.cli.main import main
@@ -116,6 +117,41 @@ def test_wider_intervals_of_coefficients_make_wider_ones_of_the_loop(analysis: A
 
     assert wider("F_ce", 5.0) == pytest.approx(5.0 * 2**0.5 / 100 / 0.8, rel=0.3)
     assert wider("F_ce", 10.0) == pytest.approx(2 * wider("F_ce", 5.0), rel=0.05)
+
+
+GRID = [P * 1e3 for P in range(150, 501, 50)]
+
+
+@pytest.mark.parametrize(("P", "slope"), [(300e3, -32.1), (320e3, 17.9), (325e3, 17.9), (350e3, 17.9)])
+def test_a_kink_bounds_what_the_slope_is_off(P: float, slope: float) -> None:
+    """K of Serres and others: 32.7 - 0.0321 P up to 314 kPa, 17 + 0.0179 P above [N/mm, kPa]."""
+    points = [(at, 32.7e3 - 32.1e-3 * at if at <= 314e3 else 17e3 + 17.9e-3 * at) for at in GRID]
+    high, low = np.interp([P + 25e3, P - 25e3], *np.array(points).T)
+    taken = (high - low) / 50e3
+    assert abs(taken - slope * 1e-3) > 5e-3
+    assert abs(taken - slope * 1e-3) <= kink(points, P) * (1 + 1e-9) < 0.05
+
+
+@pytest.mark.parametrize("P", [200e3, 215e3, 225e3, 350e3, 450e3])
+def test_a_parabola_has_no_kink_and_a_line_with_one_none_elsewhere(P: float) -> None:
+    assert kink([(at, 5600 + 1e-3 * at + 9.7e-9 * at * at) for at in GRID], P) == pytest.approx(0.0, abs=1e-9)
+    if P <= 215e3 or P == 450e3:
+        points = [(at, 32.7e3 - 32.1e-3 * at if at <= 314e3 else 17e3 + 17.9e-3 * at) for at in GRID]
+        assert kink(points, P) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_kink_is_told_and_in_the_interval(analysis: Analysis) -> None:
+    """K falls by 10 N/mm per MPa up to 350 kPa and rises as much above: the slope at 350 kPa is either."""
+    smooth = by_model(analysis, [38e-3], 0.0, 0.0, 0.0)
+    bent = tuple(
+        replace(e, value=7000.0 + 0.01 * abs(e.at["pressure"] - 350e3)) if e.symbol == "K" and e.at else e
+        for e in analysis.estimates
+    )
+    found = by_model(replace(analysis, estimates=bent), [46e-3], 0.0, 0.0, 0.0)
+    assert any("has a kink about" in f.text for f in found.findings)
+    assert not any("has a kink about" in f.text for f in smooth.findings)
+    shares = [a.estimates[0].parts.method / a.estimates[0].value for a in (smooth, found)]  # type: ignore[operator]
+    assert shares[1] > 3 * shares[0]
 
 
 def refused(analysis: Analysis, *setpoints: float) -> str:

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any
+
+import numpy as np
 
 from pmabench.analysis.loops.open_loop_gain import DAMPING
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.quantities import show
 from pmabench.model.curve import Curve
-from pmabench.model.loop import Loop, loop_at, ultimate
+from pmabench.model.loop import SPAN, Loop, loop_at, ultimate
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
 
@@ -26,6 +28,8 @@ FEWEST = 3
 """Pressures below which slopes over pressure cannot be told."""
 LEAST = 0.1
 """Share of its last known value below which no coefficient is continued."""
+KINK = 0.03
+"""Share of k_g above which a kink is told."""
 NUDGE = 0.1
 """Share of a half width by which an estimate is moved to see what it is worth."""
 TOGETHER = ("calibration", "skew", "drift")
@@ -66,8 +70,10 @@ class Fitted:
             raise ValueError(f"the analysis gives no {told} of the regulator; process the runs with --regulator")
         return cls((*known, *whole), (min(shared), max(shared)))
 
-    def loop(self, values: Sequence[float], x: float, load: float, mass: float, period: float, way: str) -> Loop:
-        """The loop at x [m] under `load` [N]; `way` is whose damping counts, `B_c`, `B_r` or both (``)."""
+    def loop(
+        self, values: Sequence[float], x: float, load: float, mass: float, period: float, way: str = ""
+    ) -> tuple[float, Loop]:
+        """Pressure [Pa] and loop at x [m], `load` [N]; `way` is whose damping counts, `B_c` or `B_r`; or both."""
         points: dict[str, list[tuple[float, float]]] = {symbol: [] for symbol in SYMBOLS}
         times = {"dead time": 0.0, "lag": 0.0, "second lag": 0.0}
         for e, value in zip(self.estimates, values, strict=True):
@@ -79,8 +85,37 @@ class Fitted:
         F_ce, K, B_c, B_r = (_through(sorted(known), self.domain) for known in chosen)
         muscle = Muscle(METHOD, F_ce, K, B_c, B_r)
         regulator = Regulator(max(0.0, times["dead time"]), max(0.0, times["lag"]))
-        _, loop = loop_at(muscle, regulator, x, load, self.domain, mass=mass, sample_period=period)
-        return replace(loop, lags=(*loop.lags, times["second lag"])) if times["second lag"] > 0 else loop
+        P, loop = loop_at(muscle, regulator, x, load, self.domain, mass=mass, sample_period=period)
+        return P, replace(loop, lags=(*loop.lags, times["second lag"])) if times["second lag"] > 0 else loop
+
+    def bend(self, P: float, x: float, loop: Loop) -> float:
+        """Share by which k_g may be off where F_ce or K have a kink between the pressures of the campaign [1]."""
+        known = {(e.symbol, e.at["pressure"]): e.value or 0.0 for e in self.estimates if e.at}
+        F, K = (
+            sorted((at, value) for (name, at), value in known.items() if name == symbol and ("K", at) in known)
+            for symbol in ("F_ce", "K")
+        )
+        K_there = float(np.interp(P, *np.array(K).T))
+        return hypot(kink(F, P), x * kink(K, P)) / (K_there * loop.gain)
+
+
+def kink(points: Sequence[tuple[float, float]], P: float) -> float:
+    """How far the slope at P of a curve through points (x, y), x rising, may be off for a kink near P [y/x].
+
+    Pieces turn alike from point to point where a curve is smooth. What a turn differs from those beside it bounds the
+    error of a central slope, and so does the farthest slope of the pieces about P.
+    """
+    x, y = np.array(points).T
+    slopes = np.diff(y) / np.diff(x)
+    turns = np.concatenate((np.diff(slopes)[:1], np.diff(slopes), np.diff(slopes)[-1:]))
+    here = int(np.clip(np.searchsorted(x, P, side="right") - 1, 0, len(slopes) - 1))
+    reach = 0.999 * (x[here + 1] - x[here])
+    near = [j for j in range(len(slopes)) if x[j] < P + reach and x[j + 1] > P - reach]
+    low, high = max(x[0], P - SPAN), min(x[-1], P + SPAN)
+    slope = (np.interp(high, x, y) - np.interp(low, x, y)) / (high - low)
+    inner = range(max(1, near[0]), min(len(slopes), near[-1] + 1))
+    unlike = max((max(abs(turns[k] - turns[k - 1]), abs(turns[k] - turns[k + 1])) for k in inner), default=0.0)
+    return float(min(unlike, max(abs(slopes[j] - slope) for j in near)))
 
 
 def _through(points: list[tuple[float, float]], domain: tuple[float, float]) -> Curve:
@@ -108,13 +143,18 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
     estimates, findings, loops, wrong = [], [], [], []
     for x in setpoints or _rests(fitted, load):
         try:
-            loop = fitted.loop(values, x, load, mass, period, "")
+            P, loop = fitted.loop(values, x, load, mass, period)
             ultimate(loop)
         except ValueError as error:
             wrong.append(str(error))
             continue
         at = {"setpoint": x, "load": load}
-        estimates += _estimates(fitted, values, (x, load, mass, period), at)
+        bend = fitted.bend(P, x, loop)
+        estimates += _estimates(fitted, values, (x, load, mass, period), at, bend)
+        if bend > KINK:
+            where = f"about {show(P, 'pressure', 3)}, at {show(x, 'length', 3)}"
+            text = f"F_ce or K has a kink {where}: K_u may be off by {bend:.0%}; test more pressures there"
+            findings.append(Finding("doubt", text))
         loops.append({"at": at, "gain": loop.gain, "dead_time": loop.dead_time, "lags": _plain(loop)})
     if not loops:
         raise ValueError("; ".join(wrong) or f"nothing rests above 0 mm under {show(load, 'force', 3)}")
@@ -141,12 +181,12 @@ def _plain(loop: Loop) -> list[Any]:
 
 
 def _estimates(
-    fitted: Fitted, values: list[float], where: tuple[float, float, float, float], at: dict[str, float]
+    fitted: Fitted, values: list[float], where: tuple[float, float, float, float], at: dict[str, float], bend: float
 ) -> list[Estimate]:
-    """K_u and T_u at one set-point with their intervals."""
+    """K_u and T_u at one set-point with their intervals; `bend` is what a kink may make of k_g [1]."""
 
     def pair(changed: Sequence[float], way: str = "") -> tuple[float, float]:
-        found = ultimate(fitted.loop(changed, *where, way))
+        found = ultimate(fitted.loop(changed, *where, way)[1])
         return found.gain, found.period
 
     found = pair(values)
@@ -166,7 +206,8 @@ def _estimates(
             added = abs(sum(halves)) if cause in TOGETHER else sqrt(sum(h * h for h in halves))
             worth[cause] = added if assessed else None
         damping = DAMPING * abs(ways[0][place] - ways[1][place])
-        worth["method"] = sqrt((worth["method"] or 0.0) ** 2 + damping**2)
+        bent = bend * found[place] if symbol == "K_u" else 0.0
+        worth["method"] = hypot(worth["method"] or 0.0, damping, bent)
         parts = Parts(**worth)  # type: ignore[arg-type]
         n = max(e.n for e in fitted.estimates)
         note = "from coefficients over pressure and the regulator's lag; no loop was closed"
