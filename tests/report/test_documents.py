@@ -126,6 +126,20 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     assert [cell.value for cell in book["Checklist"][4]] == ["clause", "asked for", "here", "where, or what to do"]
 
 
+def test_rows_of_the_workbook_are_as_tall_as_their_wrapped_texts(content, tmp_path):
+    """A row that is too low hides lines, or lays them over the next row, in programs that do not look themselves."""
+    book = openpyxl.load_workbook(write_workbook(content, samples.all_analyses(), tmp_path / "r.xlsx"))
+    looked = 0
+    for sheet in book:
+        for row in sheet.iter_rows(min_row=4):
+            for cell in row:
+                wide = sheet.column_dimensions[cell.column_letter].width
+                if isinstance(cell.value, str) and len(cell.value) > wide:
+                    looked += 1
+                    assert sheet.row_dimensions[cell.row].height >= 14 * min(27, len(cell.value) / wide), cell.value
+    assert looked > 10
+
+
 @pytest.mark.parametrize(("module", "extra"), [("typst", "pmabench[pdf]"), ("xlsxwriter", "pmabench[xlsx]")])
 def test_without_the_extra_a_sentence_says_which(content, monkeypatch, tmp_path, module, extra):
     monkeypatch.setitem(sys.modules, module, None)

@@ -15,10 +15,13 @@ from scipy.io import loadmat
 import pmabench
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
+from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.main import main
 from pmabench.notebook import Results
+from pmabench.report.figures.svg import GREEK
 from pmabench.report.files.control_model import control_model, simulated
 from pmabench.report.files.export import FORMATS, export_results, export_run
+from pmabench.report.files.latex import typeset
 from tests.store.runs import closed
 
 from . import samples
@@ -88,6 +91,13 @@ def test_latex_tables_hold_plain_numbers_and_balance(tmp_path):
         columns, rows = body
         for row in re.findall(r"^(.*) \\\\$", rows, re.MULTILINE):
             assert len(re.split(r"(?<!\\)&", row)) == len(columns)
+
+
+def test_every_letter_of_a_symbol_and_sign_of_a_unit_is_one_that_plain_latex_knows():
+    for sign in {*GREEK.values(), *"".join(q.shown_in for q in QUANTITIES.values()), *"−±×°⁻⁶"}:
+        told = typeset(f"x {sign} y")
+        assert told.isascii(), sign
+        assert "?" not in told, sign
 
 
 def test_the_exported_model_is_the_fitted_muscle(tmp_path):

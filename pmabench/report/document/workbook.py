@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from pmabench.analysis.results import Analysis
@@ -22,6 +23,10 @@ EPOCH = datetime(2000, 1, 1)
 """What the file says of when it was made: nothing, so that it can be compared."""
 WIDEST = 60
 """Letters that a column shows at once."""
+LINE, TALLEST = 15.0, 405.0
+"""Height of a line and the most of a row [points]."""
+COUNTED = 5_000
+"""Letters of a text whose lines are counted."""
 LONGEST = 32_000
 """Letters of a cell; a spreadsheet takes 32,767."""
 NAME = 31
@@ -106,6 +111,18 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
     return rows
 
 
+def _width(values: Sequence[Any]) -> float:
+    """Of a column, in letters."""
+    return min(WIDEST, max(9, *(len(value) if isinstance(value, str) else 10 for value in values)) + 1)
+
+
+def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
+    """Of a row whose texts are wrapped in columns of these widths [points]: programs do not all find it themselves."""
+    texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
+    lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts]
+    return min(TALLEST, LINE * max((*lines, 1)))
+
+
 class _Sheets:
     """Sheets of one workbook, in one look."""
 
@@ -116,6 +133,7 @@ class _Sheets:
         self.mark = book.add_format({"bold": True, "font_color": "#a14a00"})
         self.head = book.add_format({"bold": True, "bottom": 1, "text_wrap": True, "valign": "bottom"})
         self.text = book.add_format({"text_wrap": True, "valign": "top"})
+        self.name = book.add_format({"bold": True, "text_wrap": True, "valign": "top"})
 
     def _sheet(self, name: str, *, simulated: bool) -> Any:
         stem = "".join(c for c in clean(name, 80) if c not in "[]:*?/\\'")[:NAME].strip() or "Sheet"
@@ -139,10 +157,12 @@ class _Sheets:
     def lines(self, name: str, lines: Sequence[tuple[str, str]]) -> None:
         """Pairs of a head and a text."""
         sheet = self._sheet(name, simulated=self.content.simulated)
-        sheet.set_column(0, 0, 28)
-        sheet.set_column(1, 1, 110)
+        widths = (32, 110)
+        sheet.set_column(0, 0, widths[0])
+        sheet.set_column(1, 1, widths[1])
         for row, (head, text) in enumerate(lines, 3):
-            sheet.write_string(row, 0, inert(clean(head, 200)), self.head)
+            sheet.set_row(row, _height((head, text), widths))
+            sheet.write_string(row, 0, inert(clean(head, 200)), self.name)
             sheet.write_string(row, 1, inert(clean(text, LONGEST)), self.text)
 
     def rows(self, name: str, rows: Sequence[Mapping[str, Any]], *, simulated: bool | None = None) -> None:
@@ -151,11 +171,13 @@ class _Sheets:
             return
         sheet = self._sheet(name, simulated=self.content.simulated if simulated is None else simulated)
         columns = list(dict.fromkeys(head for row in rows for head in row))
+        wide = [_width([row.get(head) for row in rows]) for head in columns]
+        sheet.set_row(3, _height(columns, wide))
         for column, head in enumerate(columns):
             sheet.write_string(3, column, inert(clean(head, 200)), self.head)
-            widths = [len(str(row.get(head, ""))) if isinstance(row.get(head), str) else 10 for row in rows]
-            sheet.set_column(column, column, min(WIDEST, max(9, *widths) + 1))
+            sheet.set_column(column, column, wide[column])
         for line, row in enumerate(rows, 4):
+            sheet.set_row(line, _height([row.get(head) for head in columns], wide))
             for column, head in enumerate(columns):
                 self._cell(sheet, line, column, row.get(head))
         sheet.freeze_panes(4, 0)

@@ -31,6 +31,7 @@ _ESCAPES = {
     "·": r"$\cdot$",
     "°": r"$^\circ$",
     "ε": r"$\varepsilon$",
+    "η": r"$\eta$",
     "θ": r"$\theta$",
     "φ": r"$\varphi$",
     "τ": r"$\tau$",
