@@ -1,6 +1,7 @@
 """A campaign from protocol to coefficients against the simulated plant alone, in one run. `make bench`.
 
 `mock-air` is the plant with everything: stiction, a regulator of second order that has to move air, noise, counts.
+Such a plant of 2,000 times real time would allow 2.2 times its own time; ours is faster, so the bound is on that.
 The plant alone gets the same commands and loads at the same moments and is asked for the same samples: without noise
 and counts, driver, acquisition, record and reduction. `PMABENCH_REPEATS=6 make bench` makes it 528 trials.
 """
@@ -119,4 +120,6 @@ def test_recorded_seconds_per_second(tmp_path, request, told, bench):
     assert np.abs(measured - x[rows]).max() < 15e-6, "the plant alone does the same; noise 2 um"
     if timed:
         assert outcome.bench_seconds / plant > 2000
-        assert whole < 2.2 * outcome.bench_seconds / 2000, "2.2 times a plant that is 2,000 times as fast as real time"
+        full = len(run.trials) >= 500  # in a short campaign what is done once counts for more
+        assert whole < (2.2 if full else 3.0) * outcome.bench_seconds / 2000, "by a plant of 2,000 times real time"
+        assert not full or recorded > 800 * whole
