@@ -59,9 +59,8 @@ def command(
     given = [value is not None for value in (ku, tu)]
     from_runs = steps or model
     if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
-        raise UsageError(
-            "--steps and --model take runs and no other source: pmabench tune --steps RUN..., or tune --model RUN..."
-        )
+        way = "--model" if model and not steps else "--steps"
+        raise UsageError(f"{way} takes runs and nothing else: pmabench tune {way} RUN...")
     if not from_runs and (any(given) if analysis is not None else not all(given)):
         raise UsageError(
             'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN..., '

@@ -194,8 +194,9 @@ def test_on_the_command_line(campaign: Path, tmp_path: Path) -> None:
 def test_what_was_typed_wrong_is_told(campaign: Path) -> None:
     run = str(campaign)
     for arguments, words in (
-        (("--model",), "--steps and --model take runs"),
-        (("--model", "--steps", run), "--steps and --model take runs"),
+        (("--model",), "--model takes runs and nothing else"),
+        (("--model", "--steps", run), "--steps takes runs and nothing else"),
+        (("--model", run, "--ku", "5", "--tu", "3 s"), "--model takes runs and nothing else"),
         (("--model", run, "--setpoint", "20 N"), "--setpoint"),
         (("--model", run, "--load", "6 mm"), "neither a mass nor a force"),
         (("--model", run, "--load", "-6 kg"), "no load of a muscle"),

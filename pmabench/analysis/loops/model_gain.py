@@ -148,7 +148,7 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
         except ValueError as error:
             wrong.append(str(error))
             continue
-        at = {"setpoint": x, "load": load}
+        at = {"setpoint": x, "load": load} | ({"mass": mass} if mass > 0 else {})
         bend = fitted.bend(P, x, loop)
         estimates += _estimates(fitted, values, (x, load, mass, period), at, bend)
         if bend > KINK:
