@@ -212,21 +212,14 @@ def _coefficients(
     model = MODELS[FORM_LOADS if method == MATRIX else FORM]
     quantities = {p.name: p.quantity for p in model.parameters}
     names = tuple(stair.trial.name for one in loads for stair in one.stairs)
-    known = {} if fit is None else {unknown.name: unknown for unknown in fit.unknowns}
     found = []
     for name in model.fitted:
         quantity = quantities[name]
         power = name.partition("_")[2]
         per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
-        unknown, value, half, note = known.get(name), None, None, why
-        if unknown is not None and fit is not None:
-            ends = unknown.ci95
-            if not fit.converged:
-                note = "the fit did not converge"
-            elif ends is None or ends[0] is None or ends[1] is None:
-                note = f"not identifiable from these pressures: fitted {unknown.value:.4g} {UNITS[quantity]}"
-            else:
-                value, half, note = unknown.value, 0.5 * (ends[1] - ends[0]), sentences(per, unknown.note, RESIDUALS)
+        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
+        if half is not None:
+            note = sentences(per, note, RESIDUALS)
         found.append(
             Estimate(
                 "alpha_b", value, UNITS[quantity], quantity, method, at, Parts(repeats=half), len(names), note=note,

@@ -278,18 +278,9 @@ def _coefficients(fit: ModelFit | None, why: str) -> list[Estimate]:
     """The coefficients a to e, those without an interval as not identifiable."""
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     found = []
-    known = {} if fit is None else {u.name: u for u in fit.unknowns}
     for name in UNKNOWN:
         quantity = quantities[name]
-        unknown, value, half, note = known.get(name), None, None, why
-        if unknown is not None and fit is not None:
-            ends = unknown.ci95
-            if not fit.converged:
-                note = "the fit did not converge"
-            elif ends is None or ends[0] is None or ends[1] is None:
-                note = f"not identifiable from these pressures: fitted {unknown.value:.4g} {UNITS[quantity]}"
-            else:
-                value, half, note = unknown.value, 0.5 * (ends[1] - ends[0]), unknown.note
+        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
         parts = Parts(repeats=half)
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")

@@ -103,7 +103,7 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
     text = f"at rest without pressure it comes back to the nominal length within {show(abs(left.start), 'length', 2)}"
     if abs(left.start) > max(LEFT * largest, 6 * left.noise):
         text = (
-            f"before trial {left.trial.name} {show(left.start, 'length', 2)} of contraction are left without pressure"
+            f"{show(left.start, 'length', 2)} of contraction are left without pressure before trial {left.trial.name}"
         )
         found.append(
             Finding("doubt", f"{text}: creep, friction, or a zero that is off; L counts from the nominal length")
