@@ -9,7 +9,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 
-FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control")
+FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 SAMPLES = ("csv", "parquet", "mat")
 """Formats in which a run's own samples are given out; for the others it is processed."""
 
@@ -24,8 +24,8 @@ SAMPLES = ("csv", "parquet", "mat")
 def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int | None:
     """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
 
-    A folder of analyses stands for all in it. For latex, json and python-control runs are processed first. Units stand
-    in the heads of columns.
+    A folder of analyses stands for all in it. For latex, json, python-control and mujoco runs are processed first.
+    Units stand in the heads of columns.
     """
     from pmabench.cli.process import apart
     from pmabench.notebook import Results, open_analysis, open_run

@@ -5,6 +5,7 @@ import re
 import warnings
 
 import control
+import mujoco
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
@@ -19,9 +20,10 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.report.figures.svg import GREEK
-from pmabench.report.files.control_model import control_model, simulated
+from pmabench.report.files.control_model import GRAVITY, control_model, simulated
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
+from pmabench.report.files.mujoco_model import mujoco_model
 from tests.store.runs import closed
 
 from . import samples
@@ -135,6 +137,54 @@ def test_the_stated_deviation_is_what_the_model_is_off(tmp_path):
     assert "SIMULATED" in path.read_text()
 
 
+def in_mujoco(text, t, P, load, mass):
+    """Contraction at times t [s] under pressures P [Pa] by MuJoCo, from its start."""
+    model = mujoco.MjModel.from_xml_string(re.sub(r'mass="[^"]*"', f'mass="{mass:.9g}"', text))
+    data = mujoco.MjData(model)
+    now = np.arange(round((t[-1] - t[0]) / model.opt.timestep) + 1) * model.opt.timestep
+    given = np.interp(t[0] + now + 0.5 * model.opt.timestep, t, P)
+    x = np.empty(len(now))
+    for i, pressure in enumerate(given):
+        x[i] = data.qpos[0]
+        data.ctrl[:] = pressure, load
+        mujoco.mj_step(model, data)
+    return np.interp(t - t[0], now, x)
+
+
+def test_the_exported_actuator_does_in_mujoco_what_its_file_says(tmp_path):
+    """Along the trials of the analysis, by the solver itself: the stated distance from the fitted muscle, and no more."""
+    analysis = samples.contraction()
+    (path,) = export_results(RESULTS, "mujoco", tmp_path / "m.xml")
+    text, model = path.read_text(), mujoco_model(analysis)
+    assert f"is {model.deviation.rms * 1e3:.2g} mm rms off" in text
+    assert "SIMULATED" in text
+    off = []
+    for trace in (t for t in analysis.traces if t.figure == "overlay"):
+        t, P, load = trace.columns["t"], trace.columns["pressure"], trace.marks["load"]
+        x = in_mujoco(text, t, P, load, load / GRAVITY)
+        exported = simulated(t, P, load, model.params | {"M": load / GRAVITY})
+        assert np.max(np.abs(x - exported)) < 0.1e-3
+        known = np.isfinite(trace.columns["model"]) & (P >= model.params["P"][0])
+        off.append((x - trace.columns["model"])[known])
+    assert np.sqrt(np.mean(np.concatenate(off) ** 2)) == pytest.approx(model.deviation.rms, rel=0.05)
+
+
+def test_a_muscle_of_straight_lines_is_exported_without_deviation(tmp_path):
+    """At rest x = (F_ce - F_L) / K of the lines; without friction, at a pressure between the tested ones."""
+    lines = {"F_ce": (-49.0, 1.08e-3), "K": (5e3, 5e-3), "B_c": (1500.0, 2e-3), "B_r": (1500.0, 2e-3)}
+    estimates = tuple(
+        samples.estimate(symbol, start + slope * P, "measured-pressure", {"pressure": P})
+        for symbol, (start, slope) in lines.items()
+        for P in samples.PRESSURES
+    )
+    analysis = Analysis("contraction-relaxation", ("r--1",), False, estimates)
+    (path,) = export_results(Results((analysis,), ()), "mujoco", tmp_path / "m.xml")
+    t = np.linspace(0.0, 6.0, 61)
+    x = in_mujoco(path.read_text(), t, np.full(61, 333e3), 100.0, 5.0)
+    F, K = (start + slope * 333e3 for start, slope in (lines["F_ce"], lines["K"]))
+    assert x[-1] == pytest.approx((F - 100.0) / K, rel=1e-4)
+
+
 def test_what_makes_no_model_is_told(tmp_path, run):
     with pytest.raises(UsageError, match="no F_ce, K and B_c over pressure"):
         export_results(Results((samples.static_load(),), ()), "python-control", tmp_path / "m.py")
@@ -144,7 +194,7 @@ def test_what_makes_no_model_is_told(tmp_path, run):
         export_run(run, "latex", tmp_path / "x")
 
 
-@pytest.mark.parametrize("form", [form for form in FORMATS if form != "python-control"])
+@pytest.mark.parametrize("form", [form for form in FORMATS if form not in ("python-control", "mujoco")])
 def test_an_analysis_of_nothing_is_exported(form, tmp_path):
     for path in export_results(Results((Analysis("new-kind", (), False),), ()), form, tmp_path / "x"):
         assert path.exists()

@@ -92,12 +92,15 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     params["F_c"] = friction[0] if friction else 0.0
     if not friction:
         notes.append("Coulomb friction is not known and left out")
-    traces = [t for t in analysis.traces if t.figure == "overlay" and "load" in t.marks]
-    traces = [t for t in traces if has(t, "t", "pressure", "displacement", "model")]
-    masses = _masses(runs)
+    traces, masses = _free_runs(analysis), _masses(runs)
     params["M"] = next(iter(masses.values()), None) or (traces[0].marks["load"] / GRAVITY if traces else 1.0)
     params["v_0"] = SLOW
-    return ControlModel(params, clean(primary, 80), notes, _deviation(traces, params, masses))
+    return ControlModel(params, clean(primary, 80), notes, deviation_of(analysis, runs, params))
+
+
+def _free_runs(analysis: Analysis) -> list[Trace]:
+    traces = [t for t in analysis.traces if t.figure == "overlay" and "load" in t.marks]
+    return [t for t in traces if has(t, "t", "pressure", "displacement", "model")]
 
 
 def _joined(P: Array, places: Sequence[float], values: Sequence[float]) -> Array:
@@ -115,9 +118,11 @@ def _masses(runs: Sequence[RunData]) -> dict[float, float]:
     return {round(p["load"], 3): p["mass"] for p in points if p.get("mass", 0.0) > 0 and "load" in p}
 
 
-def _deviation(traces: Sequence[Trace], params: dict[str, Any], masses: dict[float, float]) -> Deviation | None:
+def deviation_of(analysis: Analysis, runs: Sequence[RunData], params: dict[str, Any]) -> Deviation | None:
+    """What a model with these parameters is off along the free runs of an analysis; None without any."""
     fitted, measured = [], []
-    for trace in traces:
+    masses = _masses(runs)
+    for trace in _free_runs(analysis):
         load = trace.marks["load"]
         mass = masses.get(round(load, 3)) or load / GRAVITY
         if mass <= 0:
@@ -149,8 +154,8 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     """The model as a Python file that needs numpy and python-control; the same bytes for the same analysis."""
     lines = ['"""A pneumatic muscle as fitted, for python-control.', ""]
     mark = "SIMULATED. " if analysis.simulated else ""
-    lines += [f"{mark}Method {_inside(model.method)}, pmabench {__version__}; runs:"]
-    lines += [f"- {_inside(run)}" for run in analysis.runs]
+    lines += [f"{mark}Method {inside(model.method)}, pmabench {__version__}; runs:"]
+    lines += [f"- {inside(run)}" for run in analysis.runs]
     if model.deviation is None:
         lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]
     else:
@@ -194,7 +199,7 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _inside(text: str) -> str:
+def inside(text: str) -> str:
     """Text that cannot leave the docstring that it stands in."""
     return "".join(
         sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)

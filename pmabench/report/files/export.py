@@ -1,4 +1,4 @@
-"""Runs and analyses as files of other programs: CSV, Parquet, MATLAB, LaTeX, JSON, python-control; no estimate.
+"""Runs and analyses as files of other programs: CSV, Parquet, MATLAB, LaTeX, JSON, python-control, MuJoCo; no estimate.
 
 Units stand in the heads of columns, in field metadata (Parquet) or in a struct `units` (MATLAB). Text is inert in each.
 The same input gives the same bytes.
@@ -25,10 +25,12 @@ from pmabench.report.files import latex
 from pmabench.report.files.analysis_folder import file_names
 from pmabench.report.files.control_model import control_model, control_text, suits
 from pmabench.report.files.csv_files import inert, write_tables
+from pmabench.report.files.mujoco_model import mujoco_model, mujoco_text
 from pmabench.report.words.wording import clean, kind_title
 from pmabench.store.folder import plain
+from pmabench.store.records import RunData
 
-FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control")
+FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 _UNIT = re.compile(r"(.*) \[([^\[\]]*)\]")
 
 
@@ -129,7 +131,7 @@ def _mat(data: dict[str, Any], path: Path) -> Path:
 def export_results(results: Results, form: str, out: Path) -> list[Path]:
     """Coefficients of analyses: `csv` and `parquet` into the folder `out`, the others as the file `out`.
 
-    RecordError where it cannot be written; UsageError where a model for python-control cannot be made.
+    RecordError where it cannot be written; UsageError where a model for python-control or MuJoCo cannot be made.
     """
     with _written(out):
         return _RESULTS[form](results, out)
@@ -182,11 +184,21 @@ def _results_json(results: Results, out: Path) -> list[Path]:
 
 
 def _results_control(results: Results, out: Path) -> list[Path]:
+    analysis, runs = _modelled(results)
+    return [_text(control_text(control_model(analysis, runs), analysis), out)]
+
+
+def _results_mujoco(results: Results, out: Path) -> list[Path]:
+    analysis, runs = _modelled(results)
+    return [_text(mujoco_text(mujoco_model(analysis, runs), analysis), out)]
+
+
+def _modelled(results: Results) -> tuple[Analysis, list[RunData]]:
+    """The first analysis that a model can be made of, else the first, with its runs."""
     able = [a for a in results.analyses if suits(a)] or list(results.analyses)[:1]
     if not able:
         raise UsageError("there is no analysis to make a model of")
-    runs = [run for run in results.runs if run.id in able[0].runs]
-    return [_text(control_text(control_model(able[0], runs), able[0]), out)]
+    return able[0], [run for run in results.runs if run.id in able[0].runs]
 
 
 def _text(text: str, path: Path) -> Path:
@@ -202,4 +214,5 @@ _RESULTS: dict[str, Callable[[Results, Path], list[Path]]] = {
     "latex": _results_latex,
     "json": _results_json,
     "python-control": _results_control,
+    "mujoco": _results_mujoco,
 }
