@@ -24,7 +24,7 @@ def cells(tables):
 def frame(methods):
     """Each method has columns of its own, at two pressures."""
     rows = [
-        {"method": method, "P [kPa]": str(P)} | {head: f"{method} {head} {P}" for head in heads}
+        {"method": method, "P [kPa]": str(P)} | {head: f"{method} {head} {P} ± 1" for head in heads}
         for method, heads in methods.items()
         for P in (100, 200)
     ]
@@ -63,9 +63,20 @@ def test_a_table_that_fits_is_left_alone():
 def test_rows_at_points_of_another_kind_stand_apart():
     """Sines have an amplitude, the rest has not."""
     heads = [f"c{n} [N]" for n in range(8)]
-    rows = [{"P [kPa]": str(P), "amplitude [mm]": ""} | {head: f"{head} {P}" for head in heads[:5]} for P in (100, 200)]
-    rows += [{"P [kPa]": "200", "amplitude [mm]": a} | {head: f"{head} {a}" for head in heads[5:]} for a in ("2", "5")]
+    rows = [
+        {"P [kPa]": str(P), "amplitude [mm]": ""} | {head: f"{head} {P} ± 1" for head in heads[:5]} for P in (100, 200)
+    ]
+    rows += [
+        {"P [kPa]": "200", "amplitude [mm]": a} | {head: f"{head} {a} ± 1" for head in heads[5:]} for a in ("2", "5")
+    ]
     rest, sines = narrow(Table("", pd.DataFrame(rows).fillna("")))
     assert list(rest.frame.columns) == ["P [kPa]", *heads[:5]]
     assert list(sines.frame.columns) == ["P [kPa]", "amplitude [mm]", *heads[5:]]
     assert len(rest.frame) == len(sines.frame) == 2
+
+
+def test_plain_numbers_take_less_room():
+    """Nine columns without intervals stand side by side, twelve do not."""
+    rows = [{"P [kPa]": "100"} | {f"c{n} [s]": "1.5" for n in range(12)}]
+    assert len(narrow(Table("", pd.DataFrame(rows).drop(columns=["c9 [s]", "c10 [s]", "c11 [s]"])))) == 1
+    assert len(narrow(Table("", pd.DataFrame(rows)))) == 2

@@ -14,14 +14,15 @@ import pandas as pd
 from pmabench.report.document.tables import Table
 from pmabench.report.words.wording import POINTS, clean, point_shown
 
-MOST = 7
-"""Most columns of values beside those of the operating point."""
+MOST = 7.0
+"""Most columns of values beside those of the operating point; one without intervals counts as `PLAIN` of one."""
+PLAIN = 0.6
 
 
 def narrow(table: Table) -> list[Table]:
     """The table, or tables whose cells are together those of it; every row of them has a value."""
     keys, values = _columns(table.frame)
-    if len(values) <= MOST:
+    if _width(table.frame, values) <= MOST:
         return [table]
     for key in (key for key in keys if key != "method"):
         told = table.frame[key] != ""
@@ -39,14 +40,16 @@ def narrow(table: Table) -> list[Table]:
                 for told, methods in groups.items()
                 for part in narrow(_part(table, keys, told, f"{table.caption}: {clean(', '.join(methods))}", methods))
             ]
-    chunks: list[list[str]] = [[]]
-    for value in values:
-        alike = chunks[-1] and _symbol(chunks[-1][-1]) == _symbol(value)
-        room = MOST - len(chunks[-1])
-        if room < (1 if alike else min(MOST, sum(_symbol(v) == _symbol(value) for v in values))):
-            chunks.append([])
-        chunks[-1].append(value)
-    chunks = [chunk for chunk in chunks if chunk]
+    chunks: list[list[str]] = []
+    for symbol in dict.fromkeys(_symbol(value) for value in values):
+        alike = [value for value in values if _symbol(value) == symbol]
+        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
+            chunks[-1] += alike
+            continue
+        for value in alike:
+            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
+                chunks.append([])
+            chunks[-1].append(value)
     captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
     return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
 
@@ -60,6 +63,11 @@ def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
 def _used(frame: pd.DataFrame, values: Sequence[str]) -> list[str]:
     """Columns that have a cell."""
     return [c for c in values if (frame[c] != "").any()]
+
+
+def _width(frame: pd.DataFrame, columns: Sequence[str]) -> float:
+    """Of columns together, in columns with intervals."""
+    return sum(1.0 if frame[c].astype(str).str.contains("±").any() else PLAIN for c in columns)
 
 
 def _symbol(head: str) -> str:

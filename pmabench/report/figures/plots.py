@@ -299,8 +299,10 @@ def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Se
     """Named columns over frequency on a logarithmic axis, a panel for each; lines of the fit where `<name> fit` is."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    figure = blank(FULL, 2.6)
-    cells = grid(figure, 1, len(names), top=0.42, left=0.56, across=0.62)
+    columns = 4 if max(len(panel.title) for panel in panels) < 16 else 3
+    rows = ceil(len(panels) / columns)
+    figure = blank(FULL, 2.45 + 0.15 * rows)
+    cells = grid(figure, 1, len(names), top=0.27 + 0.15 * rows, left=0.56, across=0.62)
     frequencies = sorted({float(f) for panel in panels for f in panel.columns["frequency"] if f > 0})
     for place, name in enumerate(names):
         axes = figure.add_subplot(cells[place])
@@ -324,7 +326,7 @@ def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Se
             axes.set_ylim(0.97 * middle * np.sign(low + high), 1.03 * middle * np.sign(low + high))
     width, height = figure.get_size_inches()
     handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=4)
+    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=columns)
     return figure
 
 
