@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
+from pmabench.analysis.recorded.sweep_bandwidth import bandwidth
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
@@ -79,7 +80,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the phase of x against the measured pressure, `phi_P` that of the pressure against its command, both negative for
     a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean pressure. The pressure may be older than its
     stamps (`late_by` of the map, or option [[least, most] in s]): phases are turned by the middle of that, and half
-    its range is the `method` part. K and B do not follow from x and P alone: F_ce(P) stands between them.
+    its range is the `method` part. The bandwidth is that of `sweep_bandwidth`. K and B do not follow from x and P
+    alone: F_ce(P) stands between them.
     """
     options = options or {}
     sines, dropped, told = measured(runs, options, measure)
@@ -87,6 +89,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for run, sine in sines:
         groups.setdefault(round(sine.frequency, 6), []).append((run, sine))
     estimates = [estimate for _, group in sorted(groups.items()) for estimate in _at(group)]
+    estimates += bandwidth({f: [sine for _, sine in group] for f, group in groups.items()})
     findings = [finding for _, sine in sines for finding in _sentences(sine)]
     if sines and not told:
         findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))

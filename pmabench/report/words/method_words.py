@@ -21,6 +21,10 @@ METHODS: dict[str, str] = {
     "bandwidth, by steps": "The same from recorded steps without a model: the gain is that of the step's own Fourier "
     "integral, G = 1 − jω ∫ (1 − y) e^(−jωt) dt, with y the contraction from its start to its rest. Such steps are "
     "larger than small signals and relax only.",
+    "bandwidth, by sines of command": "Where the gain of recorded sines from commanded pressure to contraction has "
+    "fallen by 3 dB from that of the slowest; between two frequencies 1/|G|² is a line over f², as it is for one lag.",
+    "bandwidth, by sines of pressure": "The same with the measured pressure, for want of its command: that of the "
+    "muscle alone.",
     "step-exponential": "The way of papers 0 and 1: K and F_ce from final contractions over loads, B = K τ with τ from "
     "an exponential through the displacement. It takes the pressure for a step, so B comes out too large where the "
     "regulator is slow; kept for comparison with published values.",
