@@ -44,6 +44,9 @@ class Curve:
             return pieces[0]
         if len(self.breaks) == 1:
             edge, (below, above) = self.breaks[0], pieces
+            if len(self.pieces[0]) == 1 and len(self.pieces[1]) == 2:
+                ((low,), (a, b)) = self.pieces
+                return lambda P: a * P + b if edge <= P else low
             return lambda P: above(P) if edge <= P else below(P)
         if len(self.breaks) == 2:
             (low, high), (below, between, above) = self.breaks, pieces

@@ -17,7 +17,7 @@ from scipy.integrate import odeint
 
 from pmabench.model.curve import Array
 from pmabench.model.muscle import Friction, Muscle
-from pmabench.model.regulator import Trace
+from pmabench.model.regulator import FADED, Trace
 
 RELATIVE = 1e-7
 ABSOLUTE = 5e-9
@@ -77,10 +77,20 @@ def equation(
         result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
         return result
 
+    def swinging(y: State, since: float) -> State:
+        x, w = y.tolist()
+        v = w / TIME
+        turn = omega * since
+        P = level + (sin_part * sin(turn) + cos_part * cos(turn))
+        result[0] = v
+        result[1] = (f_ce(P) - stiffness(P) * x - damping(P) * v - hold) * scale
+        return result
+
     if trace.settled(t, SETTLED_PRESSURE):
         pull, K, B = f_ce(level) - hold, stiffness(level), damping(level)
         return steady
-    return moving
+    faded = not decay or t - trace.start > FADED * lag
+    return swinging if omega and faded and not ramp and pressure is None else moving
 
 
 def slide(
