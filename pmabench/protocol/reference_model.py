@@ -128,8 +128,6 @@ def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str,
         else:
             setup = preset(name, kind.strip() or "ideal")
         muscle, regulator, air = setup.muscle, setup.regulator, setup.air
-        if setup.air is not None:
-            source += ", pressure without the motion's part"
         if not isinstance(muscle, Muscle) or not isinstance(regulator, Regulator):
             raise ValueError(f'the plant "{name}" is no three-element muscle with a free end')
         if model.friction is not None:
