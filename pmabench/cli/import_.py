@@ -51,11 +51,13 @@ def command(
     data = {"schema": "pmabench.import/1", "runs": [_plain(run) for run in runs]}
 
     def human() -> None:
+        names = [run.source.name for run in runs]
         for run in runs:
             flagged = ", ".join(
                 f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count
             )
-            name = printable(run.source.name)
+            folder = f"{run.source.resolve().parent.name}/" if names.count(run.source.name) > 1 else ""
+            name = printable(f"{folder}{run.source.name}")
             trials = f"{run.trials} trial{'' if run.trials == 1 else 's'}"
             click.echo(f"{name}: {run.rows:,} rows, {trials}; flagged: {flagged or 'nothing'}")
             for finding in run.findings:

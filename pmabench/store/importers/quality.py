@@ -91,7 +91,7 @@ class _Report:
             Found(
                 level,
                 kind,
-                f"{told}; {samples}, first at {self.t[first]:.3f} s",
+                f"{told}; {samples}, first at {self.t[first]:.3f} s (row {first + 1})",
                 channel,
                 count,
                 first,
@@ -148,7 +148,7 @@ def _time(report: _Report, rate: tuple[float, float], gap: float, leap: float) -
     same = np.concatenate([[False], steps[1:] == 0])
     if same.any():
         first = int(np.argmax(same))
-        text = f"{int(same.sum())} time stamps equal the one before, first at {t[first]:.3f} s"
+        text = f"{int(same.sum())} time stamps equal the one before, first at {t[first]:.3f} s (row {first + 1})"
         report.found.append(Found("note", "same-time", text, "", int(same.sum()), first, _at(t, first)))
 
 
