@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
+from pmabench.analysis.recorded.imported import import_findings
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import Flag
 from tests import fixtures_old_runs as made
+from tests.analysis.loop_rig import as_run
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
@@ -179,3 +181,22 @@ def test_a_recorded_pull_test_of_a_lab(tmp_path):
     assert len(slopes) == 10
     assert slopes[0] == pytest.approx(0.885e-3, rel=0.01)
     assert analysis.facts["flagged"]["gap"] == 13
+
+
+def test_spikes_of_many_files_are_one_doubt_for_each_channel():
+    def old(name, *channels):
+        told = [
+            {"level": "doubt", "kind": "spike", "channel": channel, "text": f"{channel}: alone"} for channel in channels
+        ]
+        told.append({"level": "doubt", "kind": "dropout", "channel": "force", "text": "force: a cut wire"})
+        return replace(as_run("isometric", []), manifest={"imported": {"folder": "f", "file": name, "findings": told}})
+
+    found = import_findings([old("a", "pressure"), old("b", "pressure", "force"), old("c", "pressure")])
+    assert [f.text for f in found] == [
+        "f/a: force: a cut wire",
+        "f/b: force: a cut wire",
+        "f/c: force: a cut wire",
+        "f/a: pressure: alone (and in 2 more files)",
+        "f/b: force: alone",
+    ]
+    assert {f.level for f in found} == {"doubt"}

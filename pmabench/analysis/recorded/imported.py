@@ -67,19 +67,29 @@ def measured(
 
 
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:
-    """What was found wrong with the files: faults and doubts of each, notes counted by kind over all of them."""
+    """What was found wrong with the files: faults and doubts of each, notes counted by kind over all of them.
+
+    Spikes, which are samples and no files, are told once for each channel.
+    """
     findings: list[Finding] = []
     notes: dict[str, list[Mapping[str, Any]]] = {}
+    spikes: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
     for run in runs:
+        name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
         for found in import_of(run).get("findings") or ():
             if found.get("level") == "note":
                 notes.setdefault(str(found.get("kind")), []).append(found)
+            elif found.get("kind") == "spike":
+                spikes.setdefault(str(found.get("channel")), []).append((name, found))
             else:
-                name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
                 findings.append(Finding(str(found.get("level", "doubt")), f"{name}: {found.get('text', '')}"))
-    for kind, group in sorted(notes.items()):
-        more = f" (and {len(group) - 1} more of this kind)" if len(group) > 1 else ""
-        findings.append(Finding("note", f"import, {kind}: {group[0].get('text', '')}{more}"))
+    for group in spikes.values():
+        name, first = group[0]
+        more = f" (and in {len(group) - 1} more files)" if len(group) > 1 else ""
+        findings.append(Finding(str(first.get("level", "doubt")), f"{name}: {first.get('text', '')}{more}"))
+    for kind, members in sorted(notes.items()):
+        more = f" (and {len(members) - 1} more of this kind)" if len(members) > 1 else ""
+        findings.append(Finding("note", f"import, {kind}: {members[0].get('text', '')}{more}"))
     return sorted(findings, key=lambda finding: LEVELS.index(finding.level) if finding.level in LEVELS else 0)
 
 
