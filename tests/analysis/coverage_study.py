@@ -15,7 +15,8 @@ import numpy as np
 from scipy.stats import beta
 
 from pmabench.analysis.contraction.campaign import gather
-from pmabench.analysis.contraction.contraction import estimates_of, pool
+from pmabench.analysis.contraction.contraction import estimates_of, pool, reduce
+from pmabench.analysis.results import Estimate
 from pmabench.model.plant import Plant
 from pmabench.model.signal import constant
 from pmabench.store.records import Array, Command, RunData, TrialData
@@ -90,12 +91,21 @@ def judged(seed: int) -> Row:
     assert found is not None
     pooled = pool(found, {})
     assert pooled is not None
+    return _row(estimates_of(found, pooled)[0])
+
+
+def judged_by(method: str, options: Mapping[str, object], seed: int) -> Row:
+    """The same of another method of the whole reduction, which `options` ask for."""
+    return _row([e for e in reduce([campaign(seed)], options).estimates if e.method == method])
+
+
+def _row(estimates: Iterable[Estimate]) -> Row:
     row = {(symbol, P): (np.nan, 0.0) for symbol in SERRES for P in WATCHED}
-    for e in estimates_of(found, pooled)[0]:
+    for e in estimates:
         key = (e.symbol, e.at.get("pressure", 0.0))
         if key in row and e.value is not None:
             true = SERRES[e.symbol](e.at["pressure"])
-            row[key] = e.value / true - 1, e.parts.combined / true
+            row[key] = e.value / true - 1, (e.parts.combined or 0.0) / true
     return row
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmabench.analysis.contraction import contraction
-from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts
+from pmabench.analysis.contraction.campaign import gather
+from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
 from pmabench.analysis.verdict.comparison import Side, compare, named, not_accepted
 from pmabench.base.errors import UsageError
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.report.figures.overlays import beside
+from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,6 +57,52 @@ def test_the_same_calibration_drops_out_and_another_does_not():
     assert one(*unknown).half == pytest.approx((25.0 + 288.0) ** 0.5)
     by_another_way = side(replace(b, method="n"), name="B", run="r2", calibrations=SAME)
     assert one(same[0], by_another_way).half == pytest.approx((25.0 + 288.0) ** 0.5)
+
+
+def test_what_the_method_adds_to_both_drops_out_where_both_were_tested_alike():
+    def with_budget(value, form, few, P=3e5, **more):
+        parts = Parts(3.0, (form**2 + few**2) ** 0.5)
+        lines = (
+            Source("straight lines", "method", "B", form),
+            Source("few replays", "method", "A", few),
+            Source("noise", "repeats", "A", 3.0),
+        )
+        return replace(K(value, 3.0, P, **more), parts=parts, budget=lines)
+
+    a, b = with_budget(10.0, 7.0, 2.0), with_budget(6.0, 5.0, 1.0)
+    alike = side(a), side(b, name="B", run="r2")
+    assert one(*alike).half == pytest.approx((9 + 9 + 4 + 1 + (7 - 5) ** 2) ** 0.5)
+    whole = (9 + 9 + 49 + 4 + 25 + 1) ** 0.5
+    elsewhere = side(b, with_budget(7.0, 5.0, 1.0, 4e5), name="B", run="r2")
+    assert one(alike[0], elsewhere).half == pytest.approx(whole)  # other points, other straight lines
+    by_another_way = side(with_budget(6.0, 5.0, 1.0, method="n"), name="B", run="r2")
+    assert one(alike[0], by_another_way).half == pytest.approx(whole)
+    without = side(replace(b, budget=()), name="B", run="r2")
+    assert one(alike[0], without).half == pytest.approx(whole)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("wrong", [(), CHANNELS])
+def test_two_campaigns_of_one_muscle_are_beyond_as_often_as_they_should(wrong):
+    """100 pairs of 24 trials with the same sensors, and with sensors drawn anew; 31 coefficients each."""
+    with ProcessPoolExecutor(2) as executor:
+        told = list(executor.map(partial(reduced, wrong), range(200), chunksize=5))
+    known = SAME if not wrong else None
+    within = []
+    for a, b in zip(told[::2], told[1::2], strict=True):
+        sides = Side("A", (a,), calibrations=known), Side("B", (replace(b, runs=("r2",)),), calibrations=known)
+        within += [d.agrees for d in compare(*sides).differences if not d.term and d.a.symbol != "F_c"]
+    print(f"\n{np.mean(within):.4f} of {len(within)}")
+    assert 0.93 <= np.mean(within) <= 0.975
+
+
+def reduced(wrong, seed):
+    """The analysis of one campaign, the primary method alone."""
+    run = campaign(seed, wrong)
+    found, _ = gather([run])
+    estimates, curves = contraction.estimates_of(found, contraction.pool(found, {}))
+    return Analysis("contraction-relaxation", ("r1",), True, tuple(estimates), tuple(curves))
 
 
 def test_values_are_read_on_straight_lines_only_where_nothing_is_in_common():

@@ -13,6 +13,7 @@ from pmabench.analysis.contraction.bootstrap import bootstrap
 from pmabench.analysis.contraction.campaign import Campaign
 from pmabench.analysis.contraction.free_run import FreeRun
 from pmabench.analysis.contraction.intervals import Pooled
+from pmabench.analysis.contraction.segments import UNTOLD_MASS
 from pmabench.analysis.results import Estimate, Finding, Trace
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.verdict.contraction_checks import checks
@@ -64,7 +65,9 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
     else:
         lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
     if not campaign.cell:
-        text = "no load cell: F_L is the weight, taken as exact, with the inertia of the moving mass"
+        text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
+        if any("mass" not in trial.point for trial in campaign.trials):
+            text += f"; where a trial names no moving mass, {show(UNTOLD_MASS, 'mass')} is taken"
         lines.append(Finding("note", text))
     lack = Scales.of(campaign.runs).lack(campaign.channels)
     if lack:

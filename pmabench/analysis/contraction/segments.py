@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
+UNTOLD_MASS = 0.5
+"""Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 LEVELS = 20
 """A channel takes at least so many values before the least distance between two is the step of its converter."""
 
@@ -138,7 +140,7 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
     P, x = channel("pressure"), channel("displacement")
     force = channel("force") if "force" in trial.channels else None
-    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", 0.5)
+    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", UNTOLD_MASS)
     return _finite(Samples(number, trial.t, P, x, force, trial.usable, load, mass))
 
 

@@ -228,6 +228,7 @@ def _compared(
     elif common:
         places = dict.fromkeys(common)
     shared = a.calibrations is not None and bool(a.calibrations) and a.calibrations == b.calibrations
+    alike = set(ours) == set(theirs)
     found, lacks = [], dict[str, list[str]]()
     for place in sorted(places):
         one, other = ours.get(place), theirs.get(place)
@@ -243,7 +244,7 @@ def _compared(
             lacks.setdefault(f"is told in {one.unit} and in {other.unit}", []).append("")
         else:
             term = series[2].startswith(TERM)
-            found.append(Difference(series[0], one, other, _half(one, other, shared), between, term))
+            found.append(Difference(series[0], one, other, _half(one, other, shared, alike), between, term))
     return found, [_at_places(lack, where) for lack, where in lacks.items()]
 
 
@@ -284,16 +285,34 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     return replace(one, value=value, parts=parts, at={"pressure": P}, trials=trials, n=max(one.n, other.n), budget=())
 
 
-def _half(one: Estimate, other: Estimate, shared: bool) -> float | None:
-    """Half width of the difference: squares added; a calibration that both used is off by the same in both."""
+def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | None:
+    """Half width of the difference: squares added, but for what is off by the same in both by one method.
+
+    That is a calibration that both used (`shared`), and what the method itself adds where both were tested at the same
+    points (`alike`): each by its difference.
+    """
     widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
-    if not widths:
-        return None
-    same_way = shared and len(widths) == 2 and one.method == other.method
-    if not same_way or one.parts.calibration is None or other.parts.calibration is None:
-        return hypot(*widths)
-    alone = [replace(e.parts, calibration=None).combined or 0.0 for e in (one, other)]
-    return hypot(*alone, one.parts.calibration - other.parts.calibration)
+    if len(widths) < 2 or one.method != other.method:
+        return hypot(*widths) if widths else None
+    alone, common = [one.parts, other.parts], list[float]()
+    if shared and one.parts.calibration is not None and other.parts.calibration is not None:
+        common.append(one.parts.calibration - other.parts.calibration)
+        alone = [replace(parts, calibration=None) for parts in alone]
+    ours, theirs = _systematic(one), _systematic(other)
+    if alike and ours and ours.keys() == theirs.keys():
+        common += [ours[name] - theirs[name] for name in ours]
+        alone = [replace(p, method=_random(e)) for p, e in zip(alone, (one, other), strict=True)]
+    return hypot(*(parts.combined or 0.0 for parts in alone), *common)
+
+
+def _systematic(e: Estimate) -> dict[str, float]:
+    """Half widths that a method adds by its nature, by name; empty without a budget."""
+    return {s.name: s.half for s in e.budget if s.part == "method" and s.kind == "B" and s.half is not None}
+
+
+def _random(e: Estimate) -> float:
+    """Half width of what a method adds by chance."""
+    return hypot(*(s.half for s in e.budget if s.part == "method" and s.kind == "A" and s.half is not None))
 
 
 def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:
