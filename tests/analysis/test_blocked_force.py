@@ -45,6 +45,21 @@ def test_what_the_muscle_was_off_its_nominal_length_is_in_the_method_part():
     assert found[4e5].parts.method == pytest.approx(3.5, rel=0.02)
 
 
+def test_between_contractions_on_both_sides_of_0_it_is_on_a_parabola():
+    """F = F_ce - K x is a line; with a bend of 2 N/mm^2 a line between -2 and 2 mm is 8 N off, and the part says so."""
+    eps = (-0.01, 0.01, 0.05)
+    e = blocked(run_of(muscle, eps))[4e5]
+    assert e.value == pytest.approx(383.0, abs=0.1)
+    assert e.parts.method < 0.1
+    e = blocked(run_of(lambda P, x: muscle(P, x) + 2e6 * x**2 * (P > 1e5), eps))[4e5]
+    assert e.value == pytest.approx(383.0, abs=0.1)
+    assert e.parts.method == pytest.approx(8.0, rel=0.02)
+    assert "both sides of 0" in e.note
+    found = blocked(run_of(daerden, (-0.01, 0.01, 0.03, 0.06)))  # the rubber term has its pole at -4 %
+    for P in (2e5, 4e5):
+        assert abs(found[P].value - float(daerden(np.array([P]), 0.0)[0])) < found[P].parts.method
+
+
 def test_scales_count_by_what_they_change():
     """1 % of force is 1 % of F_b; 5 kPa of pressure are dF/dP = 1.08 N/kPa times that."""
     run = run_of(muscle, EPS)

@@ -23,6 +23,10 @@ NEAR = 0.01
 """Contractions so near to 0 count as 0, as a share of the nominal length."""
 LENGTH = 0.25
 """Nominal length that is taken for that where none is told [m]."""
+EXACT = 1e-4
+"""Contractions nearer to 0 are 0 [m]."""
+MOST = 5.0
+"""The contraction on the other side may be so many times further away."""
 STEP = 0.02
 """Half width of the line that tells dF/dP, as a share of the range of pressures."""
 
@@ -36,9 +40,10 @@ def pressures(cells: Sequence[Cell]) -> Array:
 def estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales) -> list[Estimate]:
     """F_b [N] at each pressure, where tests at no contraction are among the cells.
 
-    Method: K times what the muscle was off its nominal length, K from the next contraction, and what a bend between
-    the means over pressure may hide. Calibration, to first
-    order: gains and offsets of force, of pressure by dF/dP, of displacement by K.
+    Where contractions on both sides of 0 were tested: on a parabola through three of them, and what a line would give
+    is in the method part. Else that is K times what the muscle was off its nominal length; and what a bend between the
+    means over pressure may hide. Calibration, to first order: gains and offsets of force, of pressure by dF/dP, of
+    displacement by K.
     """
     near = NEAR * given.get("nominal_length", LENGTH)
     blocked = min(cells, key=lambda cell: abs(cell.contraction), default=None)
@@ -62,6 +67,9 @@ def estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales)
         if beside is not None and np.isfinite(F_beside := float(np.mean(beside.force_at(float(P))))):
             apart = float(beside.place.mean() - blocked.place.mean())
             K = (F - F_beside) / apart if apart > APART else 0.0
+        between = _between(cells, blocked, float(P))
+        shift, doubt = (0.0, K * off) if between is None else between
+        F += shift
         slope = _slope(blocked, float(P))
         gains = {"force": F, "pressure": slope * float(P)}
         offsets = {"force": 1.0, "pressure": slope} | ({"displacement": K} if K else {})
@@ -74,17 +82,39 @@ def estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales)
                 "force",
                 METHOD,
                 {"pressure": float(P)},
-                Parts(half, hypot(K * off, _bend(blocked, float(P))), scales.part(gains, offsets), abs(slope) * late),
+                Parts(half, hypot(doubt, _bend(blocked, float(P))), scales.part(gains, offsets), abs(slope) * late),
                 len(values),
                 note=sentences(
                     "no repeats part: one test only" if half is None else "",
-                    "no method part: one contraction only" if beside is None else "",
+                    "" if between is None else "between the contractions on both sides of 0",
                     scales.lack(gains, offsets),
                 ),
                 trials=tuple(test.name for test in tests),
             )
         )
     return found
+
+
+def _between(cells: Sequence[Cell], blocked: Cell, P: float) -> tuple[float, float] | None:
+    """What a parabola with the nearest contractions adds to the force of `blocked`, and what a line is off it [N].
+
+    None where `blocked` is at 0, or no other side was tested; with two contractions it is the line.
+    """
+    known = {float(cell.place.mean()): float(np.mean(F)) for cell in cells if np.isfinite(F := cell.force_at(P)).all()}
+    x_0 = float(blocked.place.mean())
+    near = sorted((x for x in known if abs(x - x_0) > APART), key=abs)
+    beyond = [x for x in near if x * x_0 < 0]
+    if abs(x_0) < EXACT or x_0 not in known or not beyond or abs(beyond[0]) > MOST * abs(x_0):
+        return None
+    x_1 = beyond[0]
+    slope = (known[x_1] - known[x_0]) / (x_1 - x_0)
+    shift = -slope * x_0
+    third = [x for x in near if abs(x - x_1) > APART]
+    if not third:
+        return shift, abs(shift)
+    x_2 = third[0]
+    bend = ((known[x_2] - known[x_1]) / (x_2 - x_1) - slope) / (x_2 - x_0)
+    return shift + bend * x_0 * x_1, abs(bend * x_0 * x_1)
 
 
 def _slope(cell: Cell, P: float) -> float:

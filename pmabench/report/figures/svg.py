@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 STYLE = Path(__file__).with_name("report.mplstyle")
 SYMBOL = re.compile(
-    r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,3}|0))?(?![\w'’-])"
+    r"(?<![\w-])(?P<base>[A-Za-z]|tau|phi|eta|eps|omega|theta|alpha)(?:_(?P<sub>[A-Za-z]{1,4}|\d))?(?![\w'’-])"
 )
 """A symbol of the field; without a subscript it counts only in front of a unit or an equals sign, or alone."""
 PLACES = re.compile(r' (?:x|y|x1|x2|y1|y2|width|height|transform)="[^"]*"')
