@@ -160,8 +160,10 @@ def ratios(noise: dict[str, float], counts: dict[str, float]) -> dict[Key, float
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_noise_of_a_channel_alone_scatters_as_the_repeats_part_says(channel: str):
+    """Within 5 %; for displacement up to 12 % more, for what noise of one sign takes away of that of the other is told
+    without the widening of the rest, which only goes up."""
     found = ratios({channel: SHAKEN[channel]}, {})
-    assert np.mean(list(found.values())) == pytest.approx(1.0, abs=0.05)
+    assert 0.95 < np.mean(list(found.values())) < (1.12 if channel == "displacement" else 1.05)
     assert all(0.8 < ratio < 1.3 for ratio in found.values()), found
 
 
