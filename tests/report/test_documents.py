@@ -122,6 +122,9 @@ def test_the_workbook_holds_numbers_with_their_units(content, tmp_path):
     assert dict(zip(*budget[:2], strict=True))["half width 95 %"] == pytest.approx(line.half / 1e3)
     assert dict(zip(*budget[:2], strict=True))["share"] == pytest.approx(1.0)
     summary = {row[0].value: row[1].value for row in book["Summary"].iter_rows(min_row=4)}
+    told = [row[1].value for row in book["Summary"].iter_rows(min_row=4) if str(row[0].value).startswith("Methods")]
+    assert " ".join(told) == content.paragraph
+    assert max(map(len, told)) < 3000
     assert summary["Verdict"].startswith(content.verdict.word)
     assert [cell.value for cell in book["Checklist"][4]] == ["clause", "asked for", "here", "where, or what to do"]
 

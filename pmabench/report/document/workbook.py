@@ -5,6 +5,7 @@ Needs the extra `xlsx`. The same report gives the same bytes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from io import BytesIO
@@ -25,6 +26,8 @@ WIDEST = 60
 """Letters that a column shows at once."""
 LINE, TALLEST = 15.0, 405.0
 """Height of a line and the most of a row [points]."""
+ROW = 1_500
+"""Letters of a row of the summary, about."""
 COUNTED = 5_000
 """Letters of a text whose lines are counted."""
 LONGEST = 32_000
@@ -91,9 +94,20 @@ def _summary(content: Content) -> list[tuple[str, str]]:
     lines += [("Issued", who.issued), ("Record", content.statuses)]
     for tile in content.tiles:
         lines.append((f"{tile.symbol}, {tile.name}", f"{tile.value} {tile.unit} ({tile.where})"))
-    lines += [("Methods", content.paragraph), ("Citation", content.cite[0])]
+    lines += [("Methods" if n == 0 else "Methods, continued", part) for n, part in enumerate(_rows(content.paragraph))]
+    lines.append(("Citation", content.cite[0]))
     lines += [("Evaluated with", f"pmabench {content.version}; report {content.report_id}")]
     return [(head, text) for head, text in lines if text]
+
+
+def _rows(text: str) -> list[str]:
+    """A long text in rows: no row is taller than a spreadsheet allows; every part ends with a sentence where it can."""
+    rows: list[str] = [""]
+    for sentence in re.split(r"(?<=\.) ", text):
+        if rows[-1] and len(rows[-1]) + len(sentence) > ROW:
+            rows.append("")
+        rows[-1] = f"{rows[-1]} {sentence}".lstrip()
+    return rows
 
 
 def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
@@ -119,7 +133,7 @@ def _width(values: Sequence[Any]) -> float:
 def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
     """Of a row whose texts are wrapped in columns of these widths [points]: programs do not all find it themselves."""
     texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
-    lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts]
+    lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts if len(value) > width]
     return min(TALLEST, LINE * max((*lines, 1)))
 
 

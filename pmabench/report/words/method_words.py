@@ -124,8 +124,8 @@ METHODS: dict[str, str] = {
     "next samples.",
     "isometric-sections": "Forces at one pressure over all contractions, a least-squares line F = F_ce − K x.",
     "blocked": "Force at the nominal length and set pressures, the mean of filling and emptying between neighbouring "
-    "means over pressure; where contractions on both sides were tested, on a parabola through three. The method part is "
-    "what a line would give, else the stiffness times what the muscle was off; and what a bend over pressure may hide.",
+    "means over pressure; where contractions on both sides were tested, on a parabola through three. The method part "
+    "is what a line would give, else the stiffness times what the muscle was off; a bend over pressure adds to it.",
     "isometric-sides": "Half the force after an approach from above minus after one from below: friction inside.",
     "daerden-section": "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes "
     "(paper 3). The intervals hold if S has this form; a parameter wider than ±25 % is not told.",
