@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
+import pmabench
 from pmabench.analysis.contraction import output_error
 from pmabench.analysis.contraction.campaign import gather
 from pmabench.analysis.contraction.contraction import pool, reduce
@@ -21,12 +25,16 @@ from pmabench.analysis.contraction.pooled import Fit
 from pmabench.analysis.contraction.segments import Gate, Noise, Samples, cut
 from pmabench.analysis.contraction.stretch import answers
 from pmabench.analysis.results import Analysis
+from pmabench.cli.main import main
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.coverage_study import hits, judged_by, table
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.test_contraction import PAPER0, PRIMARY, SERRES, SMALL, errors, of
+from tests.analysis.two_clocks import record
 
 POLISHED = "output-error"
+FEW = SMALL[::2]
+"""12 trials at 150, 250, 350 and 450 kPa."""
 TRUTH = {"paper0": PAPER0, "serres2009": SERRES}
 
 
@@ -84,6 +92,7 @@ def test_a_hanging_weight_needs_no_cell():
         assert np.abs(errors(analysis, PAPER0, symbol, POLISHED)).max() < 5e-5, symbol
 
 
+@pytest.mark.slow
 def test_a_shaky_displacement_harms_it_less_than_the_regression():
     """0.05 mm of noise: the regression takes it into its velocities, the simulation averages over a stroke."""
     chance = np.random.default_rng(0)
@@ -217,7 +226,7 @@ def bent(run: RunData, by: float) -> RunData:
 
 
 def test_a_muscle_of_another_form_is_doubted():
-    analysis = reduce([bent(contraction_run(rig(), SMALL), 2.0)], {"polish": True, "replays": 2})
+    analysis = reduce([bent(contraction_run(rig(), FEW), 2.0)], {"polish": True, "replays": 2})
     (text,) = [f.text for f in analysis.findings if f.level == "doubt" and "simulated contraction misses" in f.text]
     assert "the model does not have the form of this muscle" in text
     assert analysis.facts["output_error"]["whitened_rms"] > 5
@@ -226,7 +235,7 @@ def test_a_muscle_of_another_form_is_doubted():
 def test_one_that_does_not_converge_gives_no_value_and_says_so(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(output_error, "MOST_STEPS", 1)
     monkeypatch.setattr(output_error, "SETTLED", 0.0)
-    analysis = reduce([contraction_run(rig(), SMALL)], {"polish": True, "replays": 2})
+    analysis = reduce([contraction_run(rig(), FEW)], {"polish": True, "replays": 2})
     assert not [e for e in analysis.estimates if e.method == POLISHED]
     (doubt,) = [f for f in analysis.findings if "not converged" in f.text]
     assert doubt.level == "doubt"
@@ -235,7 +244,7 @@ def test_one_that_does_not_converge_gives_no_value_and_says_so(monkeypatch: pyte
 
 def test_what_the_polish_moves_is_told(monkeypatch: pytest.MonkeyPatch):
     """A regression whose bias is left in is moved, and the worst ones are named with both values."""
-    run = contraction_run(rig("paper0", "ideal"), SMALL)
+    run = contraction_run(rig("paper0", "ideal"), FEW)
     found, _ = gather([run])
     assert found is not None
     pooled = pool(found, {"replays": 2})
@@ -252,7 +261,7 @@ def test_what_the_polish_moves_is_told(monkeypatch: pytest.MonkeyPatch):
 
 def test_motion_in_pieces_too_short_is_told():
     """A sample in 90 ms is flagged: no two segments follow one another."""
-    run = contraction_run(rig(), SMALL)
+    run = contraction_run(rig(), FEW)
 
     def holed(trial: TrialData) -> TrialData:
         flags = trial.flags.copy()
@@ -266,14 +275,14 @@ def test_motion_in_pieces_too_short_is_told():
 
 
 def test_without_being_asked_nothing_is_polished():
-    analysis = reduce([contraction_run(rig(), SMALL)], {"replays": 1})
+    analysis = reduce([contraction_run(rig(), FEW)], {"replays": 1})
     assert POLISHED not in {e.method for e in analysis.estimates}
     assert "output_error" not in analysis.facts
 
 
 def test_a_step_of_newton_takes_the_cost_down():
     """Begun 5 % off, the first step takes nearly all of the excess away: the derivatives are those of the rows."""
-    found, _ = gather([contraction_run(rig(), SMALL)])
+    found, _ = gather([contraction_run(rig(), FEW)])
     assert found is not None
     pooled = pool(found, {"replays": 1})
     assert pooled is not None
@@ -283,3 +292,21 @@ def test_a_step_of_newton_takes_the_cost_down():
     assert near.cost - best.cost < 0.05 * (far.cost - best.cost)
     costs = [far.cost, near.cost, best.cost]
     assert all(a > b for a, b in pairwise(costs))
+
+
+# -- by the command line and in a notebook -------------------------------------------------------------------------
+
+
+def test_process_polishes_where_it_is_asked(tmp_path: Path):
+    cells = [(load, P) for load in (58.86, 156.96) for P in (3e5, 4e5)]
+    run = record(tmp_path, "contraction-relaxation", contraction_run(rig(), cells).trials, [])
+    arguments = ["process", run.path, "--out", str(tmp_path / "out"), "--polish", "--json"]
+    result = CliRunner().invoke(main, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    (analysis,) = json.loads(result.stdout)["analyses"]
+    told = [e for e in analysis["estimates"] if e["method"] == POLISHED and e["value"] is not None]
+    assert {e["symbol"] for e in told} >= {"F_ce", "K", "B_c"}
+    assert analysis["facts"]["output_error"]["converged"] is True
+    frame = pmabench.process(run.path, polish=True).to_frame()
+    assert POLISHED in set(frame["method"])
+    assert POLISHED not in set(pmabench.process(run.path).to_frame()["method"])
