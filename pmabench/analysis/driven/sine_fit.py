@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.driven.sine_lines import each_cycle, lines, turned
 from pmabench.analysis.driven.sine_loop import Sine, replay
 from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
+from pmabench.analysis.shared.lines import Line, mean_half
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
@@ -81,12 +82,12 @@ class Fitted:
         With one frequency all of the loss is replayed as damping, for want of a line.
         """
         sines = [member.sine for member in group]
-        K, loss, width = _lines(sines)
+        K, loss, width = lines(sines)
         alone = bool(np.isnan(loss.slope))
         damping = float(np.mean([sine.loss / sine.speed for sine in sines])) if alone else loss.slope
         muscle = Muscle(K.start, damping, 0.0 if alone else pi / 4 * loss.start)
         again = [replay(sine, muscle.K, muscle.B, muscle.F_c) for sine in sines]
-        again_K, again_loss, again_width = _lines(again)
+        again_K, again_loss, again_width = lines(again)
         bias = {
             "K": again_K.start - muscle.K,
             "B": again_loss.slope - muscle.B,
@@ -184,8 +185,8 @@ class Fitted:
         most = dict.fromkeys(self.bias, 0.0)
         both = self.skew * courses([member.trial for member in self.group])
         for course in (*both, *-both) if self.skew else ():
-            turned = [_turned(member.sine, float(by)) for member, by in zip(self.group, course, strict=True)]
-            K, loss, width = _lines(turned)
+            moved = [turned(member.sine, float(by)) for member, by in zip(self.group, course, strict=True)]
+            K, loss, width = lines(moved)
             changes = {
                 "K": K.start - self.K.start,
                 "B": loss.slope - self.loss.slope,
@@ -201,7 +202,7 @@ class Fitted:
 
         Cycles of one trial are no independent tests; `mean_half` widens for that where there is a single trial.
         """
-        cycles = _lines([cycle for member in self.group for cycle in _each_cycle(member.sine)])
+        cycles = lines([cycle for member in self.group for cycle in each_cycle(member.sine)])
         pairs = [
             (one, two)
             for by_trial, by_cycle in zip((self.K, self.loss, self.width), cycles, strict=True)
@@ -230,9 +231,9 @@ class Fitted:
             names = tuple(self.group[i].name for i in places)
             first, omega = sines[0], 2 * pi * frequency
             A, K = first.amplitude, first.stiffness
-            turned = [_turned(first, by) for by in (self.skew, -self.skew)]
+            moved = [turned(first, by) for by in (self.skew, -self.skew)]
             skewed_stiffness, skewed_loss = (
-                max(abs(getattr(one, of) - getattr(first, of)) for one in turned) for of in ("stiffness", "loss")
+                max(abs(getattr(one, of) - getattr(first, of)) for one in moved) for of in ("stiffness", "loss")
             )
             truth = _truth(self.replayed, omega, A)
             slope = {} if slopes is None else _slopes(self.replayed, slopes, omega, A)
@@ -365,52 +366,3 @@ def _slopes(muscle: Muscle, slopes: Muscle, omega: float, A: float) -> dict[str,
 
 def _times(half: float | None, factor: float) -> float | None:
     return None if half is None else half * factor
-
-
-@dataclass(frozen=True)
-class _Point:
-    """One trial, or one cycle of it, as the lines want it."""
-
-    frequency: float
-    speed: float
-    stiffness: float
-    ratio: complex
-    loss: float
-    width: float
-
-
-def _turned(sine: Sine, by: float) -> _Point:
-    """The trial had the force come `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
-    ratio = sine.ratio * complex(np.exp(1j * sine.omega * by))
-    loss = -ratio.imag * sine.amplitude
-    width = sine.width + 2 * (loss - sine.loss)
-    return _Point(sine.frequency, sine.speed, -ratio.real, ratio, loss, width)
-
-
-def _each_cycle(sine: Sine) -> list[_Point]:
-    """Each cycle of a trial as a point of the lines."""
-    rows = zip(sine.cycles.ratio, sine.cycles.size, sine.cycles.width, strict=True)
-    return [
-        _Point(
-            sine.frequency,
-            sine.omega * float(size),
-            -float(ratio.real),
-            complex(ratio),
-            -float(ratio.imag) * float(size),
-            float(width),
-        )
-        for ratio, size, width in rows
-    ]
-
-
-def _lines(points: Sequence[Sine] | Sequence[_Point]) -> tuple[Line, Line, Line]:
-    """K over all trials, and the lines of loss and width over speed."""
-    frequency = np.array([point.frequency for point in points])
-    speed = np.array([point.speed for point in points])
-    K = np.array([point.stiffness for point in points])
-    size = np.array([abs(point.ratio) for point in points])
-    # Phase errors turn loss into stiffness: a K counts by the whole force beside it.
-    pooled = weighted_line(frequency, None, K, size)
-    loss = weighted_line(frequency, speed, np.array([point.loss for point in points]))
-    width = weighted_line(frequency, speed, np.array([point.width for point in points]))
-    return pooled, loss, width
