@@ -23,10 +23,10 @@ from pmabench.store.records import Flag
 
 Array = NDArray[np.float64]
 
-VIRTUAL_BLOCK = 1.0
+VIRTUAL_BLOCK = 2.0
 REAL_BLOCK = 0.05
 SILENCE = 1.0
-"""A stream that gives nothing for so long [s] has failed."""
+"""A stream that gives nothing for so long [s], and for a block, has failed."""
 HUNG = 2.0
 """An executor that asks for no sample for so long [s] has failed; real time only."""
 
@@ -258,8 +258,9 @@ class Acquisition:
         time_ns = np.asarray(block.time, dtype=np.int64)
         count = len(time_ns)
         if count == 0:
-            if self.clock.now() - source.heard > SILENCE + 1.5 / self.rate:
-                raise DeviceError(source.name, f"has sent no sample for {SILENCE:g} s")
+            longest = max(SILENCE, self._block)
+            if self.clock.now() - source.heard > longest + 1.5 / self.rate:
+                raise DeviceError(source.name, f"has sent no sample for {longest:g} s")
             return
         source.heard = self.clock.now()
         raw = {name: np.asarray(block.columns[name]) for name in source.channels}

@@ -160,7 +160,10 @@ class ClockInfo:
         """Time of the run [s] at readings of the device's clock, shape (n,)."""
         if (self.reference_ns, self.at, self.drift) == (0, 0.0, 0.0):
             return np.asarray(device_ns / 1e9)
-        return np.asarray((device_ns - self.reference_ns) / 1e9 * (1.0 + self.drift) + self.at)
+        t: Array = (device_ns - self.reference_ns) / 1e9
+        t *= 1.0 + self.drift
+        t += self.at
+        return t
 
 
 @dataclass(frozen=True)

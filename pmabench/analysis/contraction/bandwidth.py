@@ -39,6 +39,8 @@ LEAST_STEP = 1e-3
 NEAR_REST = 0.03
 """Share of a step that it may still move by in the last fifth of its hold."""
 SHIFT = 1e-3
+TOGETHER = 0.01
+"""Samples of a step over so long [s] are taken as one: 4e-5 of the gain at 0.5 Hz."""
 
 
 def crossing(gain: Callable[[Array], Array]) -> float | None:
@@ -80,6 +82,8 @@ def of_step(t: Array, y: Array) -> float | None:
     weights = np.gradient(t)
     weights[[0, -1]] *= 0.5
     left = (1 - y) * weights
+    begins = np.arange(0, len(t), max(1, int(TOGETHER * (len(t) - 1) / (t[-1] - t[0]))))
+    left, t = np.add.reduceat(left, begins), np.add.reduceat(t, begins) / np.diff([*begins, len(t)])
 
     def gain(f: Array) -> Array:
         omega = 2 * pi * f
