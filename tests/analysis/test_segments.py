@@ -86,6 +86,14 @@ def test_noise_is_seen_where_nothing_moves():
     assert noise_seen([samples], [slice(1000, 2000)]) == Noise(0.0, pytest.approx(5e-6, rel=0.1), 0.0)
 
 
+def test_a_flagged_sample_does_not_hide_the_noise_of_a_rest():
+    samples = exponential(5e-6)
+    samples.ok[[1100, 1500]] = False
+    assert noise_seen([samples], [slice(1000, 2000)]).displacement == pytest.approx(5e-6, rel=0.15)
+    samples.ok[1000:2000] = False
+    assert noise_seen([samples], [slice(1000, 2000)]) == Noise(0.0, 0.0, 0.0)
+
+
 def test_coarse_steps_are_noise_though_a_channel_at_rest_shows_none():
     fine, step = exponential(), 23e-6
     samples = replace(fine, x=step * np.round(fine.x / step))

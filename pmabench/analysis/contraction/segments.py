@@ -17,6 +17,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 UNTOLD_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
+FEWEST_STILL = 8
+"""Fewest samples at rest that tell of noise."""
 LEVELS = 20
 """A channel takes at least so many values before the least distance between two is the step of its converter."""
 
@@ -238,6 +240,7 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
 def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
     """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
 
+    Of these rows the longest run of usable samples counts.
     Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
     `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
@@ -246,13 +249,23 @@ def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapp
     def typical(name: str) -> float:
         values, k = [], (every or {}).get(name, 1)
         for samples, rows in zip(stretches, still, strict=True):
-            column = getattr(samples, name)
-            if column is not None and samples.ok[rows].all():
+            column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
+            if column is not None and rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
                 values.append(np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0)))
         return float(np.median(values)) if values else 0.0
 
     return Noise(typical("P"), typical("x"), typical("force"))
+
+
+def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
+    """The longest run of usable samples within `rows`, which have a start and a stop."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], ok[rows], [False])).astype(np.int8)))
+    if not len(edges):
+        return slice(0, 0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    first = range(len(ok))[rows].start
+    return slice(first + int(edges[2 * longest]), first + int(edges[2 * longest + 1]))
 
 
 def steps_seen(stretches: Sequence[Samples], every: Mapping[str, int] | None = None) -> Noise:
