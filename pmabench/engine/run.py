@@ -204,7 +204,9 @@ def _new_folder(
         "plan.json": plan.to_json().encode(),
         "bench.json": bench.to_json().encode(),
     }
-    return RunWriter.create(out, name, manifest, snapshots)
+    writer = RunWriter.create(out, name, manifest, snapshots)
+    writer.waits = not bench.realtime
+    return writer
 
 
 def _user() -> str:

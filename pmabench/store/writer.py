@@ -38,7 +38,9 @@ FLUSH_EVERY = 0.05
 SYNC_EVERY = 1.0
 """Samples and events are synced after so long [s of wall clock]."""
 STALLED = 5.0
-"""A disk that has taken nothing for so long [s of wall clock] has failed."""
+"""A disk that has taken nothing for so long [s of wall clock] has failed, where samples come in real time."""
+PATIENT = 120.0
+"""The same where they can wait: in virtual time, and when files are imported."""
 _SAMPLES_FIRST = ("trial-end", "vent", "end")
 """Events that are written after all samples before them."""
 
@@ -52,6 +54,8 @@ class RunWriter:
     def __init__(self, folder: Path, manifest: Mapping[str, Any], events: AppendFile) -> None:
         """Use `RunWriter.create`."""
         self.folder = folder
+        self.waits = False
+        """Whether samples can wait for the disk."""
         self._manifest = manifest
         self._events = events
         self._lines: list[bytes] = []
@@ -141,9 +145,10 @@ class RunWriter:
         live = self._streams[stream]
         live.put(time_ns, columns, flags, host_ns)
         syncing = self._syncing
-        hung = live.waiting() > STALLED or (syncing is not None and time.monotonic() - syncing > STALLED)
+        most = PATIENT if self.waits else STALLED
+        hung = live.waiting() > most or (syncing is not None and time.monotonic() - syncing > most)
         if self._failure is None and hung:
-            self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {STALLED:g} s"))
+            self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
         self._check()
 
     def event(self, kind: str, t: float, **data: Any) -> None:

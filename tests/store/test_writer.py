@@ -346,6 +346,20 @@ def test_a_disk_that_hangs_fails_the_run(tmp_path, monkeypatch, part):
     writer.close("error", "hung")
 
 
+def test_where_samples_can_wait_a_slow_disk_ends_nothing(tmp_path, monkeypatch):
+    released = threading.Event()
+    monkeypatch.setattr("pmabench.store.writer.SYNC_EVERY", 0.0)
+    monkeypatch.setattr(AppendFile, "sync", lambda _file: released.wait(60))
+    writer = begin(tmp_path)
+    writer.waits = True
+    monkeypatch.setattr("pmabench.store.writer.STALLED", 0.05)
+    append_blocks(writer, 200, 1)  # 0.2 s
+    monkeypatch.undo()
+    released.set()
+    writer.close("finished")
+    assert open_run(writer.folder).status == "finished"
+
+
 def test_samples_of_a_trial_are_written_before_its_end(tmp_path, monkeypatch):
     monkeypatch.setattr("pmabench.store.writer.FLUSH_EVERY", 60.0)
     writer = begin(tmp_path)

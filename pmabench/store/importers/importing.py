@@ -255,6 +255,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
     name = run_name(started, f"{rules.specimen['type']}-{rules.specimen['serial']}", rules.kind, simulated=False)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
+    writer.waits = True
     try:
         columns = [channel.rule.record(_is_int(channel)) for channel in prepared.checked]
         period = float(np.median(np.abs(np.diff(prepared.t)))) if len(prepared.t) > 1 else 0.0
