@@ -5,7 +5,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction.bandwidth import MODEL, STEP, of_model, of_step
+from pmabench.analysis.contraction.bandwidth import MODEL, STEP, _scatter, of_model, of_step
 from pmabench.analysis.contraction.contraction import reduce
 from tests.analysis.simulate import LOADS, contraction_run, rig
 
@@ -53,3 +53,23 @@ def test_that_of_a_known_muscle_comes_back_both_ways():
     relaxing = of_model(K, B_r, mass, lags)
     assert steps.value == pytest.approx(relaxing, rel=0.12)  # from 400 to 300 kPa, B_r falls by a sixth on the way
     assert any("bandwidth of contraction" in f.text for f in analysis.findings)
+
+
+def test_two_repeats_that_agree_by_chance_borrow_the_scatter_of_the_others():
+    """0.50 and 0.52 are 0.01 from their mean, two others agree: one degree of freedom each."""
+    groups = {
+        1e5: [("a", -5e4, 0.50, 0.0), ("b", -5e4, 0.52, 0.0)],
+        2e5: [("a", -5e4, 0.6, 0.0), ("b", -5e4, 0.6, 0.0)],
+    }
+    common, freedom = _scatter(groups)
+    assert freedom == 2
+    assert common == pytest.approx(0.01 / 0.51)
+
+
+def test_repeats_give_no_bandwidth_an_interval_far_below_that_of_the_others():
+    bench = rig("paper0", "bench")
+    cells = [(LOADS[0], P) for P in (2e5, 3e5, 4e5)] * 2
+    found = [e for e in reduce([contraction_run(bench, cells)], {"replays": 2}).estimates if e.method == STEP]
+    shares = [e.parts.repeats / e.value * sqrt(e.n) for e in found]
+    assert len(shares) > 2
+    assert min(shares) > 0.3 * max(s for s, e in zip(shares, found, strict=True) if e.n == 2)

@@ -14,7 +14,7 @@ The bandwidth is where |G| first falls to 1/sqrt(2). Friction, which holds small
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import hypot, inf, pi, sqrt
 
 import numpy as np
@@ -177,13 +177,15 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
             if value is not None and short is not None:
                 groups.setdefault(target, []).append((campaign.name(number), by, value, abs(value - short) / 2))
     told = []
+    common, freedom = _scatter(groups)
     for target, rows in sorted(groups.items()):
         values = np.array([row[2] for row in rows])
         se = float(values.std(ddof=1)) / sqrt(len(values)) if len(values) > 1 else None
-        half = half_width(se, len(values) - 1)
+        pooled = half_width(common * float(values.mean()) / sqrt(len(values)), freedom)
+        half = max((one for one in (half_width(se, len(values) - 1), pooled) if one is not None), default=None)
         steps = sorted({round(row[1], -2) for row in rows})
         size = " and ".join(show(abs(by), "pressure", 3) for by in steps)
-        note = sentences("" if half is not None else "no repeats part: one step only", f"relaxing by {size}")
+        note = sentences("" if half is not None else "no repeats part: no step was repeated", f"relaxing by {size}")
         parts = Parts(half, float(np.mean([row[3] for row in rows])), 0.0)
         names = tuple(dict.fromkeys(row[0] for row in rows))
         at = {"pressure": target, "load": load}
@@ -193,6 +195,20 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
             )
         )
     return told
+
+
+def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) -> tuple[float, int]:
+    """Standard deviation of like steps as a share of their mean [1], over all targets, and its degrees of freedom.
+
+    Two repeats agree by chance; all pairs of a campaign do not.
+    """
+    like: dict[tuple[float, float], list[float]] = {}
+    for target, rows in groups.items():
+        for _, by, value, _ in rows:
+            like.setdefault((target, round(by, -2)), []).append(value)
+    off = [np.array(values) / np.mean(values) - 1 for values in like.values()]
+    freedom = sum(len(one) - 1 for one in off)
+    return (sqrt(sum(float(one @ one) for one in off) / freedom) if freedom else 0.0), freedom
 
 
 def _steps(campaign: Campaign, number: int, trial: TrialData) -> list[tuple[float, float, Array, Array]]:
