@@ -5,18 +5,18 @@ Knows the trials' samples and commands; not how the closed loop finds the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.loops.gain_cell import GainCell
 from pmabench.analysis.loops.open_loop import StepsFound, examine, samples_of, steps_of
-from pmabench.analysis.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.cells import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.records import Array, RunData, TrialData
@@ -29,18 +29,8 @@ ALONE = "one trial: the repeats part is the scatter between its cycles"
 
 
 @dataclass(frozen=True)
-class StepsCell:
+class StepsCell(GainCell[StepsFound]):
     """All trials of steps at one operating point."""
-
-    at: Mapping[str, float]
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    found: tuple[StepsFound, ...]
-
-    @property
-    def good(self) -> list[int]:
-        """Indices of trials with a value."""
-        return [i for i, found in enumerate(self.found) if not found.refused]
 
     @property
     def loop(self) -> Loop | None:
@@ -52,27 +42,10 @@ class StepsCell:
         """K_u and T_u."""
         return [_estimate(self, "K_u", "Pa/m", "gain"), _estimate(self, "T_u", "s", "time")]
 
-    @property
-    def dropped(self) -> list[Dropped]:
-        """Trials that give nothing, with the reason."""
-        return [
-            Dropped(trial.name, trial.point, "; ".join(found.refused))
-            for trial, found in zip(self.trials, self.found, strict=True)
-            if found.refused
-        ]
-
 
 def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[StepsCell]:
     """The trials by operating point, each examined."""
-    return [
-        StepsCell(
-            point,
-            tuple(run for run, _ in group),
-            tuple(trial for _, trial in group),
-            tuple(examine(run, trial) for run, trial in group),
-        )
-        for point, group in by_point(members)
-    ]
+    return StepsCell.all_of(members, examine)
 
 
 def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimate:

@@ -5,18 +5,18 @@ Where friction shows, neither is told. Knows the trials' samples and what the re
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.loops.gain_cell import GainCell
 from pmabench.analysis.loops.relay_levels import RelayFound, RelayLevel, examine, search_of
-from pmabench.analysis.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.cells import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.records import RunData, TrialData
@@ -34,18 +34,8 @@ times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The larg
 
 
 @dataclass(frozen=True)
-class RelayCell:
+class RelayCell(GainCell[RelayFound]):
     """All relay trials at one operating point."""
-
-    at: Mapping[str, float]
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    found: tuple[RelayFound, ...]
-
-    @property
-    def good(self) -> list[int]:
-        """Indices of trials with a value."""
-        return [i for i, found in enumerate(self.found) if not found.refused]
 
     @property
     def loop(self) -> Loop | None:
@@ -58,27 +48,10 @@ class RelayCell:
         """K_u and T_u by the fit, then by the describing function."""
         return [*_estimates(self, FITTED), *_estimates(self, DESCRIBED)]
 
-    @property
-    def dropped(self) -> list[Dropped]:
-        """Trials that give nothing, with the reason."""
-        return [
-            Dropped(trial.name, trial.point, "; ".join(found.refused))
-            for trial, found in zip(self.trials, self.found, strict=True)
-            if found.refused
-        ]
-
 
 def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[RelayCell]:
     """The trials by operating point, each examined."""
-    return [
-        RelayCell(
-            point,
-            tuple(run for run, _ in group),
-            tuple(trial for _, trial in group),
-            tuple(examine(run, trial, search_of(trial) or {}) for run, trial in group),
-        )
-        for point, group in by_point(members)
-    ]
+    return RelayCell.all_of(members, lambda run, trial: examine(run, trial, search_of(trial) or {}))
 
 
 def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.loops import gain_ways, open_loop_gain, relay_gain, tuning
+from pmabench.analysis.loops.gain_cell import GainCell
 from pmabench.analysis.loops.gain_levels import TrialFound, examine
 from pmabench.analysis.loops.open_loop import steps_of
 from pmabench.analysis.loops.relay_levels import search_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.cells import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop
 from pmabench.store.records import Array, RunData, TrialData
@@ -39,18 +39,8 @@ ALONE = "one trial: the repeats part is the scatter about its own line, and repe
 
 
 @dataclass(frozen=True)
-class _Cell:
+class _Cell(GainCell[TrialFound]):
     """All trials at one operating point."""
-
-    at: Mapping[str, float]
-    runs: tuple[RunData, ...]
-    trials: tuple[TrialData, ...]
-    found: tuple[TrialFound, ...]
-
-    @property
-    def good(self) -> list[int]:
-        """Indices of trials with a value."""
-        return [i for i, found in enumerate(self.found) if not found.refused]
 
     @property
     def skew(self) -> float:
@@ -116,11 +106,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         K_u, T_u = _estimates(cell)
         estimates += [K_u, T_u]
         findings += _findings(cell, K_u, T_u)
-        dropped += [
-            Dropped(name_of(trial), trial.point, "; ".join(found.refused))
-            for trial, found in zip(cell.trials, cell.found, strict=True)
-            if found.refused
-        ]
+        dropped += cell.dropped
         traces += _traces(cell, K_u)
         settle(K_u, T_u, cell.loop, cell.skew)
     for relay in relays:
@@ -179,10 +165,7 @@ def _cells(
                 relays.append((run, trial))
             else:
                 rising.append((run, trial))
-    cells = []
-    for point, members in by_point(rising):
-        found = tuple(examine(run, trial, _search(trial) or {}) for run, trial in members)
-        cells.append(_Cell(point, tuple(run for run, _ in members), tuple(trial for _, trial in members), found))
+    cells = _Cell.all_of(rising, lambda run, trial: examine(run, trial, _search(trial) or {}))
     return cells, relay_gain.cells(relays), open_loop_gain.cells(stepped), dropped
 
 
