@@ -57,6 +57,7 @@ __all__ = [
     "Segment",
     "SetPoint",
     "Stream",
+    "Supervised",
     "Switch",
     "TripRecord",
     "ValveRecord",
@@ -233,6 +234,21 @@ class Watchdog(Protocol):
 
     def disarm_watchdog(self) -> None:
         """End it; outputs stay as they are."""
+        ...
+
+
+@runtime_checkable
+class Supervised(Protocol):
+    """Reports what it holds apart from its outputs, so that a restart or a changed setting is seen (promise S11)."""
+
+    def held(self) -> Mapping[str, float | str]:
+        """What the device itself reports now: read from it at each call, never remembered by the driver.
+
+        `watchdog`: after how long without a sign of life it would vent [s], 0 where it is off or has fired.
+        `uptime`: a number that only grows until the device restarts. Every other entry (serial number, trigger of the
+        watchdog, mode, count of restarts) must stay what it was when the bench was armed. The name of an entry is
+        printed in the reason of a trip.
+        """
         ...
 
 
