@@ -134,6 +134,12 @@ class Rig:
         return [told for told in self.told if told[0] in kinds]
 
 
+class Quiet(Rig):
+    """The same, reporting nothing of itself."""
+
+    held = None
+
+
 def followed(segment: Any, now: float) -> float:
     """Where a segment is at a moment [device units], by its definition in the interface."""
     t = max(now - segment.start, 0.0)
