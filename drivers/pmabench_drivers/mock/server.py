@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
+from pmabench.base.system import ENGINE, real_time
 from pmabench.bench.records import DeviceRecord, device_from
 from pmabench_drivers.mock.wire import Inbox, encode, parse_address
 
@@ -259,6 +260,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--record", type=Path, help="file with the device's JSON; standard input by default")
     parser.add_argument("--detach", action="store_true", help="return when the plant is there; it lives on by itself")
     given = parser.parse_args(arguments)
+    real_time(ENGINE)  # a device of steel does not wait for other programs either
     try:
         device = _read(given.record)
         listener = _listen(device, given.address)
