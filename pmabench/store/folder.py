@@ -174,8 +174,14 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
 
 def cannot_write(path: Path, error: BaseException) -> RecordError:
     """The sentence for a failed write."""
-    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return RecordError(f"cannot write {path}: {reason}; the run is not fully recorded")
+    return RecordError(f"cannot write {path}: {reason_of(error)}; the run is not fully recorded")
+
+
+def reason_of(error: BaseException) -> str:
+    """Why something could not be written, as the operating system says it; Arrow puts words of its own before that."""
+    reason = str(getattr(error, "strerror", None) or error or type(error).__name__)
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number and "[errno" in reason else reason
 
 
 def part_of(path: Path) -> Path:

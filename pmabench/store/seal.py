@@ -14,7 +14,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.archive import archive, span_of
-from pmabench.store.folder import cannot_write, plain, read_file, read_manifest, read_seal, sealed_json
+from pmabench.store.folder import cannot_write, plain, read_file, read_manifest, read_seal, reason_of, sealed_json
 from pmabench.store.journal import decode, summary
 from pmabench.store.regular import is_regular, sha256_of
 from pmabench.store.room import free_for_events, write_into_room
@@ -42,7 +42,7 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
         told = str(cannot_write(folder, streams.failure))
-        known = status == "error" and (streams.failure.strerror or told) in why  # a full disk is named once
+        known = status == "error" and reason_of(streams.failure) in why  # a full disk is named once
         status, why = "error", why if known else f"{told}; before that: {status} {why}".rstrip()
     _tidy(folder)
     manifest = read_manifest(folder)
