@@ -90,6 +90,8 @@ def read_file(folder: Path, name: str, most: int | None = None) -> bytes:
             return file.read() if most is None else file.read(most)
     except OSError as error:
         raise invalid(folder / name, f"cannot be read: {error.strerror or error}") from error
+    except (MemoryError, OverflowError) as error:
+        raise invalid(folder / name, "cannot be read: it is larger than the memory of this computer") from error
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -115,9 +115,15 @@ def _odd(name: str, path: Path) -> Finding:
     return Finding(name, f"is {kind_of(path.lstat().st_mode)}, which no run contains")
 
 
+def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:
+    """A file; of a sealed one at most so much that it shows whether it has grown."""
+    sealed = seal["files"].get(name) if seal is not None else None
+    return read_file(folder, name, None if sealed is None else sealed["bytes"] + 1)
+
+
 def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     try:
-        journal = decode(read_file(folder, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
+        journal = decode(_read(folder, seal, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
     except InvalidFile as error:
         return [Finding(files.EVENTS, error.problems[0].message)]
     if seal is None:
@@ -142,9 +148,9 @@ def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
             continue
         try:
             if path.suffix == ".parquet":
-                rows, fault = read_archive(pa.BufferReader(read_file(folder, place)))[0].num_rows, ""
+                rows, fault = read_archive(pa.BufferReader(_read(folder, seal, place)))[0].num_rows, ""
             elif path.suffix == ".arrows":
-                reader = LiveReader(pa.py_buffer(read_file(folder, place)))
+                reader = LiveReader(pa.py_buffer(_read(folder, seal, place)))
                 for _batch in reader:
                     pass
                 rows, fault = reader.rows, reader.fault
