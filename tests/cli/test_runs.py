@@ -66,6 +66,15 @@ def test_show_and_list_say_it_in_one_sentence_each(touched):
     assert (row["added"], row["late"]) == ([".DS_Store", "tube"], ["guard.json"])
 
 
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", ["events.jsonl", "plan.json", "streams/daq.parquet", "streams/other.parquet"])
+def test_watch_opens_no_fifo(tmp_path, name):
+    folder = closed(tmp_path, rows=200)
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    assert "finished" in call("watch", folder, "--plain").stdout
+
+
 @pytest.mark.timeout(120)
 def test_process_and_report_take_the_sealed_part_and_say_so(tmp_path):
     small = ["--set", "sweep.matrix.load=[6 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 300 kPa]"]
