@@ -40,8 +40,9 @@ def _told(*arguments):
 
 
 @pytest.mark.timeout(240 + SPARE)
-def test_it_is_sealed_with_the_cause_and_the_result_of_the_vent(ended):
+def test_it_is_sealed_with_the_cause_and_the_result_of_the_vent(ended, record_property):
     bench, runs = ended
+    record_property("cases", len(runs))
     assert len(runs) == len(INSTANTS) + 3
     for instant, told in runs.items():
         assert told["sealed"], (bench, instant, told)
