@@ -210,7 +210,9 @@ def test_a_command_that_is_acknowledged_and_not_carried_out_is_noticed():
         assert "was commanded to 300 kPa and the device holds 0 kPa" in serving.service._ended["why"]
 
 
-def test_a_bench_that_does_what_it_was_told_is_left_alone():
+def test_a_bench_that_does_what_it_was_told_is_left_alone(monkeypatch):
+    monkeypatch.setattr(process, "SILENCE", 60.0)  # this test is not about a machine that is busy
+    monkeypatch.setattr(process, "STOOD_STILL", 60.0)
     with Serving(threads=True) as serving:
         link = serving.armed()
         serving.rig.reports["uptime"] = 6.0
