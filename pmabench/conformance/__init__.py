@@ -10,6 +10,6 @@ Nothing is ever tried on a device that does not say over its wire that it is emu
 
 from pmabench.conformance.subject import Subject, subject, subjects
 from pmabench.conformance.suite import run
-from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Result
+from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, NOT_CHECKED, PASSED, Result
 
-__all__ = ["FAILED", "NOT_APPLICABLE", "PASSED", "Result", "Subject", "run", "subject", "subjects"]
+__all__ = ["FAILED", "NOT_APPLICABLE", "NOT_CHECKED", "PASSED", "Result", "Subject", "run", "subject", "subjects"]

@@ -11,16 +11,19 @@ from functools import partial
 from typing import Any
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import OutputRecord
-from pmabench.conformance.behaviour import RATE, near, raw, times_sent
+from pmabench.bench.interface import OutputRecord, Supervised
+from pmabench.conformance.commands import near, raw, sent, times_sent
 from pmabench.conformance.damage import late, silence
 from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.conformance.samples import RATE
 from pmabench.conformance.verdict import Failed, NotApplicable
 
 LATE = 0.35
 """Answers that come after every time-out of a call [s]."""
 SETTLES = 3.0
 """How long threads and connections are given to end [s]."""
+MANY = 10
+"""Rounds of questions after which no more may be open than before."""
 RECOVERS = 5
 """How often a question may fail after the wire is well again."""
 
@@ -37,6 +40,8 @@ def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
         found.append(("is_on()", partial(device.is_on, valve.output), CALLS_WITHIN))
     for lock in rig.record.interlocks:
         found.append(("level()", partial(device.level, lock.input), CALLS_WITHIN))
+    if isinstance(device, Supervised):
+        found.append(("held()", device.held, CALLS_WITHIN))
     if rig.streams():
         found.append(("collect()", device.collect, COLLECTS_WITHIN))
     return found
@@ -48,7 +53,7 @@ def _fifth(output: OutputRecord) -> float:
 
 
 def silent(rig: Rig) -> str:
-    """When the device falls silent, every call is back in time, and a write is sent once."""
+    """When the device falls silent, every call says so in time, and a write is sent once."""
     rig.need_wire()
     told: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
@@ -60,21 +65,26 @@ def silent(rig: Rig) -> str:
             if sampling:
                 told.append(_says_that_samples_stay_away(rig, device))
             rig.shut()  # in silence, too, within its time
-    return f"{len(told)} calls are back in time; the last says: {told[-1]}" if told else "nothing could be asked"
+    return f"{len(told)} calls say so in time; the last: {told[-1]}" if told else "nothing could be asked"
 
 
 def _in_silence(rig: Rig, device: Any) -> list[str]:
     """What each call says; raises Failed where a write is carried out more than once."""
     told = []
     for what, act, within in calls(rig, device):
-        before = len(rig.logged("set"))
+        before = len(sent(rig))
         answer = rig.call(f"{what} in silence", act).judged(within)
-        told.append(str(answer) if isinstance(answer, DeviceError) else f"{what} gives what came last")
+        if not isinstance(answer, DeviceError) and not what.startswith("collect"):
+            raise Failed(
+                f"{what} in silence gave {answer!r} as if all were well; what was not answered is a DeviceError, never "
+                "an answer from memory"
+            )
+        told.append(str(answer))
         time.sleep(0.05)
         for output in rig.record.outputs if what.startswith("write") else ():
-            sent = times_sent(rig, output, _fifth(output), before)
-            if sent > 1:
-                raise Failed(f"{what} in silence was carried out {sent} times; a write is never repeated")
+            times = times_sent(rig, output, _fifth(output), before)
+            if times > 1:
+                raise Failed(f"{what} in silence was carried out {times} times; a write is never repeated")
     return told
 
 
@@ -107,7 +117,7 @@ def late_answers(rig: Rig) -> str:
             for _ in range(2):  # so that one is still owed after the next command
                 rig.call("read_back() with a late answer", device.read_back, output.output).judged(CALLS_WITHIN)
             rig.well()
-            before = len(rig.logged("set"))
+            before = len(sent(rig))
             done = rig.call("write() after a late answer", device.write, output.output, value).judged(CALLS_WITHIN)
             known = not isinstance(done, DeviceError) or times_sent(rig, output, value, before)
             holds = [value] if known else [*holds, value]
@@ -166,9 +176,9 @@ def exchanges(rig: Rig) -> str:
         raise NotApplicable(f"{module.__name__} lists no EXCHANGES")
     with rig.opened(armed=False) as device:
         relay = rig.relays[0]
-        for name, arguments, question, answer in listed:
+        for name, arguments, question, answer, *returns in listed:
             relay.heard.clear()
-            rig.call(f"{name}()", getattr(device, name), *arguments).good(CALLS_WITHIN)
+            given = rig.call(f"{name}()", getattr(device, name), *arguments).good(CALLS_WITHIN)
             time.sleep(0.05)
             asked = b"".join(data for sent, data in relay.heard if not sent)
             told = b"".join(data for sent, data in relay.heard if sent)
@@ -176,15 +186,15 @@ def exchanges(rig: Rig) -> str:
                 raise Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
             if told != answer:
                 raise Failed(f"{name}{arguments} is answered {told!r} by the emulator; by the manual it is {answer!r}")
+            if returns and (given != returns[0] or type(given) is not type(returns[0])):
+                raise Failed(f"{name}{arguments} returned {given!r}; what the device answered means {returns[0]!r}")
     return f"{len(listed)} exchanges, byte by byte"
 
 
 def nothing_left(rig: Rig) -> str:
     """After close() no thread, no file and no connection is left, whether all was well or the wire silent."""
     rig.need_wire()
-    with rig.opened():
-        pass  # what the emulator itself keeps is there after the first connection
-    for wire in ("good", "silent"):
+    for wire in ("first", "good", "silent"):  # what the emulator itself keeps is there after the first connection
         before = _left()
         rig.open()
         device: Any = rig.device
@@ -192,8 +202,12 @@ def nothing_left(rig: Rig) -> str:
             rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
         if wire == "silent":
             rig.damage(silence)
+        else:
+            _refuse_growth(rig, device)
         rig.shut()
         rig.well()
+        if wire == "first":
+            continue
         until = time.monotonic() + SETTLES
         while (left := _left())[1] > before[1] or left[0] - before[0]:
             if time.monotonic() > until:
@@ -204,6 +218,22 @@ def nothing_left(rig: Rig) -> str:
                 )
             time.sleep(0.05)
     return "no thread, no file and no connection"
+
+
+def _refuse_growth(rig: Rig, device: Any) -> None:
+    """Raise Failed where calls leave threads or files behind while the device is open."""
+    asked = [(what, act) for what, act, _ in calls(rig, device) if not what.startswith(("write", "switch"))]
+    for rounds in (3, MANY):
+        before = _left()
+        for _ in range(rounds):
+            for what, act in asked:
+                rig.call(what, act).judged(COLLECTS_WITHIN)
+    after = _left()
+    if max(after[1] - before[1], len(after[0] - before[0])) >= MANY:
+        raise Failed(
+            f"{MANY} rounds of {', '.join(what for what, _ in asked)} leave {after[1] - before[1]} open files or "
+            f"connections and {len(after[0] - before[0])} threads"
+        )
 
 
 def _left() -> tuple[frozenset[str], int]:

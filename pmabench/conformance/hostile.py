@@ -8,9 +8,10 @@ from random import Random
 from typing import Any
 
 from pmabench.base.errors import DeviceError
-from pmabench.conformance.behaviour import RATE, number, raw, take, times_sent
+from pmabench.conformance.commands import raw, sent, times_sent
 from pmabench.conformance.damage import Hostile
 from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, OPENS_WITHIN, Rig
+from pmabench.conformance.samples import RATE, number, take
 from pmabench.conformance.verdict import Failed, Late
 
 LISTENS = 0.03
@@ -117,11 +118,11 @@ class Battle:
                 raise Failed(f"read_back() gave {told!r}; a number is expected")
             return self._note(told)
         value = raw(output, self._chance.uniform(output.low, output.high))
-        before = len(rig.logged("set"))
+        before = len(sent(rig))
         told = rig.call(f"write({value:g})", self._device.write, output.output, value).judged(CALLS_WITHIN)
-        sent = times_sent(rig, output, value, before)
-        if sent > 1:
-            raise Failed(f"write({value:g}) was carried out {sent} times; a write is never repeated")
+        times = times_sent(rig, output, value, before)
+        if times > 1:
+            raise Failed(f"write({value:g}) was carried out {times} times; a write is never repeated")
         return self._note(told)
 
     def _valve(self, valve: Any) -> Any:
@@ -147,7 +148,7 @@ class Battle:
         told = rig.call("collect()", self._device.collect).judged(COLLECTS_WITHIN)
         if not isinstance(told, DeviceError):
             values: dict[str, list[float]] = {channel.name: [] for channel in rig.record.channels}
-            take(rig, told, self._times, values)
+            take(rig.record.channels, told, self._times, values)
             del self._times[:-1]
             for channel in rig.record.channels:
                 inside = [

@@ -17,9 +17,10 @@ from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Stream, Watchdog
+from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
-from pmabench.conformance.verdict import Failed, Late, NotApplicable
+from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
+from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
 OPENS_WITHIN = 2.0
@@ -49,6 +50,11 @@ class Outcome:
     lag: float
     """By how much this computer was late meanwhile [s]: other programs want it too."""
 
+    def nothing(self, within: float) -> None:
+        """As `good`, for a call that returns nothing."""
+        if (value := self.good(within)) is not None:
+            raise Failed(f"{self.what} returned {value!r}; by the interface it returns None")
+
     def judged(self, within: float) -> Any:
         """Its value, or the DeviceError; raises Failed where it took too long or raised anything else."""
         if self.seconds > within + SLACK + 3 * self.lag:
@@ -62,7 +68,7 @@ class Outcome:
         """Its value; raises Failed also where it is a DeviceError."""
         value = self.judged(within)
         if isinstance(value, DeviceError):
-            raise Failed(f"{self.what} failed on a good wire: {value}")
+            raise Late(f"{self.what} failed on a good wire: {value}")  # a busy computer's emulator may answer too late
         return value
 
 
@@ -100,13 +106,19 @@ class Rig:
         self._lag = _Lag()
         self._owner = Owner(record.name)
         self.device: Any = None
+        self.identity: Any = None
+        """What the last `open` gave."""
         self._armed = False
-        served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: _far(folder, record.name))
+        self._served = served = _rewritten(
+            record, lambda _: f"127.0.0.1:{free_port()}", lambda _: _far(folder, record.name)
+        )
         try:
             self.emulator: Any = _emulator(served)
         except UsageError:
             self.emulator = None
-            served = _rewritten(record, lambda place: f"127.0.0.1:{_kept_port(place)}", lambda path: path)
+            self._served = served = _rewritten(
+                record, lambda place: f"127.0.0.1:{_kept_port(place, record.driver)}", lambda path: path
+            )
         self.server: Any = None if self.emulator is None else self.emulator.devices[record.name]
         try:
             self.record = served if self.server is None else _rewritten(served, self._tcp, self._serial)
@@ -148,6 +160,31 @@ class Rig:
         if not self.relays:
             raise NotApplicable("there is no emulator on a TCP or serial wire that could be damaged")
 
+    def restart(self) -> bool:
+        """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""
+        if self.emulator is None:
+            return False
+        self.emulator.close()
+        self.emulator = _emulator(self._served)
+        self.server = self.emulator.devices[self.record.name]
+        self.renew_wire()
+        return True
+
+    def truth(self) -> Truth:
+        """What plant and device really do; raises NotChecked where nobody but the driver knows."""
+        driver = self.driver()
+        if self.emulator is not None:
+            return Emulated(self.record, lambda: self.emulator, self._another)
+        if hasattr(driver, "simulation"):
+            return Inside(self.record, lambda: self.device)
+        if hasattr(driver, "control"):
+            return Behind(self.record, lambda: self.device, self._another)
+        raise NotChecked("there is neither an emulator nor a simulation to compare with")
+
+    def _another(self) -> Any:
+        """A second driver of the same device, not open, for its `rescue`; None where it has no such call."""
+        return self.build(self.record) if issubclass(self.driver(), Rescue) else None
+
     # -- the driver -----------------------------------------------------------------------------------------------
 
     def clock(self) -> Clock:
@@ -183,7 +220,7 @@ class Rig:
         outcome = self.call("open()", self.device.open, hung=HUNG)
         if self.emulator is None and isinstance(outcome.error, DeviceError):
             outcome = self.call("open()", self.device.open, hung=HUNG)  # its process may have needed longer to start
-        identity = outcome.good(self.opens_within)
+        identity = self.identity = outcome.good(self.opens_within)
         if not isinstance(identity, Identity):
             raise Failed(f"open() gave {identity!r}; an Identity is expected")
         if not identity.simulated and self.emulator is None:
@@ -271,7 +308,7 @@ def free_port() -> int:
 
 
 @lru_cache
-def _kept_port(_place: str) -> int:
+def _kept_port(_place: str, _driver: str) -> int:
     """A free port for a simulation that starts a process of its own: one process for all checks."""
     return free_port()
 

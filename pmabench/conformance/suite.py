@@ -6,11 +6,22 @@ import tempfile
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
-from pmabench.conformance import behaviour, broken_wire, unopened
+from pmabench.base.errors import DeviceError
+from pmabench.conformance import broken_wire, commands, following, life, samples, supervision, unopened
 from pmabench.conformance.hostile import Battle
 from pmabench.conformance.rig import Rig
 from pmabench.conformance.subject import Subject
-from pmabench.conformance.verdict import FAILED, NOT_APPLICABLE, PASSED, Failed, Late, NotApplicable, Result
+from pmabench.conformance.verdict import (
+    FAILED,
+    NOT_APPLICABLE,
+    NOT_CHECKED,
+    PASSED,
+    Failed,
+    Late,
+    NotApplicable,
+    NotChecked,
+    Result,
+)
 
 CHECKS: dict[str, Callable[[Rig], str]] = {
     "interface": unopened.interfaces,
@@ -18,15 +29,19 @@ CHECKS: dict[str, Callable[[Rig], str]] = {
     "declares": unopened.declared,
     "options": unopened.options,
     "nobody there": unopened.nobody,
-    "life": behaviour.life,
-    "samples": behaviour.samples,
-    "set-points": behaviour.set_points,
-    "valves": behaviour.valves,
-    "inputs": behaviour.inputs,
-    "ramps": behaviour.ramps,
-    "watchdog": behaviour.watchdog,
-    "safe state": behaviour.safe_state,
-    "second way": behaviour.second_way,
+    "life": life.life,
+    "samples": samples.samples,
+    "values": samples.values,
+    "set-points": commands.set_points,
+    "valves": commands.valves,
+    "inputs": commands.inputs,
+    "from outside": commands.from_outside,
+    "ramps": following.ramps,
+    "halt": following.halts,
+    "watchdog": supervision.watchdog,
+    "held": supervision.held,
+    "safe state": commands.safe_state,
+    "second way": commands.second_way,
     "silence": broken_wire.silent,
     "late answers": broken_wire.late_answers,
     "line cut": broken_wire.hang_up,
@@ -64,11 +79,16 @@ def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTE
             return PASSED, check(rig)
         except NotApplicable as reason:
             return NOT_APPLICABLE, str(reason)
+        except NotChecked as reason:
+            return NOT_CHECKED, str(reason)
         except Late as failure:
             if attempts == 1:
                 return FAILED, f"{failure}, and so it was {ATTEMPTS} times"
         except Failed as failure:
             return FAILED, str(failure)
+        except DeviceError as error:
+            if attempts == 1:
+                return NOT_CHECKED, f"the simulation that it is compared with does not answer: {error}"
         finally:
             rig.close()
     return _verdict(subject, check, attempts - 1)

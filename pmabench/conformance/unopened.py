@@ -16,7 +16,10 @@ from pmabench.bench.interface import Device, DeviceRecord
 from pmabench.conformance.rig import OPENS_WITHIN, Rig
 from pmabench.conformance.verdict import Failed, NotApplicable
 
-CAPABILITIES = ("Stream", "SetPoint", "Follower", "Hands", "Switch", "Motion", "Inputs", "Watchdog", "Rescue")
+CAPABILITIES = (
+    *("Stream", "SetPoint", "Follower", "Hands", "Switch", "Motion", "Inputs"),
+    *("Watchdog", "Supervised", "Rescue"),
+)
 NOWHERE = "no-such-option-of-any-driver"
 LOADS = """
 import json, sys

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-PASSED, FAILED, NOT_APPLICABLE = "pass", "fail", "does not apply"
+PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", "not checked"
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,12 @@ class Failed(Exception):
 
 
 class Late(Failed):
-    """A call took too long; a computer that has much else to do can be the reason, so it must happen again to count."""
+    """Something came too late, for which a busy computer can be the reason: it must happen again to count."""
 
 
 class NotApplicable(Exception):
     """The device has nothing of the kind; the text says what is missing."""
+
+
+class NotChecked(Exception):
+    """Something could not be compared with an independent reference; the text says what, why, and what was compared."""

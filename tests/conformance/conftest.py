@@ -1,10 +1,12 @@
-"""The whole suite takes one in twelve of the tests here that wait in real time, by the hash of the commit; all by name."""
+"""The whole suite takes few of the tests here that wait in real time, by the hash of the commit; all by name."""
 
 import subprocess
 from pathlib import Path
 
 import pytest
 
+SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
+"""One in so many, where it is not one in `SHARE`."""
 SHARE = 12
 
 
@@ -15,7 +17,15 @@ def pytest_collection_modifyitems(config, items):
         ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
     )
     commit = int(asked.stdout.strip() or "0", 16)
-    waiting = [i for i in items if "tests/conformance/" in i.nodeid and i.get_closest_marker("realtime")]
-    left_out = {item for place, item in enumerate(waiting) if place % SHARE != commit % SHARE}
+    left_out = set()
+    for share in (SHARE, *SHARES.values()):
+        waiting = [
+            item
+            for item in items
+            if "tests/conformance/" in item.nodeid
+            and item.get_closest_marker("realtime")
+            and SHARES.get(item.originalname, SHARE) == share
+        ]
+        left_out |= {item for place, item in enumerate(waiting) if place % share != commit % share}
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]

@@ -1,28 +1,31 @@
-"""The device interface in front of the example controller: pressure in kPa, its set-point, a dump valve."""
+"""The device interface in front of the EX-2 of device.md: pressures, set-point, valves, contact, watchdog."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from time import monotonic
 
+from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.options import Place, Reader
 from pmabench_drivers.polling import JOIN, Cycle, Samples
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, Segment
 from pmabench_driver_example.wire import Connection
 
 CALL = 0.18
 """Longest time that a call may take, a little less than the guard waits [s]."""
-PATIENCE = 0.25
-"""So long polling may fail before `collect` says so [s]."""
-INPUT, OUTPUT, VALVE = "pressure", "pressure", "dump"
+STEPS = 50.0
+"""Set-points a second along a ramp or sine, which this device cannot follow by itself [Hz]."""
+INPUTS, OUTPUTS, CONTACTS = ("outlet", "supply"), ("outlet",), ("contact",)
+VALVES = {"dump": "1", "supply": "2"}
+"""Name in a bench file -> number on the wire."""
 
 
 class ExampleController:
-    """A pressure controller: measures, takes a set-point up to 600 kPa, switches a dump valve."""
+    """A pressure controller: two pressures, a set-point up to 600 kPa, dump and supply valve, a contact."""
 
     verified = "emulator only"
     """Once somebody has compared every value and the vent with instruments: `hardware (who, date, firmware)`."""
@@ -35,10 +38,11 @@ class ExampleController:
         reader.refuse(device.name)
         self._device, self._clock = device, clock
         self._connection: Connection | None = None
+        self._places = [INPUTS.index(channel.input) for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
         self._cycle = Cycle(f"polls {device.name}", self._poll, clock)
-        self._failing: float | None = None
-        self._failure: DeviceError | None = None
+        self._steps = Cycle(f"leads {device.name}", self._step, clock)
+        self._segment: Segment | None = None
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -52,22 +56,23 @@ class ExampleController:
     def open(self) -> Identity:
         """Connect and ask who it is."""
         self.close()
-        self._connection = Connection(self._device.name, self._device.address, self._timeout)
+        self._connection = self._connect()
         try:
-            told = self._ask("ID").split(",")
-        except DeviceError:
+            [answer] = self._ask("ID", 1)
+            model, serial, firmware = answer.split(",")
+        except (DeviceError, ValueError) as error:
             self.close()
-            raise
-        if len(told) != 3 or not told[0].removeprefix(EMULATED).startswith("EX-"):
+            raise error if isinstance(error, DeviceError) else self._unreadable(answer) from None
+        if not model.removeprefix(EMULATED).startswith("EX-2"):
             self.close()
-            raise DeviceError(self._device.name, f'answers "{",".join(told)[:60]}": an EX controller was expected')
-        model, serial, firmware = told
-        return Identity("Example", model, serial, firmware, simulated=model.startswith(EMULATED))
+            raise DeviceError(self._device.name, f'is a "{model[:40]}"; an EX-2 was expected')
+        return Identity("Example", model, serial, firmware, simulated=model.startswith(EMULATED), clock="computer")
 
     def close(self) -> None:
         """End polling and let go of the connection."""
-        connection, self._connection = self._connection, None
+        connection, self._connection, self._segment = self._connection, None, None
         self._cycle.stop(JOIN)
+        self._steps.stop(JOIN)
         if connection is not None:
             connection.close()
 
@@ -78,7 +83,7 @@ class ExampleController:
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
         self._opened()
-        self._failing = self._failure = None
+        self._cycle.note(None)
         self._samples.take()
         used = min(rate, self._rate)
         self._cycle.start(used)
@@ -86,10 +91,7 @@ class ExampleController:
 
     def collect(self) -> Block:
         """What was polled since the last call; an error once polling has failed for a while."""
-        if self._cycle.broken is not None:
-            raise DeviceError(self._device.name, f"polling broke off: {self._cycle.broken}")
-        if self._failing is not None and self._failure is not None and self._clock.now() - self._failing > PATIENCE:
-            raise self._failure
+        self._cycle.refuse(self._device.name)
         return self._samples.take()
 
     def stop(self) -> None:
@@ -99,71 +101,159 @@ class ExampleController:
     def _poll(self) -> None:
         asked = self._clock.now()
         try:
-            value = self._number("P", self._ask("P"))
+            values = self._numbers("P", 2)
         except DeviceError as error:
-            self._failure = error
-            self._failing = asked if self._failing is None else self._failing
+            self._cycle.note(error)
             return
-        self._failing, answered = None, self._clock.now()
+        self._cycle.note(None)
+        answered = self._clock.now()
         taken = round((asked + answered) / 2 * 1e9)
-        self._samples.append(taken, [value] * len(self._device.channels), round(answered * 1e9))
+        self._samples.append(taken, [values[place] for place in self._places], round(answered * 1e9))
 
-    # -- commands -------------------------------------------------------------------------------------------------
+    # -- set-point ------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
         """Command the set-point [kPa] once; the answer is what the controller holds then."""
-        self._known(output, OUTPUT)
-        held = self._number("S", self._ask(f"S {value:.2f}"))
-        if abs(held - value) > 0.0051:
-            raise DeviceError(self._device.name, f"was commanded {value:g} kPa and holds {held:g} kPa", output)
+        self._known(output, OUTPUTS)
+        self._segment = None
+        self._put(self._opened(), value)
 
     def read_back(self, output: str) -> float:
         """The set-point that the controller holds [kPa]."""
-        self._known(output, OUTPUT)
-        return self._number("S", self._ask("S"))
+        self._known(output, OUTPUTS)
+        return self._numbers("S", 1)[0]
+
+    def _put(self, connection: Connection, value: float) -> None:
+        [held] = self._numbers(f"S {value:.2f}", 1, connection)
+        if abs(held - value) > 0.0051:
+            raise DeviceError(self._device.name, f"was commanded {value:g} kPa and holds {held:g} kPa", OUTPUTS[0])
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Step along the segment, from its start on, or from now on if that has passed."""
+        self._known(output, OUTPUTS)
+        refuse_nonsense(self._device.name, output, segment)
+        self._opened()
+        self._steps.note(None)
+        self._segment = segment
+        if not self._steps.running:
+            self._steps.start(STEPS)
+
+    def _step(self) -> None:
+        """Command the value of this moment; the last one ends the segment."""
+        segment, connection = self._segment, self._connection
+        if segment is None or connection is None:
+            return
+        value, over = stepped(segment, self._clock.now())
+        if value is None or self._segment is not segment:
+            return
+        try:
+            self._put(connection, value)
+        except DeviceError as error:
+            self._steps.note(error)
+            return
+        self._steps.note(None)
+        if over and self._segment is segment:
+            self._segment = None
+
+    # -- valves and contact ---------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Energise the valve or not; the answer is what the controller holds then."""
-        self._known(output, VALVE)
-        if self._held(self._ask(f"V {int(on)}")) != on:
-            raise DeviceError(self._device.name, f"was told to switch to {int(on)} and did not", output)
+        """Energise a valve or not; the answer is what the controller holds then."""
+        self._known(output, VALVES)
+        self._put_valve(self._opened(), output, on=on)
 
     def is_on(self, output: str) -> bool:
-        """Whether the valve is energised."""
-        self._known(output, VALVE)
-        return self._held(self._ask("V"))
+        """Whether a valve is energised."""
+        self._known(output, VALVES)
+        return self._state(f"V {VALVES[output]}", 2)
+
+    def level(self, name: str) -> bool:
+        """Whether the contact is closed."""
+        self._known(name, CONTACTS)
+        return self._state("D", 1)
+
+    def _put_valve(self, connection: Connection, valve: str, *, on: bool) -> None:
+        if self._state(f"V {VALVES[valve]} {int(on)}", 2, connection) != on:
+            raise DeviceError(self._device.name, f"was commanded to switch to {int(on)} and did not", valve)
+
+    # -- watchdog, and the second way -----------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set the watch time; returns what the controller holds [s]."""
+        [held] = self._numbers(f"W {seconds:.2f}", 1)
+        if not 0 < held <= seconds:
+            raise DeviceError(self._device.name, f"was to watch for {seconds:g} s and holds {held:g} s")
+        return held
+
+    def feed_watchdog(self) -> None:
+        """Any line is a sign of life; this one asks whether it still watches."""
+        if not self._numbers("W", 1)[0]:
+            raise DeviceError(self._device.name, "its watch time was over, or nobody set it: it has vented by itself")
+
+    def disarm_watchdog(self) -> None:
+        """End the watch; outputs stay as they are."""
+        self._numbers("W 0", 1)
+
+    def held(self) -> Mapping[str, float | str]:
+        """Watch time, time since it was switched on [s], and serial number, as the controller answers now."""
+        watch, uptime, serial = self._numbers("H", 3)
+        return {"watchdog": watch, "uptime": uptime, "serial": f"{serial:.0f}"}
+
+    def rescue(self, output: str, value: float) -> None:
+        """Command the set-point [kPa] or a valve over a second connection."""
+        self._known(output, (*OUTPUTS, *VALVES))
+        self._segment, second = None, self._connect()
+        try:
+            if output in VALVES:
+                self._put_valve(second, output, on=value != 0)
+            else:
+                self._put(second, value)
+        finally:
+            second.close()
 
     # -- questions ------------------------------------------------------------------------------------------------
+
+    def _connect(self) -> Connection:
+        return Connection(self._device.name, self._device.address, self._timeout)
 
     def _opened(self) -> Connection:
         if self._connection is None:
             raise DeviceError(self._device.name, "is not open")
         return self._connection
 
-    def _ask(self, text: str) -> str:
-        answer = self._opened().ask(text, monotonic() + CALL)
-        if answer.startswith("E "):
-            raise DeviceError(self._device.name, f'refuses "{text}": {answer[2:]}')
-        return answer
+    def _known(self, name: str, names: Iterable[str]) -> None:
+        if name not in names:
+            raise DeviceError(self._device.name, f'no "{name}"{did_you_mean(name, list(names))}')
 
-    def _known(self, output: str, name: str) -> None:
-        if output != name:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, [name])}')
+    def _ask(self, question: str, count: int, connection: Connection | None = None) -> list[str]:
+        """The `count` words that answer, behind the first word of the question."""
+        answer = (connection or self._opened()).ask(question, monotonic() + CALL)
+        word, _, text = answer.partition(" ")
+        if word == "E":
+            raise DeviceError(self._device.name, f'refuses "{question}": {text}')
+        words = text.split(" ") if count > 1 else [text]
+        if word != question.partition(" ")[0] or len(words) != count:
+            raise self._unreadable(answer)
+        return words
 
-    def _number(self, word: str, answer: str) -> float:
-        told, _, text = answer.partition(" ")
+    def _numbers(self, question: str, count: int, connection: Connection | None = None) -> list[float]:
+        words = self._ask(question, count, connection)
         try:
-            value = float(text)
+            values = [float(word) for word in words]
         except ValueError:
-            value = math.nan
-        if told != word or not math.isfinite(value):
-            raise DeviceError(self._device.name, f'answers "{answer[:40]}", which is no number')
-        return value
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise self._unreadable(" ".join(words))
+        return values
 
-    def _held(self, answer: str) -> bool:
-        if answer not in {"V 0", "V 1"}:
-            raise DeviceError(self._device.name, f'answers "{answer[:40]}", which is no state of a valve')
-        return answer == "V 1"
+    def _state(self, question: str, count: int, connection: Connection | None = None) -> bool:
+        words = self._ask(question, count, connection)
+        if words[-1] not in {"0", "1"} or words[:-1] != question.split(" ")[1:count]:
+            raise self._unreadable(" ".join(words))
+        return words[-1] == "1"
+
+    def _unreadable(self, answer: str) -> DeviceError:
+        return DeviceError(self._device.name, f'answers "{answer[:40]}", which is not what its page says')
 
 
 def _options(device: DeviceRecord, reader: Reader) -> tuple[float, float]:
@@ -174,13 +264,13 @@ def _options(device: DeviceRecord, reader: Reader) -> tuple[float, float]:
     host, _, port = device.address.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         reader.fault(("address",), f'HOST:PORT is expected, for instance "192.168.0.10:4000", not "{device.address}"')
-    for channel in device.channels:
-        if channel.input != INPUT:
-            reader.fault(("channels", channel.name, "input"), f'no input "{channel.input}"; there is "{INPUT}"')
-    for output in device.outputs:
-        if output.output != OUTPUT:
-            reader.fault(("outputs", output.name, "output"), f'no output "{output.output}"; there is "{OUTPUT}"')
-    for valve in device.valves:
-        if valve.output != VALVE:
-            reader.fault(("outputs", valve.name, "output"), f'no valve "{valve.output}"; there is "{VALVE}"')
+    named = [
+        *((("channels", channel.name, "input"), channel.input, INPUTS) for channel in device.channels),
+        *((("outputs", output.name, "output"), output.output, OUTPUTS) for output in device.outputs),
+        *((("outputs", valve.name, "output"), valve.output, tuple(VALVES)) for valve in device.valves),
+        *((("interlocks", lock.name, "input"), lock.input, CONTACTS) for lock in device.interlocks),
+    ]
+    for place, name, names in named:
+        if name not in names:
+            reader.fault(place, f'no "{name}"; there is {" and ".join(names)}')
     return rate, timeout

@@ -1,7 +1,8 @@
-"""The example controller as its manual describes it, with pmabench's simulated muscle behind it.
+"""The EX-2 as its page says (docs/driver-example/device.md), with pmabench's simulated muscle behind it.
 
-Written from the manual, not from the driver: each is a check of the other. What is commanded goes into the log as `set`
-(with `output`, `raw` and `si`) and `switch`, so that the conformance suite can count it.
+Written from the page, not from the driver: each is a check of the other. What is commanded goes into the log as `set`
+(with `output`, `raw` and `si`), `switch` and `watchdog`, and `by_hand` sets an output as its keys would, so that the
+conformance suite can compare what the driver says with what the device does.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+from time import monotonic
 
-from pmabench_drivers.emulator.faults import LINK, Faults, Outgoing
+from pmabench_drivers.emulator.faults import EXPIRY, IGNORE, LINK, Faults, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import listen
@@ -19,12 +21,19 @@ from pmabench.bench.interface import EMULATED, DeviceRecord
 
 HIGHEST = 600.0
 """Highest set-point [kPa]."""
+WATCH = (0.2, 60.0, 0.05)
+"""Shortest and longest watch time, and its step [s]."""
+LOOK = 0.01
+"""How often it looks whether the watch time is over [s]."""
+VALVES = {"1": "dump_valve", "2": "supply_valve"}
+SERIAL = "4711"
 EXCHANGES = (
-    ("read_back", ("pressure",), b"02 S*D5\n", b"02 S 0.00*B3\n"),
-    ("write", ("pressure", 100.0), b"03 S 100.00*15\n", b"03 S 100.00*15\n"),
-    ("is_on", ("dump",), b"04 V*DA\n", b"04 V 0*2A\n"),
+    ("read_back", ("outlet",), b"02 S*D5\n", b"02 S 0.00*B3\n", 0.0),
+    ("write", ("outlet", 100.0), b"03 S 100.00*15\n", b"03 S 100.00*15\n", None),
+    ("is_on", ("supply",), b"04 V 2*2C\n", b"04 V 2 0*7C\n", False),
+    ("level", ("contact",), b"05 D*C9\n", b"05 D 1*1A\n", True),
 )
-"""Calls after `open`, in this order, with the bytes of the manual for question and answer."""
+"""Calls after `open`, in this order, with the bytes of the page for question and answer, and what the call returns."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Controller:
@@ -36,24 +45,31 @@ class Controller:
     """One controller; several connections may be open."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
-        self._device, self._plant, self._log, self._tap = device, plant, log, log.tap(device.name)
-        self.faults = Faults(LINK)
+        self._name, self._plant, self._log, self._tap = device.name, plant, log, log.tap(device.name)
+        self.faults = Faults(LINK, IGNORE, EXPIRY)
         host, _, port = device.address.rpartition(":")
         self._listener = listen(device.name, host, int(port))
         self.address = f"{host}:{self._listener.getsockname()[1]}"
-        self._setpoint, self._valve = 0.0, False
         self._open: set[socket.socket] = set()
+        self._lock, self._ended = threading.RLock(), threading.Event()
+        self._on_since = self._heard = monotonic()
+        self._watch = 0.0
+        self._rest()
 
     def start(self) -> None:
         """Begin to serve."""
-        threading.Thread(target=self._accept, name=f"emulated {self._device.name}", daemon=True).start()
+        for target in (self._accept, self._look):
+            threading.Thread(target=target, name=f"emulated {self._name}", daemon=True).start()
 
     def close(self) -> None:
         """Hang up."""
+        self._ended.set()
         for end in (self._listener, *self._open):
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
             end.close()
+
+    # -- connections ----------------------------------------------------------------------------------------------
 
     def _accept(self) -> None:
         while True:
@@ -72,39 +88,102 @@ class Controller:
                 fault = self.faults.next()
                 if fault.kind in {"hang-up", "reset"}:
                     break
-                answer = b"" if fault.kind == "silence" else self._answer(data.strip())
+                answer = b"" if fault.kind == "silence" else self._answer(data.strip(), fault.kind == "ignore")
                 leaves = outgoing.of(answer, fault)
                 self._tap("sent", leaves)
                 connection.sendall(leaves)
         self._open.discard(connection)
 
-    def _answer(self, data: bytes) -> bytes:
+    def _answer(self, data: bytes, ignore: bool) -> bytes:
         """The line that answers a line, nothing to one whose sum is wrong."""
         body, _, told = data.rpartition(b"*")
         if told != b"%02X" % (sum(body) % 256):
             return b""
-        number, _, text = body.decode("ascii", "replace").partition(" ")
-        back = f"{number} {self._carry_out(*text.partition(' ')[::2])}".encode("ascii", "replace")
+        number, word, *arguments = [*body.decode("ascii", "replace").split(" "), ""][:-1]
+        with self._lock:
+            self._heard = monotonic()
+            try:
+                text = self._carry_out(word, arguments, ignore)
+            except (ValueError, KeyError, IndexError):
+                text = "E unknown"
+        back = f"{number} {text}".encode("ascii", "replace")
         return back + b"*%02X\n" % (sum(back) % 256)
 
-    def _carry_out(self, word: str, argument: str) -> str:
-        name = self._device.name
-        if word == "ID":
-            return f"{EMULATED}EX-1,1,1.0"
-        if word == "P":
-            return f"P {self._plant.quantities()['pressure'] / 1e3:.2f}"
-        if word == "S" and argument:
-            try:
-                value = float(argument)
-            except ValueError:
-                return "E no number"
-            if not 0 <= value <= HIGHEST:
-                return f"E above {HIGHEST:g} kPa"
-            self._setpoint = value
-            self._log.note("set", name, output="pressure", raw=value, si=1e3 * value)
+    # -- what the page says ---------------------------------------------------------------------------------------
+
+    def _carry_out(self, word: str, arguments: list[str], ignore: bool) -> str:
+        match word, arguments:
+            case "ID", []:
+                return f"ID {EMULATED}EX-2,{SERIAL},2.0"
+            case "P", []:
+                found = self._plant.quantities()
+                return f"P {found['pressure'] / 1e3:.2f} {found['supply'] / 1e3:.2f}"
+            case "S", [value] if not 0 <= float(value) <= HIGHEST:
+                return "E range"
+            case "S", [value]:
+                if not ignore:
+                    self.by_hand("outlet", float(value))
+                return f"S {float(value):.2f}"
+            case "S", []:
+                return f"S {self._set_point:.2f}"
+            case "V", [valve, on]:
+                if not ignore:
+                    self._switch(VALVES[valve], on={"0": False, "1": True}[on])
+                return f"V {valve} {on}"
+            case "V", [valve]:
+                return f"V {valve} {int(self._energised[VALVES[valve]])}"
+            case "D", []:
+                return f"D {int(self._plant.e_stop_high())}"
+            case "W", [seconds] if float(seconds) and not WATCH[0] <= float(seconds) <= WATCH[1]:
+                return "E range"
+            case "W", [seconds]:
+                if not ignore:
+                    self._watch = int(float(seconds) / WATCH[2] + 1e-6) * WATCH[2]
+                return f"W {self._watch:.2f}"
+            case "W", []:
+                return f"W {self._watch:.2f}"
+            case "H", []:
+                return f"H {self._watch:.2f} {monotonic() - self._on_since:.2f} {SERIAL}"
+        return "E unknown"
+
+    def by_hand(self, output: str, value: float) -> None:
+        """A set-point [kPa], or a valve energised (1) or not (0), whoever wants it."""
+        with self._lock:
+            if output != "outlet":
+                self._switch(f"{output}_valve", on=bool(value))
+                return
+            self._set_point = round(value, 2)
+            self._log.note("set", self._name, output="pressure", raw=value, si=1e3 * value)
             self._plant.command(1e3 * value)
-        if word == "V" and argument:
-            self._valve = argument == "1"
-            self._log.note("switch", name, valve="dump_valve", on=self._valve)
-            self._plant.switch(on=self._valve)
-        return {"S": f"S {self._setpoint:.2f}", "V": f"V {int(self._valve)}"}.get(word, "E unknown")
+
+    def _switch(self, valve: str, *, on: bool) -> None:
+        self._energised[valve] = on
+        self._log.note("switch", self._name, valve=valve, on=on)
+        if valve == "dump_valve":
+            self._plant.switch(on=on)
+        else:
+            self._plant.fail("supply_lost_at", over=on)
+
+    def _rest(self) -> None:
+        """As it is when it was switched on."""
+        self._set_point, self._energised = 0.0, dict.fromkeys(VALVES.values(), False)
+        self._plant.command(0.0)
+        for valve in VALVES.values():
+            self._switch(valve, on=False)
+
+    # -- the watch time -------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        while not self._ended.wait(LOOK):
+            if self._watch and monotonic() - self._heard > self._watch:
+                self.expire_watchdog()
+
+    def expire_watchdog(self) -> bool:
+        """Act as when the watch time is over; whether it was on."""
+        with self._lock:
+            if not self._watch:
+                return False
+            self._watch = 0.0
+            self._log.note("watchdog", self._name, silent=monotonic() - self._heard)
+            self._rest()
+            return True

@@ -146,6 +146,10 @@ class AsciiDevice:
         self._ended.set()
         self._terminal.close()
 
+    def by_hand(self, _output: str, value: float) -> None:
+        """A set-point [its own unit] from its keys."""
+        self.controller.command(value)
+
     def _serve(self) -> None:
         data = b""
         while not self._ended.is_set():

@@ -22,7 +22,6 @@ from pmabench.bench.interface import (
 from pmabench_drivers.emulator.faults import Faults
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
-from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
@@ -40,14 +39,6 @@ DRIVEN = {"displacement_command": ("displacement_set", "length")}
 BENT = {"angle": (ANGLE, "angle")}
 """What there is besides of an arm."""
 """Channel of a bench -> the mock's input and the quantity."""
-
-
-class _Mock(MockBench):
-    """The mock, with its simulation in reach for faults."""
-
-    def simulation(self) -> Simulation:
-        """The simulation, brought to the present."""
-        return self._simulation()
 
 
 class RealPlant:
@@ -85,7 +76,7 @@ class RealPlant:
             interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
         )
         self._clock = RealClock()
-        self._mock = _Mock(device, self._clock)
+        self._mock = MockBench(device, self._clock)
         self._lock = threading.Lock()
         self._mock.open()
         self._mock.start(RATE)
@@ -133,6 +124,11 @@ class RealPlant:
         """Energise the dump valve, or not."""
         with self._lock:
             self._mock.switch(DUMP_VALVE, on=on)
+
+    def dump_open(self) -> bool:
+        """Whether the dump valve empties the muscle."""
+        with self._lock:
+            return self._mock.simulation().dump_open
 
     def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
         """Where the actuator is sent [m of contraction]: at once, or at `speed` [m/s] from `origin`.

@@ -167,6 +167,19 @@ class MockClient:
     def _value(self, do: str, **fields: Any) -> Any:
         return self._ask(do, **fields)[0].get("value")
 
+    def control(self, do: str, **fields: Any) -> dict[str, Any]:
+        """What the plant's process answers to a question of the role `control`: the truth, whatever this link says."""
+        by = time.monotonic() + PATIENCE
+
+        def act() -> dict[str, Any]:
+            link, _ = self._connect("control", by)
+            try:
+                return link.ask(do, by, **fields)[0]
+            finally:
+                link.close()
+
+        return self._try(act)
+
     # -- stream ---------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:

@@ -72,12 +72,12 @@ class MockBench:
         """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
         if not 0 < rate < math.inf:
             raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
-        self._simulation().start(rate)
+        self.simulation().start(rate)
         return rate
 
     def collect(self) -> Block:
         """All samples due by now that were not collected yet."""
-        return self._simulation().collect()
+        return self.simulation().collect()
 
     def stop(self) -> None:
         """End sampling."""
@@ -92,7 +92,7 @@ class MockBench:
     def read_back(self, output: str) -> float:
         """The set-point held now [device units]."""
         record = self._output(output)
-        return float(record.scale.to_raw(self._simulation().setpoint(output)))
+        return float(record.scale.to_raw(self.simulation().setpoint(output)))
 
     def follow(self, output: str, segment: Segment) -> None:
         """Follow a ramp or a sine from its start on, or from now on if that has passed."""
@@ -107,31 +107,31 @@ class MockBench:
     def halt(self, output: str) -> None:
         """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
         self._output(output)
-        self._simulation().halt(output)
+        self.simulation().halt(output)
 
     def switch(self, output: str, *, on: bool) -> None:
         """Energise a valve or not."""
         self._valve(output)
-        self._simulation().switch(output, on=on)
+        self.simulation().switch(output, on=on)
 
     def is_on(self, output: str) -> bool:
         """Whether a valve is energised."""
         self._valve(output)
-        return self._simulation().is_on(output)
+        return self.simulation().is_on(output)
 
     def level(self, name: str) -> bool:
         """Whether the emergency stop's contact is closed, which holds the input high."""
         if name != E_STOP:
             raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, [E_STOP])}')
-        return self._simulation().e_stop_high()
+        return self.simulation().e_stop_high()
 
     def place(self, load: Load) -> None:
         """The free end carries `load` from now on; without effect where an actuator holds it."""
-        self._simulation().place(load)
+        self.simulation().place(load)
 
     def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
         try:
-            self._simulation().command(output, segment, record.scale)
+            self.simulation().command(output, segment, record.scale)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error), output) from error
 
@@ -152,8 +152,8 @@ class MockBench:
     def _now(self) -> float:
         return round(self._clock.now() * 1e9) / 1e9  # as `to_nanosecond`, which would import numpy
 
-    def _simulation(self) -> Simulation:
-        """The simulation, brought to the clock's time."""
+    def simulation(self) -> Simulation:
+        """The simulation, brought to the clock's time: the truth that what the driver says is compared with."""
         if self._opened is None:
             raise DeviceError(self._device.name, "is not open")
         now = self._now()

@@ -17,7 +17,6 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import Faults, Options, fault_name, read_options, sensor_error, split_service
-from pmabench_drivers.mock.simulation import Simulation
 
 EMPTY = 1e3
 """Gauge pressure under which the muscle counts as empty [Pa]."""
@@ -71,10 +70,6 @@ class _Bench(MockBench):
 
     def _check_link(self, now: float) -> None:
         pass
-
-    def simulation(self) -> Simulation:
-        """The simulation, brought to the moment."""
-        return self._simulation()
 
 
 class Served:
@@ -322,6 +317,9 @@ class Served:
             "pressure": simulation.pressure,
             "setpoints": {name: simulation.setpoint(name) for name in self._outputs},
             "energised": simulation.energised,
+            "quantities": simulation.quantities(),
+            "valves": {valve.output: simulation.is_on(valve.output) for valve in self.device.valves},
+            "dump_open": simulation.dump_open,
             "watchdog": self._watchdog,
             "bitten": self._bitten,
             "faults": {name: at for name, at in faults.items() if at is not None},

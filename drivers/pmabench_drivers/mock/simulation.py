@@ -184,6 +184,11 @@ class Simulation:
         """Whether the dump valve is commanded closed."""
         return self._valve.energised
 
+    @property
+    def dump_open(self) -> bool:
+        """Whether the dump valve empties the muscle."""
+        return self._valve.open
+
     def e_stop_high(self) -> bool:
         """Whether the emergency stop's contact is closed."""
         return not self._is_due(self.faults.e_stop_at)
@@ -345,14 +350,22 @@ class Simulation:
 
     def _one(self, number: int) -> None:
         time_ns = self._time_ns(number)
+        values = self.quantities(time_ns / 1e9)
+        noise = self._number(time_ns)
+        columns: dict[str, Column] = {c.record.name: [c.raw_one(values[c.record.input], noise)] for c in self._channels}
+        self._keep([time_ns], columns)
+
+    def quantities(self, time: float | None = None) -> dict[str, float]:
+        """What each input is exposed to [SI], without any sensor; the plant is brought to `time` [s] first."""
         plant = self._plant
+        time = plant.time if time is None else time
         if isinstance(plant, DrivenPlant):
-            motion = plant.advance(time_ns / 1e9, (time_ns / 1e9,))
+            motion = plant.advance(time, (time,))
             x, P, F = float(motion.x[0]), float(motion.P[0]), float(motion.F[0])
         else:
-            plant.advance(time_ns / 1e9)
+            plant.advance(time)
             x, P, F = plant.reading()
-        values = {
+        return {
             "pressure": P,
             "displacement": x,
             "force": F,
@@ -361,9 +374,6 @@ class Simulation:
             "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
             ANGLE: x / self._radius,
         }
-        noise = self._number(time_ns)
-        columns: dict[str, Column] = {c.record.name: [c.raw_one(values[c.record.input], noise)] for c in self._channels}
-        self._keep([time_ns], columns)
 
     def _number(self, time_ns: int) -> int:
         """Number of a sample counted from bench time 0: the noise belongs to the moment."""

@@ -235,7 +235,12 @@ class EmulatedBoard:
             return "range"
         if value and not self._armed:
             return "vented" if self._vented else "unarmed"
-        self._held[name] = value
+        self.by_hand(name, value)
+        return value
+
+    def by_hand(self, name: str, value: float) -> None:
+        """An output [count] or a valve (0, 1) as the board puts it out from now on, whoever wants it."""
+        self._held[name] = int(value)
         if name in self._outputs:
             output = self._outputs[name]
             si = float(output.scale.to_si(value))
@@ -245,7 +250,6 @@ class EmulatedBoard:
             valve = self._valves[name]
             self._log.note("switch", self._device.name, valve=valve.name, on=value != 0)
             self._plant.switch(on=(value != 0) == (valve.energised == "closed"))
-        return value
 
     # -- lines ----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,365 @@
+"""Checks of commands on a good wire: what arrives in the emulated device and its plant, and what calls return."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from pmabench.base.errors import DeviceError
+from pmabench.base.quantities import show
+from pmabench.bench.interface import OutputRecord, Rescue, ValveRecord
+from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.conformance.samples import RATE, Recording, record, tolerance
+from pmabench.conformance.truth import Truth
+from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
+from pmabench.guard.limits import to_device
+
+ARRIVES = 0.15
+"""So soon a command is in the device, without any other call [s]."""
+MOVES = 5.0
+"""So long an actuator may be on its way [s]."""
+EXACT = 2e-4
+"""How far the plant's set-point may be from what was commanded, of the output's range, besides its resolution."""
+NOWHERE = "no-such-output"
+
+
+def raw(output: OutputRecord, si: float) -> float:
+    """What the guard would send for a value [SI]."""
+    return to_device(output, min(max(si, output.low), output.high))
+
+
+def at(output: OutputRecord, share: float) -> float:
+    """A value this share of the way from the safe one to the highest [device units]."""
+    return raw(output, output.safe + share * (output.high - output.safe))
+
+
+def near(output: OutputRecord, held: Any, value: float) -> bool:
+    """Whether what is read back is what was written, as the guard looks at it."""
+    return isinstance(held, float | int) and abs(held - value) <= max(output.resolution, 1e-6 * abs(held), 1e-9)
+
+
+def times_sent(rig: Rig, output: OutputRecord, value: float, before: int) -> int:
+    """How often the emulator was sent `value` since there were `before` entries in `sent`."""
+    wanted, most = float(output.scale.to_si(value)), close_enough(output)
+    entries = [entry for entry in sent(rig)[before:] if entry.get("output", output.name) == output.name]
+    return sum(abs(entry["si"] - wanted) <= most for entry in entries)
+
+
+def sent(rig: Rig) -> list[dict[str, Any]]:
+    """The set-points and targets that the emulated device was sent."""
+    return [entry for kind in ("set", "move") for entry in rig.logged(kind)]
+
+
+# -- what the plant's side says ---------------------------------------------------------------------------------------
+
+
+def close_enough(output: OutputRecord) -> float:
+    """How far the plant's set-point may be from a command [SI]."""
+    return EXACT * (output.high - output.low) + abs(output.scale.slope) * output.resolution
+
+
+def commanded(truth: Truth, output: OutputRecord) -> float:
+    """The set-point that the plant's regulator or actuator has [SI]."""
+    found = truth.now().get(f"{output.name}_command")
+    if found is None:
+        raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
+    return float(found)
+
+
+def reaches(rig: Rig, truth: Truth, output: OutputRecord, value: float, within: float = ARRIVES) -> bool:
+    """Whether the plant's set-point becomes `value` [device units] in time; the driver is not called meanwhile."""
+    wanted, most = float(output.scale.to_si(value)), close_enough(output)
+    return _soon(rig, within, lambda: abs(commanded(truth, output) - wanted) <= most)
+
+
+def _soon(rig: Rig, within: float, holds: Callable[[], bool]) -> bool:
+    until = rig.bench_clock.now() + within
+    while not holds():
+        if rig.bench_clock.now() > until:
+            return False
+        rig.bench_clock.wait_until(rig.bench_clock.now() + 0.01)
+    return True
+
+
+def dump_of(valves: Sequence[ValveRecord]) -> ValveRecord | None:
+    """The dump valve among them."""
+    named = [valve for valve in valves if "dump" in valve.name] or (list(valves) if len(valves) == 1 else [])
+    return named[0] if named else None
+
+
+def refuse_position(
+    rig: Rig, truth: Truth, valve: ValveRecord, *, on: bool, after: str, by_itself: bool = False
+) -> None:
+    """Raise Failed where a valve's coil, or the dump valve itself, is not as it was commanded.
+
+    `by_itself`: the device has switched it, of which nothing was sent.
+    """
+    if not by_itself and not _soon(rig, ARRIVES, lambda: truth.coil(valve) is on):
+        state = {True: "energised", False: "not energised", None: "where it was: nothing arrived"}[truth.coil(valve)]
+        raise Failed(f"{valve.name}: after {after} the device has it {state}; is the valve inverted, or another one?")
+    is_open = on != (valve.energised == "closed")
+    if valve is dump_of(rig.record.valves) and truth.dump_open() is not is_open:
+        words = {True: "open", False: "closed"}
+        raise Failed(
+            f"{valve.name}: after {after} it is {words[not is_open]} in the plant; {words[is_open]} is expected"
+        )
+
+
+def _refuse_nowhere(rig: Rig, *names: tuple[str, Callable[[], Any]]) -> None:
+    for what, act in names:
+        given = rig.call(what, act).judged(CALLS_WITHIN)
+        if not isinstance(given, DeviceError):
+            raise Failed(f"{what} gave {given!r}; a DeviceError is expected, with the names that there are")
+
+
+# -- checks -----------------------------------------------------------------------------------------------------------
+
+
+def set_points(rig: Rig) -> str:
+    """A value is commanded once and at once, the plant gets it in SI, and it is read back as the device holds it."""
+    if not rig.record.outputs:
+        raise NotApplicable("the bench names no output of it")
+    truth = rig.truth()
+    with rig.opened() as device:
+        if rig.streams():
+            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        for output in rig.record.outputs:
+            moves = output.quantity == "length"
+            for share in (0.4, 0.07, 0.0) if moves else (0.93, 0.37, 0.013, 0.0):
+                _one_set_point(rig, truth, output, at(output, share), moves=moves)
+        _refuse_nowhere(
+            rig,
+            (f"write({NOWHERE})", partial(device.write, NOWHERE, 0.0)),
+            (f"read_back({NOWHERE})", partial(device.read_back, NOWHERE)),
+        )
+    return f"{len(rig.record.outputs)} outputs: the plant gets each value [SI], once; it is read back, others stay"
+
+
+def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *, moves: bool) -> None:
+    device, before = rig.device, len(sent(rig))
+    others = {o.name: commanded(truth, o) for o in rig.record.outputs if o is not output}
+    coils = {valve.name: truth.coil(valve) for valve in rig.record.valves}
+    si = show(float(output.scale.to_si(value)), output.quantity)
+    rig.call(f"write({value:g})", device.write, output.output, value).nothing(CALLS_WITHIN)
+    if moves:
+        began = truth.now()[f"{output.name}_command"]
+        _soon(rig, ARRIVES, lambda: abs(commanded(truth, output) - began) > close_enough(output))
+        until = rig.bench_clock.now() + MOVES
+        while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
+            rig.feed()
+    if not reaches(rig, truth, output, value):
+        got = show(commanded(truth, output), output.quantity)
+        raise Failed(
+            f"{output.name}: {si} ({value:g}) was written, and the plant has {got}; is it another unit, sign or "
+            "output, or did nothing leave?"
+        )
+    for other in rig.record.outputs:
+        if other.name in others and abs(commanded(truth, other) - others[other.name]) > close_enough(other):
+            raise Failed(f"writing {output.name} has changed {other.name}; are these outputs swapped?")
+    if coils != {valve.name: truth.coil(valve) for valve in rig.record.valves}:
+        raise Failed(f"writing {output.name} has switched a valve")
+    held = rig.call("read_back()", device.read_back, output.output).good(CALLS_WITHIN)
+    if isinstance(held, bool) or not near(output, held, value):
+        raise Failed(f"{output.name}: {value:g} was written and {held!r} is read back; the device holds {si}")
+    times = times_sent(rig, output, value, before)
+    if times > 1 or (sent(rig) and not times):
+        raise Failed(f"{output.name}: one write() sent the value {times} times; once is expected")
+    _shown(rig, truth, output)
+
+
+def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
+    """A channel that shows the command shows it."""
+    for channel in rig.record.channels if rig.streams() else ():
+        if channel.name != f"{output.name}_command":
+            continue
+        rig.pass_time(0.15)
+        rig.call("collect()", rig.device.collect).good(COLLECTS_WITHIN)
+        found = record(rig, 0.2, Recording(rig.record.channels)).si(channel)
+        real = commanded(truth, output)
+        if not found:
+            raise Late(f"no sample of {channel.name} came within 0.2 s")
+        if abs(found[-1] - real) > tolerance(channel):
+            seen = show(found[-1], channel.quantity)
+            raise Failed(f"{channel.name} shows {seen}, and {show(real, channel.quantity)} is commanded in the plant")
+
+
+def valves(rig: Rig) -> str:
+    """A valve is energised or not in the plant as it was commanded, others stay, and the device tells which."""
+    if not rig.record.valves:
+        raise NotApplicable("the bench names no valve of it")
+    truth = rig.truth()
+    with rig.opened() as device:
+        for valve in rig.record.valves:
+            for on in (True, False, True, False):
+                others = {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}
+                rig.call(f"switch(on={on})", device.switch, valve.output, on=on).nothing(CALLS_WITHIN)
+                refuse_position(rig, truth, valve, on=on, after=f"switch(on={on})")
+                if others != {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}:
+                    raise Failed(f"switching {valve.name} has switched another valve")
+                shown = rig.call("is_on()", device.is_on, valve.output).good(CALLS_WITHIN)
+                if shown is not on:
+                    raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
+        _refuse_nowhere(
+            rig,
+            (f"switch({NOWHERE})", partial(device.switch, NOWHERE, on=False)),
+            (f"is_on({NOWHERE})", partial(device.is_on, NOWHERE)),
+        )
+    dump = dump_of(rig.record.valves)
+    seen = f"; {dump.name} opens and closes in the plant" if dump else ""
+    return f"{len(rig.record.valves)} valves energised as commanded{seen}"
+
+
+def inputs(rig: Rig) -> str:
+    """A digital input is high or low as the emulated contact is now, also after it changed."""
+    if not rig.record.interlocks:
+        raise NotApplicable("the bench names no interlock of it")
+    truth, fixed = rig.truth(), [lock.name for lock in rig.record.interlocks if "stop" not in lock.name]
+    with rig.opened() as device:
+        for pressed in (False, True, False):
+            truth.e_stop(pressed=pressed)
+            rig.pass_time(0.1)
+            for lock in rig.record.interlocks:
+                level = rig.call("level()", device.level, lock.input).good(CALLS_WITHIN)
+                if not isinstance(level, bool):
+                    raise Failed(f"level() of {lock.name} gave {level!r}; True or False is expected")
+                safe = not pressed or lock.name in fixed
+                if level != ((lock.safe == "high") == safe):
+                    raise Failed(
+                        f"level() of {lock.name} gave {level}; the emulated contact is {'safe' if safe else 'unsafe'}, "
+                        f"and {lock.safe} is safe"
+                    )
+        _refuse_nowhere(rig, (f"level({NOWHERE})", partial(device.level, NOWHERE)))
+    if fixed:
+        raise NotChecked(f"{', '.join(fixed)} at rest only: the emulator cannot change it")
+    return f"{len(rig.record.interlocks)} inputs, at rest, with the emergency stop pressed, and released"
+
+
+def from_outside(rig: Rig) -> str:
+    """What changes without the driver is read back as it is, or refused: nothing is answered from memory."""
+    if not rig.record.outputs and not rig.record.valves:
+        raise NotApplicable("it commands nothing")
+    truth, unchecked = rig.truth(), []
+    why = getattr(rig.driver(), "cannot_read_back", "")
+    for way in ("by hand", "after a restart") if rig.emulator is not None else ("by hand",):
+        for output in rig.record.outputs:
+            with rig.opened() as device:
+                rig.call("write()", device.write, output.output, at(output, 0.4)).good(CALLS_WITHIN)
+                reaches(rig, truth, output, at(output, 0.4), MOVES if output.quantity == "length" else ARRIVES)
+                if why or not _changes(rig, truth, way, output.output, at(output, 0.2)):
+                    unchecked.append(f"{output.name} {way} ({why or 'the emulator has no such change'})")
+                    continue
+                held = rig.call("read_back()", device.read_back, output.output).judged(CALLS_WITHIN)
+                if not isinstance(held, DeviceError) and not _is_held(truth, output, held):
+                    real = show(commanded(truth, output), output.quantity)
+                    raise Failed(
+                        f"{output.name} was changed to {real} ({way}), and read_back() gives {held!r}: it answers from "
+                        "memory; ask the device at each call"
+                    )
+        for valve in rig.record.valves:
+            with rig.opened() as device:
+                rig.call("switch(on=True)", device.switch, valve.output, on=True).good(CALLS_WITHIN)
+                if not _changes(rig, truth, way, valve.output, 0.0):
+                    unchecked.append(f"{valve.name} {way} (the emulator has no such change)")
+                    continue
+                shown = rig.call("is_on()", device.is_on, valve.output).judged(CALLS_WITHIN)
+                if not isinstance(shown, DeviceError) and shown is not bool(truth.coil(valve)):
+                    raise Failed(
+                        f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: it answers from memory; "
+                        "ask the device at each call"
+                    )
+    if unchecked:
+        raise NotChecked(f"{', '.join(unchecked)}; the others are read back as they are")
+    return "set-points and valves changed at the device itself, and by a restart, are read back as they are"
+
+
+def _changes(rig: Rig, truth: Truth, way: str, output: str, value: float) -> bool:
+    done = rig.restart() if way == "after a restart" else truth.by_hand(output, value)
+    rig.bench_clock.wait_until(rig.bench_clock.now() + 0.1)
+    return done
+
+
+def _is_held(truth: Truth, output: OutputRecord, held: Any) -> bool:
+    if isinstance(held, bool) or not isinstance(held, float | int):
+        return False
+    return abs(float(output.scale.to_si(held)) - commanded(truth, output)) <= close_enough(output)
+
+
+# -- the safe state ---------------------------------------------------------------------------------------------------
+
+
+def lift(rig: Rig, truth: Truth | None = None) -> None:
+    """Leave the safe state: valves on, outputs up."""
+    for valve in rig.record.valves:
+        rig.call("switch(on=True)", rig.device.switch, valve.output, on=True).nothing(CALLS_WITHIN)
+    for output in rig.record.outputs:
+        rig.call("write()", rig.device.write, output.output, at(output, 0.3)).nothing(CALLS_WITHIN)
+        if truth is not None and output.quantity == "pressure" and not reaches(rig, truth, output, at(output, 0.3)):
+            raise Failed(f"{output.name} was written, and did not arrive in the plant: see the check of set-points")
+
+
+def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False) -> None:
+    """Raise Failed where an output is not at its safe value in the plant, or a valve is energised.
+
+    `by_itself`: the device has vented; a drive then only stops.
+    """
+    for output in rig.record.outputs:
+        is_length = output.quantity == "length"
+        if is_length and by_itself:
+            continue
+        if not reaches(rig, truth, output, raw(output, output.safe), MOVES if is_length else ARRIVES):
+            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
+    for valve in rig.record.valves:
+        refuse_position(rig, truth, valve, on=False, after=after, by_itself=by_itself)
+
+
+def safe_state(rig: Rig) -> str:
+    """The commands of a safe state are quick, may be repeated, and leave the plant safe."""
+    if not rig.record.outputs and not rig.record.valves:
+        raise NotApplicable("it commands nothing")
+    truth, slowest = rig.truth(), 0.0
+    with rig.opened() as device:
+        lift(rig, truth)
+        for _ in range(3):
+            for output in rig.record.outputs:
+                done = rig.call("write(safe)", device.write, output.output, raw(output, output.safe))
+                done.nothing(CALLS_WITHIN)
+                slowest = max(slowest, done.seconds)
+            for valve in rig.record.valves:
+                done = rig.call("switch(safe)", device.switch, valve.output, on=False)
+                done.nothing(CALLS_WITHIN)
+                slowest = max(slowest, done.seconds)
+        refuse_unsafe(rig, truth, "the commands of the safe state, sent three times")
+    return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
+
+
+def second_way(rig: Rig) -> str:
+    """`rescue` reaches every output and valve in the plant while the usual call hangs."""
+    if not rig.record.outputs or not issubclass(rig.driver(), Rescue):
+        raise NotApplicable("it has no second way to its outputs")
+    truth, slowest = rig.truth(), 0.0
+    with rig.opened() as device:
+        lift(rig, truth)
+        first = threading.Lock()
+        first.acquire()
+        threading.Thread(target=lambda: rig.call("a call that hangs", first.acquire), daemon=True).start()
+        safe = [(o.output, raw(o, o.safe)) for o in rig.record.outputs] + [(v.output, 0.0) for v in rig.record.valves]
+        try:
+            tried = [(o.output, at(o, 0.2)) for o in rig.record.outputs if o.quantity == "pressure"]
+            for name, value in (*tried, *safe):
+                began = time.monotonic()
+                if (given := device.rescue(name, value)) is not None:
+                    raise Failed(f"rescue({name}) returned {given!r}; by the interface it returns None")
+                slowest = max(slowest, time.monotonic() - began)
+                for out in rig.record.outputs if (name, value) in tried else ():
+                    if out.output == name and not reaches(rig, truth, out, value):
+                        got = show(commanded(truth, out), out.quantity)
+                        raise Failed(f"{out.name}: after rescue() with {value:g} the plant has {got}")
+        finally:
+            first.release()
+        if slowest > CALLS_WITHIN + 0.3:
+            raise Failed(f"rescue() took {slowest:.2f} s; at most {CALLS_WITHIN:g} s is allowed")
+        refuse_unsafe(rig, truth, "rescue() with the safe values")
+    return f"took {1e3 * slowest:.0f} ms from another thread, while the device's own thread hung; safe in the plant"

@@ -1,0 +1,39 @@
+"""Every fault of the table is found by the check that names it: in the example driver, and in every shipped one.
+
+The whole suite tries one in `SHARE` (conftest.py); `pytest tests/conformance/test_mutants.py` and `make reliability
+PART=mutants` try all.
+"""
+
+import pytest
+
+from pmabench.conformance import FAILED, run
+from tests.conformance.faults import MUTANTS
+from tests.conformance.mutants import EXAMPLE, cases, mutated, shipped
+
+ENOUGH = 90
+"""Kinds of faults of the example driver, so that none gets lost unnoticed."""
+
+
+def result(name, driver):
+    """What the check that must find it says of a driver with the fault."""
+    [found] = run(mutated(name, driver), hostile=60, only=[MUTANTS[name].found_by])
+    return found
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(("name", "driver"), list(cases([EXAMPLE])))
+def test_in_the_example_driver_it_is_found_and_named(name, driver):
+    found = result(name, driver)
+    assert (found.verdict, MUTANTS[name].says in found.why) == (FAILED, True), found.why
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(("name", "driver"), list(cases(shipped())))
+def test_in_a_shipped_driver_it_is_found(name, driver):
+    found = result(name, driver)
+    assert found.verdict == FAILED, found.why
+
+
+def test_the_table_is_whole():
+    assert len(list(cases([EXAMPLE]))) >= ENOUGH
+    assert len({driver for _, driver in cases(shipped())}) == len(shipped())
