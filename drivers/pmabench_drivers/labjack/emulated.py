@@ -139,7 +139,7 @@ class T7:
         if self._model.captures:
             self._store(r.CAPTURE, [0] * self._inputs)
         self._store(r.FIRMWARE_VERSION, r.f32(1.0331))
-        self._store(r.SERIAL_NUMBER, r.u32(0))
+        self._store(r.SERIAL_NUMBER, r.u32(r.EMULATED if self._plant.proven else r.UNPROVEN))
 
     def _store(self, address: int, words: list[int]) -> None:
         for offset, word in enumerate(words):
