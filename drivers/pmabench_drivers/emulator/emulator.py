@@ -9,6 +9,7 @@ from typing import Any, Protocol, cast
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.wiring import Truth
 from pmabench_drivers.emulator.control import Control
 from pmabench_drivers.emulator.faults import Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
@@ -62,7 +63,7 @@ class Emulator:
         self,
         devices: Iterable[DeviceRecord],
         *,
-        truth: Mapping[str, Any] | None = None,
+        truth: Truth | None = None,
         wrong: Iterable[str] = (),
         plant: str | Mapping[str, Any] = "paper0",
         preset: str = "bench",

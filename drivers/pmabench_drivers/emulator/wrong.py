@@ -13,7 +13,8 @@ from itertools import combinations
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import Scale
-from pmabench_drivers.emulator.truth import Wired, moved
+from pmabench.bench.wiring import Wired
+from pmabench_drivers.emulator.truth import moved
 
 KINDS = {
     "scale": "the reading (or what is done) is so many times the right one; 2",
