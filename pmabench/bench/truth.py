@@ -128,13 +128,10 @@ class _Device:
 
     def _line(self, raw: list[float], value: list[float], at: Location) -> Scale:
         try:
-            scale = fit_line(raw, value)
-            if not scale.slope:
-                raise ValueError("the second point must lie elsewhere than the first on both sides")
+            return fit_line(raw, value)
         except ValueError as error:
             self.fault(at, str(error))
             return Scale()
-        return scale
 
     def _options(self) -> dict[str, Any]:
         """The options, with the content of a register map or DBC file that lies next to this file in its place."""

@@ -100,9 +100,11 @@ class Emulator:
             raise UsageError(f"cannot serve: {error.strerror or error}") from None
         for item in self.devices.values():
             item.start()
+        self.plant.keep_up()
 
     def close(self) -> None:
         """End everything; what was linked is unlinked."""
+        self.plant.close()
         for device in self.devices.values():
             device.close()
         if hasattr(self, "control"):

@@ -31,6 +31,8 @@ RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
 KEPT = 2.0
 """How long samples are kept for devices that sample at moments of their own [s]."""
+TURN = 0.5
+"""How often it is brought to the present while nobody looks [s]."""
 CHANNELS = {
     "pressure": ("pressure", "pressure"),
     "displacement": ("displacement", "length"),
@@ -46,18 +48,28 @@ BENT = {"angle": (ANGLE, "angle")}
 
 
 class _Mock(MockBench):
-    """The mock, with its simulation in reach for faults."""
+    """The mock, with its simulation in reach for faults; after a long rest it takes only the last samples."""
 
     def simulation(self) -> Simulation:
         """The simulation, brought to the present."""
         return self._simulation()
+
+    def rest(self) -> None:
+        """Bring the plant to where samples are kept from, in case nobody has looked at it for long."""
+        if self._opened is not None:
+            self._opened.skip(self._now() - KEPT)
+
+    def _simulation(self) -> Simulation:
+        self.rest()
+        return super()._simulation()
 
 
 class RealPlant:
     """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised.
 
     `plant` is a preset's name, or what a plant file says, as a compiled bench has it (`pmabench.bench.plant`).
-    `driven`: an actuator holds the free end, and there are no loads.
+    `driven`: an actuator holds the free end, and there are no loads. Nobody has to look at it: it comes to the present
+    when somebody does, and only the last `KEPT` seconds are then sampled.
     """
 
     def __init__(
@@ -68,6 +80,7 @@ class RealPlant:
         dump_valve: bool = True,
         driven: bool = False,
         seed: int = 1,
+        clock: RealClock | None = None,
     ) -> None:
         inputs = CHANNELS | (DRIVEN if driven else {}) | (BENT if plant == ARM else {})
         drive = OutputRecord("displacement", "length", "plant", "displacement", Scale(), 0.0, 0.0, -0.01, 0.09)
@@ -87,9 +100,9 @@ class RealPlant:
             valves=(ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
             interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
         )
-        self._clock = RealClock()
+        self._clock = clock or RealClock()
         self._mock = _Mock(device, self._clock)
-        self._lock = threading.Lock()
+        self._lock, self._ended = threading.Lock(), threading.Event()
         self._mock.open()
         self._mock.start(RATE)
         self._sent = 0.0
@@ -100,6 +113,19 @@ class RealPlant:
         """Whether the scales of the device that looks at it are known apart from the bench under test."""
         self.faults = Faults()
         """Those of the device that looks at it."""
+
+    def keep_up(self) -> None:
+        """Bring it to the present every now and then, also while nobody looks, until `close`."""
+        threading.Thread(target=self._keep_up, name="emulated plant", daemon=True).start()
+
+    def close(self) -> None:
+        """Keep up no more."""
+        self._ended.set()
+
+    def _keep_up(self) -> None:
+        while not self._ended.wait(TURN):
+            with self._lock:
+                self._mock.rest()
 
     def seen(self, errors: Errors | None = None, *, proven: bool = True) -> RealPlant:
         """The same plant as one more device sees it; `proven`: its scales do not come from the bench under test."""

@@ -51,7 +51,8 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    return EmulatedT7(device, options, plant, log, options.port, options.stream_port)
+    stream_port = options.stream_port if options.model.streams else 0
+    return EmulatedT7(device, options, plant, log, options.port, stream_port)
 
 
 class _Faults(Faults):
