@@ -83,7 +83,7 @@ def labjack_t8(at):
 def ni(at):
     """ai2 by the messages of NI's gRPC server, range 10 V; 5 mV/N and 0.25 V without load."""
     import grpc
-    from nidaqmx._stubs import nidaqmx_pb2, session_pb2
+    from nidaqmx._stubs import nidaqmx_pb2
 
     with grpc.insecure_channel(at["daq"]) as channel:
 
@@ -97,7 +97,7 @@ def ni(at):
             return ask(request, timeout=5)
 
         call("CreateTask", session_name="raw")
-        task = session_pb2.Session(name="raw")
+        task = {"name": "raw"}
         call(
             "CreateAIVoltageChan",
             task=task,

@@ -1,5 +1,7 @@
 """Each shipped rig shows its plant by the data sheets: to a client of the test's own, and to the project's drivers."""
 
+import time
+
 import pytest
 
 from pmabench.base.errors import DeviceError
@@ -73,6 +75,7 @@ def test_what_is_commanded_is_done_by_the_data_sheet_whatever_the_bench_believes
             if isinstance(device, Watchdog):
                 device.arm_watchdog(record.watchdog)
             device.write(output.output, round(float(output.scale.to_raw(3e5)), 3))
+            time.sleep(0.05)  # the plant is sampled every millisecond
             done = emulator.plant.quantities()["pressure_command"]
             if isinstance(device, Watchdog):
                 device.disarm_watchdog()
