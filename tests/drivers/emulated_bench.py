@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 from pmabench.files.shipped import shipped_folder
 from tests.realtime import free_port
@@ -40,12 +39,9 @@ def own_bench(tmp_path, name, *changes, session=False):
 def emulate(path, *options):
     """`pmabench emulate` as a process: the process, and what it says of itself.
 
-    A shipped bench, or a changed copy of it, is built from the truth of that rig. It stands for hardware, which waits for nobody: it has a session of its own (of which Linux gives each its share of
+    It stands for hardware, which waits for nobody: it has a session of its own (of which Linux gives each its share of
     the processors) and where that is allowed it goes first.
     """
-    path = Path(path)
-    truth = shipped_folder("truth") / path.name
-    options = [*options, *(("--truth", str(truth)) if truth.is_file() and "--truth" not in options else ())]
     command = [sys.executable, "-m", "pmabench", "emulate", str(path), "--json", "-q", *options]
     pipe = subprocess.PIPE
     process = subprocess.Popen(

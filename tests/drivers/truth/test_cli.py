@@ -68,7 +68,7 @@ def force(path, process):
 @pytest.mark.realtime
 def test_a_truth_file_shows_a_wrong_scale_and_a_bench_that_is_its_own_truth_hides_it_and_says_so(tmp_path):
     path = believes_kg(tmp_path)
-    with emulate(path, "--preset", "ideal") as (process, said):
+    with emulate(path, "--preset", "ideal", "--truth", "wires") as (process, said):
         assert said["truth"].endswith("wires.yaml")
         shown = force(path, process)
         assert "scales not proven" not in probed(path)
