@@ -49,6 +49,7 @@ FOLDERS = {
     "campaign": "fixtures/campaigns",
     "cascade": "fixtures/cascades",
     "plant": "fixtures/plants",
+    "truth": "fixtures/truths",
     "registers": "fixtures/benches/registers",
 }
 

@@ -36,6 +36,7 @@ from pmabench.bench.records import (
 __all__ = [
     "COMPUTER",
     "EMULATED",
+    "UNPROVEN",
     "Block",
     "CalibrationRecord",
     "ChannelRecord",
@@ -69,6 +70,8 @@ COMPUTER = "computer"
 """`Identity.clock` of a device that has none, whose driver stamps its samples."""
 EMULATED = "emulated "
 """How the model begins that an emulator tells over its wire: what it records is never taken for a real muscle."""
+UNPROVEN = f"{EMULATED}unproven "
+"""How it begins where the emulator took its wiring and scales from the bench file, so that an error cancels out."""
 
 
 @dataclass(frozen=True)

@@ -195,8 +195,12 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
 
 
 def _standing(identity: dict[str, Any]) -> str:
-    """Whether a device is simulated, or what its driver was verified on."""
-    return "SIMULATED" if identity["simulated"] else f"verified: {identity['doubt'] or identity['verified']}"
+    """Whether a device is simulated, and its scales not proven by that, or what its driver was verified on."""
+    from pmabench.bench.interface import UNPROVEN
+
+    if identity["simulated"]:
+        return "SIMULATED, scales not proven" if identity["model"].startswith(UNPROVEN) else "SIMULATED"
+    return f"verified: {identity['doubt'] or identity['verified']}"
 
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
@@ -207,6 +211,7 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
     from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
     from pmabench.files.shipped import find_file
     from pmabench.session.self_test import run_self_test
+    from pmabench.store.folder import read_manifest
 
     mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
     there = sys.stdin.isatty()
@@ -222,14 +227,18 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
             progress=progress,
         )
     checks = tables[0] if tables else ()
+    unproven = read_manifest(outcome.folder).get("scales_not_proven", []) if outcome.folder is not None else []
     data = {
         "schema": "pmabench.self-test/1",
         "checks": [asdict(check) for check in checks],
         "outcome": outcome_json(outcome),
+        "scales_not_proven": unproven,
     }
 
     def human() -> None:
         print_checks(ui, checks)
+        if unproven:
+            ui.note(f"scales not proven: the emulator of {', '.join(unproven)} takes them from this bench file")
         print_outcome(outcome)
 
     ui.result(data, human)

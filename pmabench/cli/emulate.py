@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ PRESETS = (
     *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)),
     "arm-30",
 )
+NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file itself, so its errors cancel out"
 
 
 @click.command(name="emulate")
@@ -36,6 +38,12 @@ PRESETS = (
 @click.option(
     "--faults", type=click.Path(dir_okay=False, path_type=Path), help="YAML file of what goes wrong, and when."
 )
+@click.option("--truth", help="What is really wired, and by which scales: a shipped rig's name, or a truth file.")
+@click.option(
+    "--wrong",
+    multiple=True,
+    help="What differs from that, as scale:force=0.5, sign:displacement, swap:pressure=force, offset:force=120 N.",
+)
 @click.option("--expose", is_flag=True, help="Serve also at addresses that other machines can reach.")
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
@@ -48,6 +56,8 @@ def command(
     log: Path | None,
     faults: Path | None,
     control: int,
+    truth: str | None,
+    wrong: tuple[str, ...],
     *,
     expose: bool,
 ) -> int | None:
@@ -57,6 +67,9 @@ def command(
     serial ports as links to pseudo-terminals. What is typed here happens: "load 6 kg" (all that hangs on the free
     end), "fault DEVICE delay 300 ms count 5", "fault DEVICE clear", "plant burst for 2 s"; "after 5 s" behind a line
     lets it happen then.
+
+    A shipped bench is emulated from its truth file, which says from data sheets what is wired and by which scales. For
+    another bench without --truth that is taken from the bench file itself: then its scales are not proven.
     """
     import signal
     import threading
@@ -65,35 +78,51 @@ def command(
     from pmabench.base.errors import RecordError, UsageError
     from pmabench.base.system import ENGINE, real_time
     from pmabench.bench.compile import mount_alone
+    from pmabench.bench.truth import read_truth, truth_of
     from pmabench.cli.emulated_faults import Faults, Schedule
     from pmabench.files.shipped import find_file
 
     real_time(ENGINE)  # a device does not wait for other programs
-    mounted = mount_alone(find_file("bench", bench))
+    path = find_file("bench", bench)
+    mounted = mount_alone(path)
+    real = truth_of(path) if truth is None else find_file("truth", truth)
     found = entry_points(group="pmabench.emulators")
     if not found:
         raise UsageError("no emulator is installed")
     muscle = _muscle(plant, mounted.bench.outputs)
     served: Any = next(iter(found)).load()(
-        mounted.bench.devices, plant=muscle, preset=preset, seed=seed, log=log, control=control, expose=expose
+        mounted.bench.devices,
+        truth=None if real is None else read_truth(real),
+        wrong=[_in_si(text) for text in wrong],
+        plant=muscle,
+        preset=preset,
+        seed=seed,
+        log=log,
+        control=control,
+        expose=expose,
     )
     ended = threading.Event()
     try:
-        wrong = Faults(served, mounted.bench.gravity, mounted.bench.carriage)
-        planned = [] if faults is None else wrong.of_file(faults)
+        happenings = Faults(served, mounted.bench.gravity, mounted.bench.carriage)
+        planned = [] if faults is None else happenings.of_file(faults)
         signal.signal(signal.SIGTERM, lambda *_: ended.set())
         ui.result(
             {
                 "schema": "pmabench.emulate/1",
                 "devices": {name: device.address for name, device in served.devices.items()},
                 "control": served.control.address,
+                "truth": None if real is None else str(real),
+                "wrong": served.wrong,
             },
             lambda: click.echo("\n".join([*served.lines(), f"control: {served.control.address}"])),
         )
+        ui.note(f"wiring and scales from {real}" if real is not None else NOT_PROVEN)
+        for sentence in served.wrong:
+            ui.note(f"wrong on purpose: {sentence}")
         ui.note("serving until Ctrl-C")
         schedule = Schedule(served.act, ui.note)
         schedule.add(planned)
-        threading.Thread(target=_typed, args=(ui, wrong, schedule), daemon=True).start()
+        threading.Thread(target=_typed, args=(ui, happenings, schedule), daemon=True).start()
         ended.wait()
     except KeyboardInterrupt:
         pass
@@ -102,6 +131,20 @@ def command(
     if served.log.problem:
         raise RecordError(served.log.problem)
     return None
+
+
+def _in_si(text: str) -> str:
+    """What is wrong on purpose, its value without a unit, in SI."""
+    from pmabench.base.errors import UsageError
+    from pmabench.files.quantity import parse_quantity
+
+    head, equals, value = text.partition("=")
+    if not head.startswith("offset:") or not equals or value.lstrip("+-").replace(".", "").isdigit():
+        return text
+    for quantity in ("length", "pressure", "force", "angle"):
+        with suppress(ValueError):
+            return f"{head}={parse_quantity(value, quantity)!r}"
+    raise UsageError(f'--wrong {text}: a length, pressure, force or angle is expected, as "12 mm", not "{value}"')
 
 
 def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:
@@ -119,7 +162,7 @@ def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:
     return {**plant.numbers, "file": name}
 
 
-def _typed(ui: Ui, wrong: Faults, schedule: Schedule) -> None:
+def _typed(ui: Ui, happenings: Faults, schedule: Schedule) -> None:
     """Carry out the lines that are typed."""
     import sys
 
@@ -127,6 +170,6 @@ def _typed(ui: Ui, wrong: Faults, schedule: Schedule) -> None:
         if not line.strip():
             continue
         try:
-            schedule.add(wrong.of_line(line))
+            schedule.add(happenings.of_line(line))
         except ValueError as error:
             ui.note(str(error))

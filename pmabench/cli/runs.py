@@ -120,6 +120,10 @@ def show_run(ui: Ui, run: Path) -> int | None:
         for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
             if manifest.get(name):
                 click.echo(printable(f"  {name:12} {manifest[name]}"))
+        if unproven := manifest.get("scales_not_proven"):
+            click.echo(
+                printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}")
+            )
         rows = sum(len(t.t) for t in data.trials)
         states = Counter(t.status for t in data.trials if not t.again)
         finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")

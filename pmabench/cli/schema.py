@@ -11,7 +11,19 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
 
-KINDS = ("protocol", "bench", "specimen", "calibration", "campaign", "cascade", "map", "faults", "registers", "plant")
+KINDS = (
+    "protocol",
+    "bench",
+    "specimen",
+    "calibration",
+    "campaign",
+    "cascade",
+    "map",
+    "faults",
+    "registers",
+    "plant",
+    "truth",
+)
 
 
 @click.command(name="schema")
@@ -73,6 +85,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
     from pmabench.bench.files.faults import FaultsFile
     from pmabench.bench.files.plant import AnyPlant
+    from pmabench.bench.files.truth import TruthFile
     from pmabench.protocol.campaign import CampaignFile
     from pmabench.protocol.cascade import CascadeFile
     from pmabench.protocol.compile import KINDS as PROTOCOLS
@@ -97,5 +110,6 @@ def _of_models(kind: str) -> dict[str, Any]:
         "cascade": CascadeFile,
         "map": MapFile,
         "faults": FaultsFile,
+        "truth": TruthFile,
     }
     return models[kind].model_json_schema()

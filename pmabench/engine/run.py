@@ -26,7 +26,7 @@ from pmabench.engine.own import OwnDevices
 from pmabench.engine.proof import prove
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
 from pmabench.engine.signals import Signals
-from pmabench.engine.untried import agree, as_data
+from pmabench.engine.untried import agree, as_data, not_proven
 from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
@@ -136,6 +136,8 @@ def run_plan(
             told["drivers"] = as_data(bench)
             if bench.realtime:
                 told["priority"] = why or "real time"
+            if unproven := not_proven(identities):
+                told["scales_not_proven"] = unproven
             told |= {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
             if continues is not None:
                 told["continues"] = dict(continues.manifest)

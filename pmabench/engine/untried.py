@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from pmabench.base.errors import PmaError
-from pmabench.bench.interface import CompiledBench, DeviceRecord, Identity
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.executor import Executor
 from pmabench.guard.station import Station
@@ -39,6 +39,11 @@ def doubt(device: DeviceRecord, identity: Identity) -> str:
     if device.verified_firmware and device.verified_firmware != identity.firmware:
         return f"is {device.verified}, and firmware {identity.firmware or 'unknown'} answers"
     return ""
+
+
+def not_proven(identities: Mapping[str, Identity]) -> list[str]:
+    """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
+    return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
 
 
 def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:

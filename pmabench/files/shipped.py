@@ -10,6 +10,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 SHIPPED = {
     "protocol": "protocols",
     "bench": "fixtures/benches",
+    "truth": "fixtures/truths",
     "specimen": "fixtures/specimens",
     "campaign": "fixtures/campaigns",
     "map": "fixtures/maps",

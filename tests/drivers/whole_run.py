@@ -102,6 +102,7 @@ class WholeRun:
     def __init__(self, tmp_path, bench, *changes, preset="ideal", session=False):
         self.folder, self.out, self.preset = tmp_path, tmp_path / "runs", preset
         self.path = own_bench(tmp_path, bench, *changes, session=session)
+        self.changed = bool(changes)
         self.control = ""
         self.process = None
         self._began = 0.0
@@ -110,7 +111,8 @@ class WholeRun:
         self._stack = ExitStack()
 
     def __enter__(self):
-        _process, said = self._stack.enter_context(emulate(self.path, "--preset", self.preset))
+        truth = () if self.changed else ("--truth", self.path.stem)
+        _process, said = self._stack.enter_context(emulate(self.path, "--preset", self.preset, *truth))
         self.control = said["control"]
         return self
 

@@ -10,7 +10,7 @@ import struct
 import threading
 from collections.abc import Mapping
 
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.alicat.options import ASCII, UNITS, Options, read_options
 from pmabench_drivers.emulator.faults import (
     IGNORE,
@@ -61,6 +61,7 @@ class Controller:
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self.device, self.options, self._plant, self._log = device, options, plant, log
+        self.model = plant.model(device.name)
         self.set_point = 0.0
         self.source = "S"
         self.valves = ""
@@ -211,13 +212,13 @@ class AsciiDevice:
         return " ".join([self._letter, *numbers, *sorted(status)])
 
     def _about(self) -> list[str]:
-        name = self.controller.device.name
+        model = self.controller.model
         return [
             "M00 EMULATOR OF PMABENCH",
             "M01 -",
             "M02 -",
             "M03 -",
-            f"M04 Model Number {EMULATED}{name}",
+            f"M04 Model Number {model}",
             "M05 Serial Number 1",
             "M06 Date Manufactured -",
             "M07 Date Calibrated   -",
@@ -282,7 +283,7 @@ class ModbusCells:
     def _cells(self) -> Mapping[int, int]:
         pressure, status = self.controller.measured(self.faults.peek().kind)
         flags = sum(1 << BITS[code] for code in status)
-        text = f"{EMULATED}{self.device.name}".encode("ascii", "replace")[:32].ljust(32, b"\0")
+        text = self.controller.model.encode("ascii", "replace")[:32].ljust(32, b"\0")
         blocks = {
             999: struct.pack(">HH", *self._command),
             1009: struct.pack(">f", self.controller.set_point),

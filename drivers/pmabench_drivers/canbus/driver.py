@@ -9,7 +9,16 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench.bench.interface import (
+    COMPUTER,
+    EMULATED,
+    UNPROVEN,
+    Block,
+    DeviceRecord,
+    Identity,
+    OutputRecord,
+    Segment,
+)
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, open_adapter
@@ -131,15 +140,17 @@ class CanBus:
     def _identity(self) -> Identity:
         nodes = list(self._nodes.values())
         models = [node.model for node in nodes]
+        unproven = any(model.startswith(UNPROVEN) for model in models)
+        begins = UNPROVEN if unproven else EMULATED
         if nodes:
             simulated = any(model.startswith(EMULATED) for model in models)
         else:
             simulated = self._opened().serial == EMULATED_ADAPTER
             models = ["CAN adapter"]
-        told = ", ".join(model.removeprefix(EMULATED) for model in models)
+        told = ", ".join(model.removeprefix(begins) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
         return Identity(
-            "CAN", f"{EMULATED if simulated else ''}{told}", serial, firmware, simulated=simulated, clock=COMPUTER
+            "CAN", f"{begins if simulated else ''}{told}", serial, firmware, simulated=simulated, clock=COMPUTER
         )
 
     def _refuse_narrow_limits(self, deadline: float) -> None:

@@ -7,7 +7,7 @@ from time import monotonic
 from typing import Any
 
 from pmabench.base.errors import UsageError
-from pmabench.bench.interface import EMULATED, ChannelRecord, DeviceRecord, OutputRecord, Scale
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import transducer as t
 from pmabench_drivers.canbus.dbc import Message
@@ -90,12 +90,12 @@ class EmulatedBus:
             shown = {"output": output.name} if output is not None else {}
             self._log.note(kind, self._device.name, node=name, **shown, **data)
 
-        model = f"{EMULATED}CiA 402 drive"
+        model = self._plant.model("CiA 402 drive")
         return EmulatedDrive(number, model, self._hub.send, self._plant, scale, stroke, note)
 
     def _gauge(self, name: str, number: int) -> EmulatedNode:
         channel = next((c for c in self._device.channels if c.input == f"{name}.position"), None)
-        node = EmulatedNode(number, 406, f"{EMULATED}CiA 406 transducer", self._hub.send)
+        node = EmulatedNode(number, 406, self._plant.model("CiA 406 transducer"), self._hub.send)
 
         def position() -> int:
             if channel is None:

@@ -8,7 +8,7 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.dataq.options import read_options, scan_inputs
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, Lost, Scans, divisors, packet, volts
 from pmabench_drivers.options import Place, Reader
@@ -185,7 +185,8 @@ class Dataq(SerialStream):
     def _identity(self) -> Identity:
         maker, model = self._ask("info 0"), self._ask("info 1")
         expected = self._options.model.name
-        if maker != "DATAQ" or model.removeprefix(EMULATED).removeprefix("DI-") != expected.removeprefix("DI-"):
+        shown = model.removeprefix(UNPROVEN).removeprefix(EMULATED).removeprefix("DI-")
+        if maker != "DATAQ" or shown != expected.removeprefix("DI-"):
             raise DeviceError(self._device.name, f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
         firmware, serial, dividend = self._ask("info 2"), self._ask("info 6"), self._ask("info 9")
         if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:

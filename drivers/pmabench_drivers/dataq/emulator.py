@@ -6,7 +6,7 @@ import random
 import struct
 from time import monotonic
 
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.dataq.options import Options, read_options
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, counts
 from pmabench_drivers.emulator.faults import NOISE, OVER, Fault
@@ -58,7 +58,7 @@ class Daq(Streaming):
         if word == "stop":
             self.streaming = False
         elif word == "info" and len(numbers) == 1:
-            told = {0: "DATAQ", 1: f"{EMULATED}{self._options.model.name.removeprefix('DI-')}", 2: "65", 6: "1"}
+            told = {0: "DATAQ", 1: self._plant.model(self._options.model.name.removeprefix("DI-")), 2: "65", 6: "1"}
             return {**told, 9: str(DIVIDEND)}.get(numbers[0], "")
         elif word == "slist" and len(numbers) == 2 and numbers[0] <= (len(self._list) if numbers[0] else 0):
             self._list = [*self._list[: numbers[0]], numbers[1]]

@@ -9,11 +9,14 @@ from typing import Any, Protocol, cast
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.wiring import Truth
 from pmabench_drivers.emulator.control import Control
 from pmabench_drivers.emulator.faults import EVENTS, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
+from pmabench_drivers.emulator.truth import wired
+from pmabench_drivers.emulator.wrong import Errors, apply
 from pmabench_drivers.mock.options import ARM
 
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
@@ -48,12 +51,20 @@ class Served(Protocol):
 
 
 class Emulator:
-    """The devices whose drivers have an emulator, at the addresses that the bench gives them."""
+    """The devices whose drivers have an emulator, at the addresses that the bench gives them.
+
+    `truth` says what is really wired to them and by which scales, as `pmabench.bench.truth.read_truth` gives it: only
+    addresses are then taken from the bench. Without it everything is derived from the bench, and no scale is `proven`.
+    `wrong` lists what differs from either, as "scale:force=0.5" or "swap:pressure=force", values in SI
+    (`pmabench_drivers.emulator.wrong`).
+    """
 
     def __init__(
         self,
         devices: Iterable[DeviceRecord],
         *,
+        truth: Truth | None = None,
+        wrong: Iterable[str] = (),
         plant: str | Mapping[str, Any] = "paper0",
         preset: str = "bench",
         seed: int = 1,
@@ -61,7 +72,10 @@ class Emulator:
         control: int = 0,
         expose: bool = False,
     ) -> None:
-        served = [device for device in devices if server_of(device.driver)]
+        self.proven = truth is not None
+        rig = [item for item in wired(devices, truth) if server_of(item.record.driver)]
+        rig, errors, self.wrong = apply(rig, wrong)
+        served = [item.record for item in rig]
         if not served:
             raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
         if not expose:
@@ -76,8 +90,8 @@ class Emulator:
         self.log = CommandLog(log)
         self.devices: dict[str, Served] = {}
         try:
-            for device in served:
-                self.devices[device.name] = self._serve(device)
+            for device, error in zip(served, errors, strict=True):
+                self.devices[device.name] = self._serve(device, error)
             self.control = Control(self.act, control)
         except (OSError, UsageError) as error:
             self.close()
@@ -86,9 +100,11 @@ class Emulator:
             raise UsageError(f"cannot serve: {error.strerror or error}") from None
         for item in self.devices.values():
             item.start()
+        self.plant.keep_up()
 
     def close(self) -> None:
         """End everything; what was linked is unlinked."""
+        self.plant.close()
         for device in self.devices.values():
             device.close()
         if hasattr(self, "control"):
@@ -99,8 +115,8 @@ class Emulator:
         """What is served where, a line each."""
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
-    def _serve(self, device: DeviceRecord) -> Served:
-        seen = self.plant.seen()
+    def _serve(self, device: DeviceRecord, errors: Errors) -> Served:
+        seen = self.plant.seen(errors, proven=self.proven)
         served = cast(Served, import_module(server_of(device.driver)).serve(device, seen, self.log))
         seen.faults = served.faults
         return served

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, DeviceClock, Faults, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
@@ -55,7 +55,7 @@ class Indicator:
             asked = (asked + received)[-100:]
             if identity and identity in asked:
                 asked = asked.split(identity, 1)[1]
-                self._write(f"{EMULATED}{self._device.name}".encode() + self._options.terminator)
+                self._write(self._plant.model(self._device.name).encode() + self._options.terminator)
             while poll in asked:
                 asked = asked.split(poll, 1)[1]
                 if not self._send():

@@ -10,6 +10,8 @@ from typing import Any
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import (
+    EMULATED,
+    UNPROVEN,
     ChannelRecord,
     DeviceRecord,
     InterlockRecord,
@@ -20,13 +22,17 @@ from pmabench.bench.interface import (
     ValveRecord,
 )
 from pmabench_drivers.emulator.faults import Faults
+from pmabench_drivers.emulator.wrong import Errors
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
+from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
 KEPT = 2.0
 """How long samples are kept for devices that sample at moments of their own [s]."""
+TURN = 0.5
+"""How often it is brought to the present while nobody looks [s]."""
 CHANNELS = {
     "pressure": ("pressure", "pressure"),
     "displacement": ("displacement", "length"),
@@ -41,11 +47,26 @@ BENT = {"angle": (ANGLE, "angle")}
 """Channel of a bench -> the mock's input and the quantity."""
 
 
+class _Mock(MockBench):
+    """The mock; after a long rest it takes only the last samples."""
+
+    def rest(self) -> None:
+        """Bring the plant to where samples are kept from, in case nobody has looked at it for long."""
+        if self._opened is not None:
+            self._opened.skip(self._now() - KEPT)
+
+    def simulation(self) -> Simulation:
+        """The simulation, brought to the present."""
+        self.rest()
+        return super().simulation()
+
+
 class RealPlant:
     """Muscle, regulator, load and, where `dump_valve`, a valve that empties the muscle unless it is energised.
 
     `plant` is a preset's name, or what a plant file says, as a compiled bench has it (`pmabench.bench.plant`).
-    `driven`: an actuator holds the free end, and there are no loads.
+    `driven`: an actuator holds the free end, and there are no loads. Nobody has to look at it: it comes to the present
+    when somebody does, and only the last `KEPT` seconds are then sampled.
     """
 
     def __init__(
@@ -56,6 +77,7 @@ class RealPlant:
         dump_valve: bool = True,
         driven: bool = False,
         seed: int = 1,
+        clock: RealClock | None = None,
     ) -> None:
         inputs = CHANNELS | (DRIVEN if driven else {}) | (BENT if plant == ARM else {})
         drive = OutputRecord("displacement", "length", "plant", "displacement", Scale(), 0.0, 0.0, -0.01, 0.09)
@@ -75,21 +97,40 @@ class RealPlant:
             valves=(ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
             interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
         )
-        self._clock = RealClock()
-        self._mock = MockBench(device, self._clock)
-        self._lock = threading.Lock()
+        self._clock = clock or RealClock()
+        self._mock = _Mock(device, self._clock)
+        self._lock, self._ended = threading.Lock(), threading.Event()
         self._mock.open()
         self._mock.start(RATE)
         self._sent = 0.0
         self._times: deque[int] = deque([0], maxlen=round(KEPT * RATE))
         self._samples: deque[tuple[float, ...]] = deque([(0.0,) * len(inputs)], maxlen=round(KEPT * RATE))
         self._names = tuple(inputs)
+        self.proven = True
+        """Whether the scales of the device that looks at it are known apart from the bench under test."""
         self.faults = Faults()
         """Those of the device that looks at it."""
 
-    def seen(self) -> RealPlant:
-        """The same plant as one more device sees it."""
-        return _Seen(self)
+    def keep_up(self) -> None:
+        """Bring it to the present every now and then, also while nobody looks, until `close`."""
+        threading.Thread(target=self._keep_up, name="emulated plant", daemon=True).start()
+
+    def close(self) -> None:
+        """Keep up no more."""
+        self._ended.set()
+
+    def _keep_up(self) -> None:
+        while not self._ended.wait(TURN):
+            with self._lock:
+                self._mock.rest()
+
+    def seen(self, errors: Errors | None = None, *, proven: bool = True) -> RealPlant:
+        """The same plant as one more device sees it; `proven`: its scales do not come from the bench under test."""
+        return _Seen(self, errors or Errors(), proven=proven)
+
+    def model(self, name: str) -> str:
+        """How an emulated device in front of it calls itself over its wire."""
+        return f"{EMULATED if self.proven else UNPROVEN}{name}"
 
     def quantities(self) -> dict[str, float]:
         """What each channel of a bench measures now [SI], noise included."""
@@ -168,11 +209,12 @@ class RealPlant:
 
 
 class _Seen(RealPlant):
-    """What one device sees of a plant: under its fault `stuck`, no change."""
+    """What one device sees of a plant and does to it: under its fault `stuck`, no change; with its errors of wiring."""
 
-    def __init__(self, plant: RealPlant) -> None:
+    def __init__(self, plant: RealPlant, errors: Errors, *, proven: bool) -> None:
         self.__dict__.update(plant.__dict__)
-        self._plant, self._stuck = plant, dict[str, float]()
+        self._plant, self._errors, self._stuck = plant, errors, dict[str, float]()
+        self.proven = proven
 
     def quantities(self) -> dict[str, float]:
         """As the plant says, unless the device is stuck."""
@@ -182,7 +224,29 @@ class _Seen(RealPlant):
         """As the plant says, unless the device is stuck."""
         return self._shown(self._plant.at(moment))
 
+    def command(self, pressure: float) -> None:
+        """The regulator's set-point [Pa]."""
+        self._plant.command(self._done("pressure", pressure))
+
+    def drive(self, position: float, speed: float = 0.0, origin: float | None = None) -> None:
+        """Where the actuator is sent [m of contraction]: at once, or at `speed` [m/s] from `origin`."""
+        slope = abs(self._errors.done["displacement"].slope) if "displacement" in self._errors.done else 1.0
+        begin = None if origin is None else self._done("displacement", origin)
+        self._plant.drive(self._done("displacement", position), speed * slope, begin)
+
+    def stop_drive(self) -> float:
+        """Stop the actuator where it is; the place [m of contraction]."""
+        place, error = self._plant.stop_drive(), self._errors.done.get("displacement")
+        return place if error is None else float(error.to_raw(place))
+
+    def _done(self, what: str, value: float) -> float:
+        error = self._errors.done.get(what)
+        return value if error is None else float(error.to_si(value))
+
     def _shown(self, found: dict[str, float]) -> dict[str, float]:
+        for what, error in self._errors.shown.items():
+            if what in found:
+                found[what] = float(error.to_si(found[what]))
         if self.faults.peek().kind != "stuck":
             self._stuck = {}
             return found

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterable
 from time import monotonic
 
-from pmabench.bench.interface import EMULATED, ChannelRecord, DeviceRecord
+from pmabench.bench.interface import ChannelRecord, DeviceRecord
 from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
@@ -110,7 +110,7 @@ class Registers:
 
     def _identity(self, register: Register) -> list[int]:
         if register.type == "text":
-            text = f"{EMULATED}{self.device.name}".encode("ascii", "replace")[: 2 * register.length]
+            text = self._plant.model(self.device.name).encode("ascii", "replace")[: 2 * register.length]
             text = text.ljust(2 * register.length, b"\0")
             return [int.from_bytes(text[i : i + 2], "big") for i in range(0, len(text), 2)]
         return encode(register, 1.0 if register.expect is None else register.expect)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from math import log10
 from time import monotonic
 
-from pmabench.bench.interface import EMULATED, DeviceRecord, Scale
+from pmabench.bench.interface import DeviceRecord, Scale
 from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
@@ -22,8 +22,8 @@ from pmabench_drivers.festo_cpx_e.named import NamedDevice
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.options import Reader
 
-NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", f"{EMULATED}CMMT-AS", "")
-"""Objects 0 to 5 of the device identification."""
+NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", "{}", "")
+"""Objects 0 to 5 of the device identification; the model takes its place in them."""
 FACTORY = 1000
 """Time-out until it is set [ms]; 0: none."""
 WARMING = 0.02
@@ -51,6 +51,7 @@ class EmulatedDrive:
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._plant, self._log = device, plant, log
+        self.names = [name.format(plant.model("CMMT-AS")) for name in NAMES]
         self._lock = threading.Lock()
         scales = [output.scale for output in device.outputs] + [channel.scale for channel in device.channels]
         self._scale = scales[0] if scales else Scale(1e-6)
@@ -263,5 +264,5 @@ class CmmtDevice(NamedDevice):
     """A drive at its address."""
 
     def __init__(self, drive: EmulatedDrive, log: CommandLog, port: int) -> None:
-        super().__init__(drive, NAMES, drive.hear, log, port)
+        super().__init__(drive, drive.names, drive.hear, log, port)
         self.drive = drive

@@ -11,7 +11,7 @@ import socket
 import threading
 from time import monotonic
 
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import WATCH
@@ -40,8 +40,8 @@ CYCLE = 0.003
 """What is written shows in the modules' inputs and in the data system table so much later [s]."""
 FACTORY = 100
 """Time-out from the factory on [ms]."""
-NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", f"{EMULATED}CPX-E", "")
-"""Objects 0 to 5 of the device identification."""
+NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", "{}", "")
+"""Objects 0 to 5 of the device identification; the model takes its place in them."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
@@ -59,6 +59,7 @@ class EmulatedTerminal:
 
     def __init__(self, device: DeviceRecord, terminal: Terminal, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._terminal, self._plant, self._log = device, terminal, plant, log
+        self.names = [name.format(plant.model("CPX-E")) for name in NAMES]
         self._lock = threading.Lock()
         self._outputs = {output.output: output for output in device.outputs}
         self._valves = {valve.output: valve for valve in device.valves}
@@ -221,7 +222,7 @@ class CpxDevice(NamedDevice):
     """A terminal at its address; hangs up when its time-out ends."""
 
     def __init__(self, terminal: EmulatedTerminal, log: CommandLog, port: int) -> None:
-        super().__init__(terminal, NAMES, terminal.hear, log, port)
+        super().__init__(terminal, terminal.names, terminal.hear, log, port)
         self.terminal = terminal
 
     def _watch(self) -> None:

@@ -8,7 +8,7 @@ from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
 from pmabench_drivers.ild1420.options import read_options
 from pmabench_drivers.ild1420.wire import Decoder, distance, misset
@@ -154,7 +154,7 @@ class Ild1420(SerialStream):
 
     def _identity(self, told: dict[str, str]) -> Identity:
         name, expected = told.get("Name", ""), self._options.span
-        if not name.removeprefix(EMULATED).startswith("ILD1420"):
+        if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
             raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", told.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from time import monotonic
 
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
@@ -48,9 +48,9 @@ class Sensor(Streaming):
 
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":
-            span = self._options.span
+            span, name = self._options.span, self._plant.model("ILD1420")
             return (
-                f"\r\nName: {EMULATED}ILD1420-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm\r\n"
+                f"\r\nName: {name}-{span}\r\nSerial: 1\r\nOption: 000\r\nMeasuring range: {span}.00mm\r\n"
                 "Version: 001.000"
             )
         if word == "OUTPUT" and value in {"NONE", "RS422"}:

@@ -17,7 +17,7 @@ from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
 from pmabench_drivers.labjack.options import Options, read_options
@@ -101,8 +101,8 @@ class LabJack(ModbusDevice):
         if self._t7.model.streams:
             gains_ = self._read_gains(deadline)
             self._tables = {gain: gains_[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
-        model = name if serial else f"{EMULATED}{name}"
-        return Identity("LabJack", model, str(serial), f"{firmware:.4f}", simulated=not serial)
+        begins = {r.EMULATED: EMULATED, r.UNPROVEN: UNPROVEN}.get(serial, "")
+        return Identity("LabJack", f"{begins}{name}", str(serial), f"{firmware:.4f}", simulated=bool(begins))
 
     def close(self) -> None:
         """End stream and stepping and let go of the connections."""

@@ -55,7 +55,8 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7
     reader = Reader()
     options = read_options(device, reader)
     reader.refuse(device.name)
-    return EmulatedT7(device, options, plant, log, options.port, options.stream_port)
+    stream_port = options.stream_port if options.model.streams else 0
+    return EmulatedT7(device, options, plant, log, options.port, stream_port)
 
 
 class _Faults(Faults):
@@ -143,7 +144,7 @@ class T7:
         if self._model.captures:
             self._store(r.CAPTURE, [0] * self._inputs)
         self._store(r.FIRMWARE_VERSION, r.f32(1.0331))
-        self._store(r.SERIAL_NUMBER, r.u32(0))
+        self._store(r.SERIAL_NUMBER, r.u32(r.EMULATED if self._plant.proven else r.UNPROVEN))
         self._store(r.RESET_CAUSE, r.u32(POWER_ON))
         self._store(r.RTC_TIME, r.u32(0))
 

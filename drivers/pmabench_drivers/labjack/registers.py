@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 
 TEST, TEST_VALUE = 55100, 0x00112233
 PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
+EMULATED, UNPROVEN = 0, 1
+"""Serial numbers of emulated devices: with a truth of their own about wiring and scales, and without."""
 LAST_ERR_DETAIL = 55000
 RESET_CAUSE, RTC_TIME = 60014, 61500
 """Why it restarted last, as bits; its clock [s], from power-on or of the day."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pmabench.base.errors import UsageError
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, RESTART, SETPOINT, STUCK, Fault, Faults, damaged
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
@@ -166,7 +166,7 @@ class EmulatedServer:
     def text(self, request: Any) -> Answer:
         """An attribute of the device that is a text."""
         self._refuse_other(request.device_name)
-        known = {0x0631: f"{EMULATED}USB-6215"}
+        known = {0x0631: self.board.model}
         known |= {key: self._list(names) for key, names in {0x231E: AI, 0x231F: AO, 0x2320: DI, 0x2322: DO}.items()}
         return _found(known, request)
 

@@ -66,6 +66,7 @@ class Board:
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._plant, self._log = device, plant, log
+        self.model = plant.model("USB-6215")
         self.lock = threading.RLock()
         self.tasks: dict[str, Task] = {}
         self._channels: dict[str, ChannelRecord] = {channel.input: channel for channel in device.channels}

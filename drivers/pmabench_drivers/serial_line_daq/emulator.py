@@ -10,7 +10,7 @@ import threading
 from time import monotonic
 
 from pmabench.base.errors import UsageError
-from pmabench.bench.interface import EMULATED, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import (
     EXPIRY,
     LINK,
@@ -193,7 +193,7 @@ class EmulatedBoard:
     def _answer(self, letter: str, values: list[int]) -> int | str | tuple[object, ...]:
         match letter, values:
             case "I", []:
-                model = f"{EMULATED}{self._device.name}"
+                model = self._plant.model(self._device.name)
                 return (PROTOCOL, VERSION, model, "1", INPUTS, DIGITAL, OUTPUTS, VALVES, FULL_SCALE, SHORTEST)
             case "D", []:
                 return self._state()

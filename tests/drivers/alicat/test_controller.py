@@ -80,7 +80,7 @@ def test_it_says_who_it_is_and_that_it_is_an_emulator(tmp_path, protocol):
         identity = device.open()
         device.close()
         assert identity.maker == "Alicat"
-        assert identity.model == "emulated controller"
+        assert identity.model == "emulated unproven controller"
         assert identity.simulated
         assert emulator.log.of("set") == emulator.log.of("valves") == []
 

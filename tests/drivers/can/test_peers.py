@@ -172,7 +172,7 @@ def test_the_canopen_library_drives_the_emulated_drive():
         try:
             node = network.add_node(BaseNode402(5, dictionary()))
             node.sdo.RESPONSE_TIMEOUT = 2.0
-            assert node.sdo[0x1008].raw.startswith("emulated CiA 402 drive")
+            assert node.sdo[0x1008].raw.startswith("emulated unproven CiA 402 drive")
             assert node.sdo[0x1000].raw & 0xFFFF == 402
             node.nmt.state = "OPERATIONAL"
             node.sdo[0x1017].raw = 50

@@ -40,7 +40,7 @@ def test_it_says_who_it_is_and_only_measures(bench):
     assert isinstance(driver, Stream)
     assert not isinstance(driver, SetPoint)
     identity = driver.open()
-    assert (identity.maker, identity.model) == ("DATAQ", "emulated 2108")
+    assert (identity.maker, identity.model) == ("DATAQ", "emulated unproven 2108")
     assert identity.simulated
 
 
@@ -175,7 +175,7 @@ def test_what_does_not_answer_or_is_another_model_is_not_opened(tmp_path):
     def swap(device):
         device._options = device._options.__class__()
 
-    assert refused(other, swap) == 'daq: is "DATAQ emulated 2108", and the bench file says DI-4108'
+    assert refused(other, swap) == 'daq: is "DATAQ emulated unproven 2108", and the bench file says DI-4108'
 
 
 def test_one_port_one_program_and_a_port_that_is_not_there(bench, tmp_path):

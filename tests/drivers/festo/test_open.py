@@ -4,7 +4,7 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED
+from pmabench.bench.interface import UNPROVEN
 from tests.drivers.festo.rigs import served, terminal
 from tests.drivers.wires.rigs import timed
 
@@ -17,7 +17,7 @@ FORMAT_AI, RANGE_AI, RANGE_AO = 5026, 5033, 5095
 def test_it_tells_who_answers_and_that_it_is_emulated():
     with served() as rig:
         who = rig.device.open()
-    assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{EMULATED}CPX-E", "1")
+    assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{UNPROVEN}CPX-E", "1")
     assert who.simulated
 
 
@@ -28,7 +28,7 @@ def test_another_stack_reads_the_same():
         client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
         try:
             names = client.read_device_information(read_code=2, object_id=0).information
-            assert names[4] == b"emulated CPX-E"
+            assert names[4] == b"emulated unproven CPX-E"
             words = client.read_holding_registers(45367, count=3).registers
             assert sum(word.bit_count() for word in words) == 5
             assert client.read_holding_registers(46100, count=1).registers == [100]

@@ -7,7 +7,7 @@ from pmabench_drivers.festo_cmmt import FestoCmmt
 from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import EMULATED, Scale
+from pmabench.bench.interface import UNPROVEN, Scale
 from tests.drivers.festo_cmmt.rigs import drive, served
 from tests.drivers.whole_run import until
 from tests.drivers.wires.rigs import timed
@@ -57,7 +57,7 @@ def test_names_and_units_that_a_drive_does_not_have():
 def test_it_tells_who_answers_and_that_it_is_emulated():
     with served() as rig:
         who = rig.device.open()
-    assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{EMULATED}CMMT-AS", "1")
+    assert (who.maker, who.model, who.firmware) == ("emulator of pmabench", f"{UNPROVEN}CMMT-AS", "1")
     assert who.simulated
 
 
@@ -123,7 +123,9 @@ def test_another_stack_reads_and_moves_the_same():
             return client.read_holding_registers(100, count=28).registers
 
         try:
-            assert client.read_device_information(read_code=2, object_id=0).information[4] == b"emulated CMMT-AS"
+            assert (
+                client.read_device_information(read_code=2, object_id=0).information[4] == b"emulated unproven CMMT-AS"
+            )
             for address, value in ((500, 3490), (501, 0), (502, 1), (503, 1)):
                 assert not client.write_register(address, value).isError()
             assert client.read_holding_registers(503, count=1).registers == [0x10]

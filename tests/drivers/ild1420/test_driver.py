@@ -56,7 +56,7 @@ def test_it_says_who_it_is_and_only_measures(bench, tmp_path):
     assert not isinstance(driver, SetPoint)
     driver.close()
     identity = driver.open()
-    assert identity.model == "emulated ILD1420-100"
+    assert identity.model == "emulated unproven ILD1420-100"
     assert identity.simulated
 
 

@@ -59,7 +59,7 @@ def test_inputs_outputs_and_ranges_are_those_of_the_model():
 def test_it_measures_what_it_commands(model):
     with rig(asked(model)) as (emulator, _served, device):
         identity = device._identify_model(time.monotonic() + 1)
-        assert (identity.model, identity.simulated) == (f"emulated {model}", True)
+        assert (identity.model, identity.simulated) == (f"emulated unproven {model}", True)
         assert device.start(50.0) == 50.0
         assert device.start(500.0) == 100.0
         device.switch("FIO0", on=True)

@@ -18,6 +18,7 @@ from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import (
     EMULATED,
+    UNPROVEN,
     Device,
     Follower,
     Inputs,
@@ -73,12 +74,12 @@ def test_it_has_its_capabilities_and_says_who_it_is(bench):
     assert not isinstance(device, Watchdog)
     identity = device.open()
     assert (identity.maker, identity.firmware, identity.simulated) == ("NI", "NI-DAQmx 24.5.0", True)
-    assert identity.model == f"{EMULATED}USB-6215"
+    assert identity.model == f"{UNPROVEN}USB-6215"
 
 
 def test_a_device_that_ni_simulates_is_simulated_and_another_is_not(bench, monkeypatch):
-    _emulator, _served, device = bench
-    monkeypatch.setattr("pmabench_drivers.ni_daq.emulated.EMULATED", "")
+    _emulator, served, device = bench
+    monkeypatch.setattr(served.board, "model", "USB-6215")
     assert (device.open().model, device.open().simulated) == ("USB-6215", False)
     monkeypatch.setattr(nidaqmx.system.device.Device, "is_simulated", True)
     assert (device.open().model, device.open().simulated) == (f"{EMULATED}USB-6215", True)
@@ -404,7 +405,7 @@ def test_with_nis_driver_on_this_computer_everything_goes_through_it(bench, monk
             nidaqmx.utils, "_select_interpreter", lambda _o=None: select(nidaqmx.GrpcSessionOptions(wire, ""))
         )
         device = NiDaq(daq(server=""), RealClock())
-        assert device.open().model == f"{EMULATED}USB-6215"
+        assert device.open().model == f"{UNPROVEN}USB-6215"
         device.switch("port1/line0", on=True)
         device.write("ao0", 1.0)
         start(device, 200.0)

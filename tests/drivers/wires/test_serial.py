@@ -214,7 +214,7 @@ def test_a_port_that_is_not_there(tmp_path):
 def test_who_it_is_can_be_asked(tmp_path):
     with emulated(cell(tmp_path / "cell", ask_identity="ID\r")) as (_, [record]):
         device = SerialIndicator(record, RealClock())
-        assert device.open().model == "emulated cell"
+        assert device.open().model == "emulated unproven cell"
         device.close()
 
 

@@ -1,0 +1,178 @@
+"""Truth files to plain numbers for an emulator: wiring and scales that do not come from the bench file under test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.quantities import CHANNEL_QUANTITY
+from pmabench.bench.calibration import fit_line
+from pmabench.bench.driver_options import DBC, LONGEST, MAP
+from pmabench.bench.files.truth import ActuatorFile, DeviceTruth, Line, TruthFile
+from pmabench.bench.interface import (
+    ChannelRecord,
+    DeviceRecord,
+    InterlockRecord,
+    OutputRecord,
+    Scale,
+    ValveRecord,
+)
+from pmabench.bench.registry import driver_class
+from pmabench.bench.wiring import Plug, Truth, Wired
+from pmabench.files.document import Document, Location, read_document, validate
+from pmabench.files.quantity import unit_factor
+from pmabench.files.shipped import shipped_folder
+
+ENDLESS = 1e9
+NOWHERE = "127.0.0.1:0"
+OF_THE_BENCH = ("address", "watchdog")
+"""Places of a device record that a truth file does not have."""
+
+
+def truth_of(bench: Path) -> Path | None:
+    """The truth file of a shipped bench; None for any other file."""
+    found = shipped_folder("truth") / bench.name
+    shipped = bench.resolve().parent == shipped_folder("bench").resolve()
+    return found if shipped and found.is_file() else None
+
+
+def read_truth(path: Path) -> Truth:
+    """The rig in a file; raises `InvalidFile` with every problem."""
+    document = read_document(path)
+    file = validate(TruthFile, document)
+    problems: list[Problem] = []
+    devices = {}
+    for name, said in file.devices.items():
+        device = _Device(document, name, said, path.parent)
+        devices[name] = device.wired()
+        problems += device.problems or _refused_by_driver(device, devices[name].record)
+    if problems:
+        raise InvalidFile(problems)
+    return Truth(str(path), devices)
+
+
+class _Device:
+    """One device of the file, with every problem found."""
+
+    def __init__(self, document: Document, name: str, file: DeviceTruth, folder: Path) -> None:
+        self.document, self.name, self.file, self._folder = document, name, file, folder
+        self.at: Location = ("devices", name)
+        self.problems: list[Problem] = []
+
+    def fault(self, location: Location, message: str) -> None:
+        """A problem at a value of this device."""
+        self.problems.append(self.document.problem((*self.at, *location), message))
+
+    def wired(self) -> Wired:
+        """The device at an address that is to be replaced."""
+        file, name, driver = self.file, self.name, ""
+        try:
+            driver = driver_class(file.driver)
+        except ValueError as error:
+            self.fault(("driver",), str(error))
+        channels, outputs = [], []
+        inputs, driven = {}, {}
+        for terminal, sensor in file.inputs.items():
+            what, at = sensor.measures, ("inputs", terminal)
+            inputs[terminal], unit = self._plug(at, "sensor", what, sensor.sensor, sensor.device)
+            kind, scale = "int32" if unit == "count" else "float64", inputs[terminal].scale
+            quantity = CHANNEL_QUANTITY[what]
+            channels.append(ChannelRecord(what, quantity, name, terminal, kind, unit, scale, -ENDLESS, ENDLESS))
+        for terminal, actuator in file.outputs.items():
+            what, at = actuator.drives, ("outputs", terminal)
+            driven[terminal], unit = self._plug(at, "actuator", what, actuator.actuator, actuator.device)
+            quantity = CHANNEL_QUANTITY[what]
+            ends = [self._si(end, quantity, (*at, "range", i)) for i, end in enumerate(actuator.range or ())]
+            low, high = min(ends, default=0.0), max(ends, default=0.0)
+            step, scale = self._step(actuator, unit, at), driven[terminal].scale
+            outputs.append(OutputRecord(what, quantity, name, terminal, scale, step, 0.0, low, high, rate=ENDLESS))
+        valves = tuple(ValveRecord(valve.valve, name, at, valve.energised) for at, valve in file.valves.items())
+        locks = tuple(InterlockRecord(item.contact, name, at, item.released) for at, item in file.contacts.items())
+        record = DeviceRecord(name, driver, NOWHERE, self._options(), tuple(channels), tuple(outputs), valves, locks)
+        return Wired(record, inputs, driven)
+
+    def _step(self, actuator: ActuatorFile, unit: str, at: Location) -> float:
+        step, given = actuator.step or (0.0, unit)
+        if given != unit or step < 0:
+            self.fault((*at, "step"), f"a step in {unit} is expected")
+        return step
+
+    def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[Plug, str]:
+        """The plug, and the unit of what the device itself gives or takes."""
+        quantity = CHANNEL_QUANTITY[what]
+        unit = self._one_unit(signal, 0, (*at, key))
+        ends = [self._si(point[1], quantity, (*at, key, i, 1)) for i, point in enumerate(signal)]
+        sensor = self._line([point[0][0] for point in signal], ends, (*at, key))
+        if device is None:
+            return Plug(sensor, unit=unit, low=ends[0]), unit
+        if self._one_unit(device, 1, (*at, "device")) != unit:
+            self.fault((*at, "device", 0, 1), f"what the device makes of its digits is in {unit}, as the {key} is")
+        digits = self._line([p[0][0] for p in device], [p[1][0] for p in device], (*at, "device"))
+        return Plug(sensor, digits, unit, ends[0]), self._one_unit(device, 0, (*at, "device"))
+
+    def _one_unit(self, line: Line, side: int, at: Location) -> str:
+        first, second = line[0][side][1], line[1][side][1]
+        if first != second:
+            self.fault((*at, 1, side), f"both in one unit, here {first}")
+        return first
+
+    def _si(self, reading: tuple[float, str], quantity: str, at: Location) -> float:
+        try:
+            return reading[0] * unit_factor(reading[1], quantity)
+        except ValueError as error:
+            self.fault(at, str(error))
+            return 0.0
+
+    def _line(self, raw: list[float], value: list[float], at: Location) -> Scale:
+        try:
+            return fit_line(raw, value)
+        except ValueError as error:
+            self.fault(at, str(error))
+            return Scale()
+
+    def _options(self) -> dict[str, Any]:
+        """The options, with the content of a register map or DBC file that lies next to this file in its place."""
+        options = dict(self.file.options)
+        for key, suffix in ((MAP, ".yaml"), (DBC, ".dbc")):
+            name = options.get(key)
+            if not isinstance(name, str):
+                continue
+            if Path(name).is_absolute() or ".." in Path(name).parts or Path(name).suffix != suffix:
+                self.fault(("options", key), f'a {suffix} file next to this one is expected, not "{name}"')
+                continue
+            try:
+                path = self._folder / name
+                options[key] = read_document(path).data if key == MAP else _text(path)
+            except InvalidFile as error:
+                self.problems += error.problems
+            except (OSError, ValueError) as error:
+                self.fault(("options", key), f"cannot read {name}: {getattr(error, 'strerror', '') or error}")
+        return options
+
+
+def _text(path: Path) -> str:
+    data = path.read_bytes()
+    if len(data) > LONGEST:
+        raise ValueError(f"longer than {LONGEST} bytes")
+    return data.decode("latin-1")
+
+
+def _refused_by_driver(device: _Device, record: DeviceRecord) -> Iterator[Problem]:
+    """What the driver finds wrong with the options and the names of terminals."""
+    module, _, name = record.driver.partition(":")
+    try:
+        check = getattr(getattr(import_module(module), name), "check", None)
+    except (ImportError, AttributeError) as error:
+        yield device.document.problem((*device.at, "driver"), f"the driver cannot be loaded: {error}")
+        return
+    terminals = {("channels", item.name): ("inputs", item.input) for item in record.channels}
+    terminals |= {("outputs", item.name): ("outputs", item.output) for item in record.outputs}
+    terminals |= {("outputs", item.name): ("valves", item.output) for item in record.valves}
+    terminals |= {("interlocks", item.name): ("contacts", item.input) for item in record.interlocks}
+    for place, message in check(record) if check is not None else ():
+        if place and place[0] not in OF_THE_BENCH:
+            location: Location = place if place[0] == "options" else terminals[place[0], place[1]]
+            yield device.document.problem((*device.at, *location), message)
