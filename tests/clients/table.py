@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tests.drivers.labjack.rigs import t7
+
 
 def _address(served):
     return [served.address]
@@ -27,4 +29,5 @@ class Client:
 
 
 CLIENTS: tuple[Client, ...] = (
+    Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
 )  # fmt: skip
