@@ -2,6 +2,7 @@
 
 import ast
 import json
+import math
 import os
 import subprocess
 import sys
@@ -90,14 +91,13 @@ def _judged(said, emulator):
     wrong = [said["why"]] if not said["ok"] else []
     truth = emulator.plant.quantities() if said.get("saw") else {}
     for what, value in said.get("saw", {}).items():
-        known = truth.get(what, _commanded(emulator, what))
+        known = truth[what] if what in truth else _commanded(emulator, what)
         if not abs(value - known) <= NEAR[what]:
             wrong.append(f"the client saw {what} {value:g} and it is {known:g}")
     return Result(said["call"], DISAGREES if wrong else AGREES, "; ".join(wrong))
 
 
 def _commanded(emulator, what):
-    """The last set-point [Pa] or the last state of the valve on the wire."""
-    if what == "commanded":
-        return [entry["si"] for entry in emulator.log.of("set")][-1]
-    return float([entry["on"] for entry in emulator.log.of("switch")][-1])
+    """The last set-point [Pa] or the last state of the valve on the wire; NaN where there was none."""
+    kind, key = ("set", "si") if what == "commanded" else ("switch", "on")
+    return float([math.nan, *(entry[key] for entry in emulator.log.of(kind))][-1])

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tests.drivers.labjack.rigs import t7
+from tests.drivers.ni.rigs import daq
 
 
 def _address(served):
@@ -30,4 +31,5 @@ class Client:
 
 CLIENTS: tuple[Client, ...] = (
     Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
+    Client("nidaqmx", "nidaqmx 1.7.0 over gRPC / USB-6215", "", "nidaqmx_client.py", lambda _line: daq()),
 )  # fmt: skip
