@@ -6,6 +6,8 @@ import math
 import os
 import subprocess
 import sys
+import tempfile
+import threading
 import venv
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from pathlib import Path
 from pmabench_drivers.emulator import Emulator
 
 FOLDER = Path(__file__).parent
-WITHIN = 120.0
+WITHIN = 90.0
 """Longest time of a script [s]."""
 NEAR = {"pressure": 2e3, "displacement": 1e-3, "force": 5.0, "commanded": 0.5e3, "valve": 0.0}
 """What a client may see, and how far it may be off: [Pa], [m], [N]; the set-point [Pa]; 1 where the valve is energised."""
@@ -62,7 +64,11 @@ def environment(client, folder):
 def run(client, folder):
     """What came of every call of a client, in the script's order."""
     python = environment(client, folder)
-    device = client.device(folder / "line")
+    with tempfile.TemporaryDirectory() as place:
+        return _run(client, python, client.device(Path(place) / "line"))
+
+
+def _run(client, python, device):
     emulator = Emulator([device], preset="ideal")
     try:
         served = emulator.devices[device.name]
@@ -70,11 +76,13 @@ def run(client, folder):
         command = [python, str(FOLDER / client.script), *map(str, addresses)]
         clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean) as process:
+            late = threading.Timer(WITHIN, process.kill)
+            late.start()
             try:
                 results = [_judged(json.loads(text), emulator) for text in process.stdout]
                 problem = process.stderr.read()
-                process.wait(WITHIN)
             finally:
+                late.cancel()
                 process.kill()
     finally:
         emulator.close()

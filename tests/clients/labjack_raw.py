@@ -144,6 +144,7 @@ with call("DAC0 (1000)") as saw:
 with call("AIN0, AIN1, AIN2 (0)") as saw:
     time.sleep(3.0)
     pressure, displacement, force = t7.read(0, "fff")
+    assert pressure > 2.0
     saw["pressure"], saw["displacement"], saw["force"] = 1e5 * pressure, 0.01 * displacement - 0.005, 200 * force - 50
 with call("DAC0 beyond its range reads back as its end"):
     t7.write(1000, "f", 7.0)

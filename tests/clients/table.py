@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tests.drivers.alicat.rigs import controller
 from tests.drivers.labjack.rigs import t7
 from tests.drivers.ni.rigs import daq
+from tests.drivers.wires.rigs import regulator
 
 
 def _address(served):
@@ -30,6 +32,10 @@ class Client:
 
 
 CLIENTS: tuple[Client, ...] = (
+    Client("alicat", "alicat 0.9.0 / MCD", "alicat==0.9.0", "alicat_client.py", lambda line: controller(line, baud=19200, emulate="MCD")),
     Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
     Client("nidaqmx", "nidaqmx 1.7.0 over gRPC / USB-6215", "", "nidaqmx_client.py", lambda _line: daq()),
+    Client("minimalmodbus", "minimalmodbus 2.1.1 / register map on RTU", "minimalmodbus==2.1.1", "minimalmodbus_client.py", lambda line: regulator(str(line))),
+    Client("pymodbus", "pymodbus / register map on TCP", "", "pymodbus_client.py", lambda _line: regulator()),
+    Client("mbpoll", "mbpoll / register map on TCP", "", "mbpoll_client.py", lambda _line: regulator(), program="mbpoll"),
 )  # fmt: skip
