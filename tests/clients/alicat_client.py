@@ -1,6 +1,6 @@
 """The package `alicat` 0.9.0 in front of an MCD on a serial line, whose loop controls gauge pressure.
 
-Calls: its page, https://pypi.org/project/alicat/ (Usage, Gas Type, PID Parameters, Other Features), in an order in which
+Calls: the README of the package, https://github.com/alexrudd2/alicat (Usage, Gas Type, PID Parameters, Other Features), in an order in which
 the pressure can be compared; then the other methods of `FlowController`, and questions of Alicat's Serial Primer by the
 client's own line.
 """

@@ -1,6 +1,6 @@
 """NI's own package `nidaqmx`, unmodified, over gRPC in front of a USB-6215.
 
-Calls: the examples of its page, https://pypi.org/project/nidaqmx/ (1.7.0: Key Concepts, Timing, Usage), in their order and
+Calls: the README of the package, https://github.com/ni/nidaqmx-python (1.7.0: Key Concepts, Timing, Usage), in order and
 with `grpc_options`, as NI's example grpc_device/... adds them; then examples of ni/nidaqmx-python at that version: voltage_sample,
 voltage_acq_int_clk, cont_voltage_acq_int_clk, volt_update, dig_lines/read_dig_lines, write_dig_lines.
 """
