@@ -82,7 +82,7 @@ def ni_rig():
 
 
 RIGS = {
-    "modbus": lambda _tmp: emulated(ModbusDevice, wires.regulator(uptime={"table": "input", "address": 30, "type": "uint32"}, identity=SERIAL["identity"]), "pressure", "dump"),
+    "modbus": lambda _tmp: emulated(ModbusDevice, wires.regulator(uptime={"table": "input", "address": 30, "type": "uint32"}, identity=SERIAL["identity"], timeout="200 ms"), "pressure", "dump"),
     "labjack": lambda _tmp: emulated(LabJack, labjack.t7(), "DAC0", "FIO0"),
     "line-daq": lambda tmp: emulated(SerialLineDaq, line_daq.board(tmp / "port"), "o0", "v0"),
     "alicat": lambda tmp: emulated(AlicatController, alicat.controller(tmp / "port"), "pressure"),

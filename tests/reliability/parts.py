@@ -41,5 +41,6 @@ PARTS = (
     Part("hostile", "hostile input", "damaged answers to each driver, and every promise of a driver", 10_000, ("tests/conformance/test_drivers.py", "tests/conformance/test_suite.py")),
     Part("mutants", "S16", "one fault in a driver: the conformance suite finds it", 1, ("tests/conformance/test_mutants.py",)),
     Part("imports", "R5, hostile input", "damaged files of each format: no number changed in silence", 10_000, ("tests/store/test_import_fuzz.py",)),
+    Part("clients", "S16, N5", "calls of clients that others wrote, each in an environment of its own", 1, ("tests/clients/test_clients.py", "tests/clients/own_environments.py")),
     Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
 )  # fmt: skip

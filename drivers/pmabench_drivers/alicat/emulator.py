@@ -1,4 +1,4 @@
-"""An emulated Alicat PCD on a pseudo-terminal, over ASCII or Modbus RTU, in front of the simulated muscle.
+"""An emulated Alicat PCD or MCD on a pseudo-terminal, over ASCII or Modbus RTU, in front of the simulated muscle.
 
 Written apart from the driver: it shares with it the table of units only. It regulates by the simulated regulator and
 keeps its set-point when nobody talks to it, as the real one does. A hold keeps what is commanded until it is cancelled.
@@ -9,9 +9,23 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Mapping
+from math import copysign
+from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.alicat.options import ASCII, UNITS, Options, read_options
+from pmabench_drivers.alicat.emulated_commands import (
+    ABSOLUTE,
+    AIR,
+    FULL_FLOW,
+    FULL_SCALE,
+    GASES,
+    GAUGE,
+    MASS,
+    PER_SECOND,
+    VOLUME,
+    Commands,
+)
+from pmabench_drivers.alicat.options import ASCII, MCD, UNITS, Options, read_options
 from pmabench_drivers.emulator.faults import (
     IGNORE,
     LINK,
@@ -31,14 +45,11 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
 from pmabench_drivers.options import Reader
 
-FULL_SCALE = 1.0e6
-"""Highest pressure that it measures and regulates [Pa]."""
-WIDTH = 8
-DECIMALS = {"Pa": 0, "hPa": 1, "mbar": 1, "kPa": 2, "psi": 3, "bar": 4, "atm": 4, "MPa": 5}
 BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}
 STATUS_FAULTS = {"held": "HLD", "sensor": "ADC", "limit": "OPL"}
 """Fault of the control socket -> the status that it puts on."""
-HEAD = "D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________"
+FILLS = 101325.0 / 60 / 0.1
+"""How fast a flow of 1 SLPM fills 0.1 l, about a muscle with its tube [Pa/s]."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevice | RtuDevice:
@@ -62,45 +73,117 @@ class Controller:
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self.device, self.options, self._plant, self._log = device, options, plant, log
         self.model = plant.model(device.name)
-        self.set_point = 0.0
+        self._lock = threading.RLock()
+        self._pascal = UNITS[options.unit][1]
+        self.mixes: dict[int, str] = {}
+        self._power_on()
+
+    def _power_on(self) -> None:
+        self.set_point = self.requested = 0.0
+        """What the loop controls to now, and what it was sent; apart only during a ramp of its own."""
         self.source = "S"
         self.valves = ""
         """`HLD` or `EXH` where the valves are set by a command."""
-        self._lock = threading.Lock()
-        self._pascal = UNITS[options.unit][1]
+        self.variable, self.locked = GAUGE, False
+        self.gas_number, self._tared, self._filled, self._at = 0, 0.0, 0.0, monotonic()
+        self.ramp, self.ramp_time, self.ramps = 0.0, 4, [True, True, False, False]
+        self.registers = {85: 2, 21: 500, 22: 5000, 23: 1000}
+        """Kind of the loop, then P, D and I; they change nothing here."""
 
     def measured(self, fault: str) -> tuple[float, frozenset[str]]:
         """Pressure and status, with the fault of the moment."""
-        pressure = self._plant.quantities()["pressure"]
+        pressure = self._plant.quantities()["pressure"] - self._tared
         status = {self.valves} if self.valves else set()
         if fault in STATUS_FAULTS:
             status.add(STATUS_FAULTS[fault])
         if fault == "over" or not abs(pressure) <= FULL_SCALE:
             pressure = FULL_SCALE
             status.add("POV")
-        return pressure / self._pascal, frozenset(status)
+        return (pressure + (AIR if self.variable == ABSOLUTE else 0.0)) / self._pascal, frozenset(status)
 
     def command(self, value: float) -> None:
         """A set-point; it is ignored where the source is not the serial line, and clipped to the full scale."""
         with self._lock:
-            si = min(max(value * self._pascal, 0.0), FULL_SCALE)
             taken = self.source == "S"
-            names = [output.name for output in self.device.outputs] or ["pressure"]
-            self._log.note("set", self.device.name, output=names[0], raw=value, si=si, connection=1, held=not taken)
+            if self.variable in {MASS, VOLUME}:
+                wanted = min(max(value, 0.0), FULL_FLOW)
+                self._log.note("flow", self.device.name, raw=value, connection=1, held=not taken)
+            else:
+                over = AIR if self.variable == ABSOLUTE else 0.0
+                si = min(max(value * self._pascal - over, -over), FULL_SCALE)
+                wanted = (si + over) / self._pascal
+                names = [output.name for output in self.device.outputs] or ["pressure"]
+                self._log.note("set", self.device.name, output=names[0], raw=value, si=si, connection=1, held=not taken)
             if taken:
-                self.set_point = si / self._pascal
+                self.requested = wanted
+                up, down, zero, _power = self.ramps
+                ramped = self.ramp and (zero if not wanted else up if wanted > self.set_point else down)
+                if not ramped:
+                    self.set_point = wanted
                 self._regulate()
+
+    def advance(self) -> None:
+        """What goes on by itself: a ramp of its own, and a flow that fills."""
+        with self._lock:
+            now = monotonic()
+            passed, self._at = now - self._at, now
+            if self.set_point != self.requested:
+                step = self.ramp * PER_SECOND[self.ramp_time] * passed
+                off = self.requested - self.set_point
+                self.set_point = (
+                    self.requested if abs(off) <= step or not step else self.set_point + copysign(step, off)
+                )
+                self._regulate()
+            if self.variable in {MASS, VOLUME} and self.set_point > 0 and not self.valves:
+                self._filled = min(self._filled + self.mass_flow() * FILLS * passed, FULL_SCALE)
+                self._plant.command(self._filled)
+
+    def mass_flow(self) -> float:
+        """What flows in while a flow is controlled [SLPM]; while a pressure is, the muscle stands still here."""
+        if self.variable not in {MASS, VOLUME} or self.valves or self._filled >= FULL_SCALE:
+            return 0.0
+        return self.set_point * (1 + self._filled / AIR) if self.variable == VOLUME else self.set_point
+
+    def volume_flow(self) -> float:
+        """The same at the pressure of the moment [LPM]."""
+        return self.mass_flow() / (1 + self._filled / AIR)
+
+    @property
+    def gas(self) -> str:
+        """The name of the gas for which flows are shown."""
+        return self.mixes.get(self.gas_number) or GASES[self.gas_number % len(GASES)]
+
+    def choose_gas(self, number: int) -> bool:
+        """Another gas; whether there is one."""
+        known = number < len(GASES) or number in self.mixes
+        self.gas_number = number if known else self.gas_number
+        return known
+
+    def choose(self, variable: int) -> bool:
+        """Another variable of the loop, from set-point 0 on; whether it can be."""
+        with self._lock:
+            known = {GAUGE, ABSOLUTE, MASS, VOLUME} if self.options.emulate == MCD else {GAUGE}
+            if variable in known and variable != self.variable:
+                self.variable, self.set_point, self.requested = variable, 0.0, 0.0
+                self._filled = min(max(self._plant.quantities()["pressure"], 0.0), FULL_SCALE)
+                self._regulate()
+            return variable in known
+
+    def tare(self, command: str) -> None:
+        """The pressure of this moment becomes the zero of gauge pressure (`P`); flows have none here."""
+        if command == "P":
+            self._tared = self._plant.quantities()["pressure"]
 
     def restart(self) -> None:
         """As after power-on: set-point 0, no hold, commands over the line."""
         with self._lock:
-            self.set_point, self.source, self.valves = 0.0, "S", ""
+            self._power_on()
             self._regulate()
 
     def change_set_point(self, value: float) -> None:
         """Another set-point, entered at its display."""
         with self._lock:
-            self.set_point = value
+            self.set_point = self.requested = value
             self._regulate()
 
     def set_valves(self, setting: str) -> None:
@@ -113,15 +196,18 @@ class Controller:
     def _regulate(self) -> None:
         if self.valves == "EXH":
             self._plant.command(0.0)
+        elif not self.valves and self.variable in {MASS, VOLUME}:
+            self._plant.command(self._filled)
         elif not self.valves:
-            self._plant.command(self.set_point * self._pascal)
+            over = AIR if self.variable == ABSOLUTE else 0.0
+            self._plant.command(max(self.set_point * self._pascal - over, 0.0))
 
 
 class AsciiDevice:
     """The controller on a pseudo-terminal, one answer to one question."""
 
     def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
-        self.controller, self._letter = controller, letter
+        self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
         self.address, self.faults = (
             controller.device.address,
             Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT),
@@ -154,9 +240,10 @@ class AsciiDevice:
     def _serve(self) -> None:
         data = b""
         while not self._ended.is_set():
-            received = self._terminal.read(0.05)
+            received = self._terminal.read(0.02)
             if received is None:
                 return
+            self.controller.advance()
             data = (data + received)[-200:]
             while b"\r" in data:
                 line, data = data.split(b"\r", 1)
@@ -176,73 +263,10 @@ class AsciiDevice:
             return False
         if fault.kind == "silence":
             return True
-        lines = self._lines(question[1:], fault.kind)
+        lines = self._commands.answer(question[1:], fault.kind)
         answer = "".join(f"{line}\r" for line in lines).encode("ascii")
         self._terminal.write(self._outgoing.of(answer, fault))
         return True
-
-    def _lines(self, command: str, fault: str) -> list[str]:
-        head = self._letter
-        simple = {"HC": "closed", "HP": "HLD", "C": ""}
-        if command == "VE":
-            return [f"{head}   10v20.0-R24 Jan  9 2025,15:04:07"]
-        if command == "??M*":
-            return [f"{head}  {line}" for line in self._about()]
-        if command == "??D*":
-            return [f"{head} {line}" for line in self._columns()]
-        if command == "LSS":
-            return [f"{head} {self.controller.source}"]
-        if command in simple:
-            self.controller.set_valves(simple[command])
-        elif command.startswith("S"):
-            try:
-                value = float(command[1:])
-            except ValueError:
-                return ["?"]
-            if fault != "ignore":
-                self.controller.command(value)
-        elif command:
-            return ["?"]
-        return [self._frame(fault)]
-
-    def _frame(self, fault: str) -> str:
-        pressure, status = self.controller.measured(fault)
-        decimals = DECIMALS[self.controller.options.unit]
-        numbers = (f"{value:+0{WIDTH}.{decimals}f}" for value in (pressure, self.controller.set_point))
-        return " ".join([self._letter, *numbers, *sorted(status)])
-
-    def _about(self) -> list[str]:
-        model = self.controller.model
-        return [
-            "M00 EMULATOR OF PMABENCH",
-            "M01 -",
-            "M02 -",
-            "M03 -",
-            f"M04 Model Number {model}",
-            "M05 Serial Number 1",
-            "M06 Date Manufactured -",
-            "M07 Date Calibrated   -",
-            "M08 Calibrated By     -",
-            "M09 Software Revision 10v20.0-R24",
-        ]
-
-    def _columns(self) -> list[str]:
-        unit = self.controller.options.unit
-        note, width = f"{UNITS[unit][0]:03d} 02 {unit}G", f"{WIDTH}/{DECIMALS[unit]}"
-        rows = [
-            ("700", "Unit ID", "string", "1", ""),
-            ("006", "Gauge Press", "s decimal", width, note),
-            ("038", "Gauge Press Setpt", "s decimal", width, note),
-            ("701", "*Error", "string", "3", "ADC"),
-            *(("702", "*Status", "string", "3", code) for code in ("OPL", "POV", "OVR", "HLD", "EXH", "LCK")),
-        ]
-        return [
-            HEAD,
-            *(
-                f"D{number:02d} {code} {name:<26} {kind:<11} {size:>5} {notes}".rstrip()
-                for number, (code, name, kind, size, notes) in enumerate(rows, 1)
-            ),
-        ]
 
 
 class ModbusCells:

@@ -9,7 +9,8 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.options import Reader
 
 ASCII, MODBUS = "ascii", "modbus"
-KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest")
+PCD, MCD = "PCD", "MCD"
+KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest", "emulate")
 BAUDS = (19200, 38400, 57600, 115200)
 """Slower lines cannot tell the columns within the time that opening may take."""
 INPUTS = ("pressure", "set_point")
@@ -49,6 +50,8 @@ class Options:
     """Longest wait for an answer."""
     slowest: float = 0.5
     """How long after a question the device may still answer it."""
+    emulate: str = PCD
+    """What `pmabench emulate` serves over ASCII: a pressure controller, or a mass flow controller."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
@@ -80,6 +83,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 500.0),
         timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.01, 0.1),
         slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
+        emulate=reader.choice(given, "emulate", place, (PCD, MCD), PCD),
     )
 
 

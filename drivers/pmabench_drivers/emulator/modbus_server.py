@@ -117,16 +117,24 @@ class _Device:
         if fault.kind == "silence":
             return
         try:
-            request = frames.parse(pdu)
-            if fault.kind == "exception":
-                raise frames.Refused(int(fault.value))
-            values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
-            if fault.kind == "wrong":
-                values = [(value + int(fault.value)) & 0xFFFF for value in values]
-            reply = frames.answer(request, values)
+            reply = self.reply(pdu, connection, fault)
         except frames.Refused as refused:
             reply = frames.refusal(pdu[0], refused.code)
         send(reply, fault)
+
+    def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
+        """Carry out a request and give its answer without a frame; `Refused` where the device says no."""
+        request = frames.parse(pdu)
+        return frames.answer(request, self.values(request, connection, fault))
+
+    def values(self, request: frames.Request, connection: int, fault: Fault) -> list[int]:
+        """What is read, with the fault of the moment."""
+        if fault.kind == "exception":
+            raise frames.Refused(int(fault.value))
+        values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
+        if fault.kind == "wrong":
+            return [(value + int(fault.value)) & 0xFFFF for value in values]
+        return values
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):

@@ -63,15 +63,19 @@ class Registers:
         if (uptime := self._map.uptime) is not None:
             seconds = int(monotonic() - self._started) % (1 << 16 * uptime.count)
             cells |= {(uptime.table, uptime.address + i): word for i, word in enumerate(encode(uptime, seconds))}
-        quantities = self._plant.quantities()
-        for register in self._map.inputs.values():
-            if (register.table, register.address) in self._held:
-                continue  # it shows what is commanded
+        wanted = [(request.table, request.address + offset) for offset in range(request.count)]
+        shown = [
+            register
+            for register in self._map.inputs.values()
+            if (register.table, register.address) not in self._held  # else it shows what is commanded
+            and any((register.table, register.address + offset) in wanted for offset in range(register.count))
+        ]
+        quantities = self._plant.quantities() if shown else {}  # the plant takes its time
+        for register in shown:
             for offset, word in enumerate(self._input(register, quantities)):
                 key = register.table, register.address + offset
                 merged = register.bit >= 0 and key in cells
                 cells[key] = cells[key] | word if merged else word
-        wanted = [(request.table, request.address + offset) for offset in range(request.count)]
         if any(key not in cells for key in wanted):
             raise Refused(ADDRESS)
         return [cells[key] for key in wanted]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 from pmabench.base.errors import UsageError
@@ -23,6 +24,8 @@ LINKS = {name: LINK[name] for name in LINK if name not in {"late", "stale", "dou
 ATTACH, INITIALIZE = 2, 1
 VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
 """Attributes of the system: major, minor, update."""
+ALL_LINES, FINITE, CONTINUOUS = 1, 10178, 10123
+"""One channel for all lines; kinds of timing."""
 GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
@@ -130,6 +133,7 @@ class EmulatedServer:
         if fault.kind == "exception":
             _refuse(grpc, context, Refused(int(fault.value), "An error that was asked for."))
         try:
+            self.wait(name, request, context)
             with self.board.lock:
                 fields = CALLS[name](self, request, context, fault)
         except Refused as refused:
@@ -153,7 +157,9 @@ class EmulatedServer:
         """A new task, or one that is there."""
         import grpc
 
-        name, way = request.session_name, request.initialization_behavior
+        way = request.initialization_behavior
+        unnamed = (f"_unnamedTask<{number}>" for number in count())
+        name = request.session_name or next(name for name in unnamed if name not in self.board.tasks)
         there = name in self.board.tasks
         if way == ATTACH and not there:
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, f"Cannot attach to '{name}': there is no such session.")
@@ -183,28 +189,80 @@ class EmulatedServer:
             raise Refused(-200220, "Device identifier is invalid.")
 
     def write(self, request: Any, context: Any, fault: Fault) -> Answer:
-        """Set the output of a task."""
+        """Set the one output of a task."""
         task = self.board.task(request.task.name)
         if fault.kind != "ignore":
-            self.board.set_output(task, request.value, self.connection(context))
+            self.board.set_outputs(task, [[request.value]], self.connection(context), start=request.auto_start)
         return {}
 
-    def write_line(self, request: Any, context: Any, fault: Fault) -> Answer:
-        """Set the line of a task."""
-        task = self.board.task(request.task.name)
+    def write_many(self, request: Any, context: Any, fault: Fault) -> Answer:
+        """Set the outputs of a task; the values of one after those of another."""
+        task, size = self.board.task(request.task.name), request.num_samps_per_chan
+        rows = [request.write_array[first : first + size] for first in range(0, len(request.write_array), size)]
         if fault.kind != "ignore":
-            self.board.set_line(task, self.connection(context), high=request.write_array != b"\0")
-        return {"samps_per_chan_written": 1}
+            self.board.set_outputs(task, rows, self.connection(context), start=request.auto_start)
+        return {"samps_per_chan_written": size}
+
+    def write_lines(self, request: Any, context: Any, fault: Fault) -> Answer:
+        """Set the lines of a task; of several samples the last one stays."""
+        task, size = self.board.task(request.task.name), request.num_samps_per_chan
+        place, values = 0, []
+        for channel in task.channels:
+            lines = len(channel.terminals)
+            last = request.write_array[place + (size - 1) * lines : place + size * lines]
+            levels = dict(zip(channel.terminals, last, strict=True))
+            values.append(channel.bits(lambda name, levels=levels: bool(levels[name])))  # type: ignore[misc]
+            place += size * lines
+        if fault.kind != "ignore":
+            self.board.set_lines(task, values, self.connection(context), start=request.auto_start)
+        return {"samps_per_chan_written": size}
+
+    def write_ports(self, request: Any, context: Any, fault: Fault) -> Answer:
+        """Set the lines of a task by whole ports; of several samples the last one stays."""
+        task, size = self.board.task(request.task.name), request.num_samps_per_chan
+        if fault.kind != "ignore":
+            values = list(request.write_array[size - 1 :: size])
+            self.board.set_lines(task, values, self.connection(context), start=request.auto_start)
+        return {"samps_per_chan_written": size}
 
     def read(self, request: Any) -> Answer:
         """Samples of a task."""
         data = self.board.fetch(self.board.task(request.task.name), request.num_samps_per_chan)
         return {"read_array": data, "samps_per_chan_read": request.num_samps_per_chan}
 
-    def read_line(self, request: Any) -> Answer:
-        """The level of a line."""
-        high = self.board.level(self.board.task(request.task.name))
-        return {"read_array": bytes([high]), "samps_per_chan_read": 1, "num_bytes_per_samp": 1}
+    def read_lines(self, request: Any) -> Answer:
+        """The levels of the lines of a task; the samples of one channel after those of another."""
+        task, size = self.board.task(request.task.name), request.num_samps_per_chan
+        levels = [[self.board.level(name) for name in channel.terminals] * size for channel in task.channels]
+        data = bytes(level for channel in levels for level in channel)
+        most = max(len(channel.terminals) for channel in task.channels)
+        return {"read_array": data, "samps_per_chan_read": size, "num_bytes_per_samp": most}
+
+    def read_ports(self, request: Any) -> Answer:
+        """The levels of the lines of a task, each at its place in the port."""
+        task, size = self.board.task(request.task.name), request.num_samps_per_chan
+        data = [bits for channel in task.channels for bits in [channel.bits(self.board.level)] * size]
+        return {"read_array": data, "samps_per_chan_read": size}
+
+    def wait(self, name: str, request: Any, context: Any) -> None:
+        """Until what is asked for is there, or the time of the request is over."""
+        if name == "ReadAnalogF64":
+            within = request.timeout
+        elif name == "WaitUntilTaskDone":
+            within = request.time_to_wait
+        else:
+            return
+        until = time.monotonic() + (within if within >= 0 else GIVE_UP)
+        while context.is_active():
+            with self.board.lock:
+                task = self.board.task(request.task.name)
+                if name == "ReadAnalogF64":
+                    there = self.board.ready(task, request.num_samps_per_chan)
+                else:
+                    there = self.board.waiting(task) >= 0 and task.done
+                if there or time.monotonic() >= until:
+                    return
+            time.sleep(0.002)
 
 
 def _found(known: dict[int, Any], request: Any) -> Answer:
@@ -242,12 +300,22 @@ def _value(get: Callable[[EmulatedServer, Any], Answer]) -> Callable[..., Answer
 
 
 def _add(kind: str, known: tuple[str, ...]) -> Callable[..., Answer]:
-    return _of_task(lambda board, task, request: board.channel(task, kind, request.lines, known))
+    def add(board: Board, task: Task, request: Any) -> None:
+        together = request.line_grouping_raw == ALL_LINES
+        board.add(task, kind, request.lines, known, request.name_to_assign_to_lines, one=together)
+
+    return _of_task(add)
 
 
 def _add_output(board: Board, task: Task, request: Any) -> None:
-    board.channel(task, "ao", request.physical_channel, AO)
-    task.spans.append((request.min_val, request.max_val))
+    added = board.add(task, "ao", request.physical_channel, AO, request.name_to_assign_to_channel)
+    task.spans += [(request.min_val, request.max_val)] * added
+
+
+def _not_done(_board: Board, task: Task, _request: Any) -> None:
+    """Refuse where the waiting has come to its end in vain."""
+    if not task.done:
+        raise Refused(-200560, "Wait Until Done did not indicate that the task was done within the specified timeout.")
 
 
 def _clear(board: Board, _task: Task, request: Any) -> None:
@@ -261,12 +329,47 @@ def _set_state(state: str) -> Callable[[Board, Task, Any], None]:
     return act
 
 
-def _of_samples(server: EmulatedServer, request: Any, known: dict[int, Callable[[Board, Task], Any]]) -> Answer:
-    """An attribute of a task that samples."""
+def _of_samples(
+    server: EmulatedServer, request: Any, known: dict[int, Callable[[Board, Task], Any]], word: str = "value"
+) -> Answer:
+    """An attribute of a task or of its channels; `word`: the field of the answer."""
     task = server.board.task(request.task.name)
     if request.attribute_raw not in known:
         return _found({}, request)
-    return {"value": known[request.attribute_raw](server.board, task)}
+    return {word: known[request.attribute_raw](server.board, task)}
+
+
+def _names(_board: Board, task: Task) -> str:
+    return ", ".join(channel.name for channel in task.channels)
+
+
+def _lines(_board: Board, task: Task) -> int:
+    return max((len(channel.terminals) for channel in task.channels), default=0)
+
+
+def _terminals(request: Any) -> Answer:
+    """How an input can be measured, as bits: against ground, against AI SENSE, against the one eight higher."""
+    name = request.physical_channel.partition("/")[2]
+    if name not in AI:
+        raise Refused(-200170, "Physical channel specified does not exist on this device.")
+    return {"value_raw": _found({0x2342: 7 if name in AI[:8] else 3}, request)["value"]}
+
+
+CHANNELS: dict[int, Callable[[Board, Task], Any]] = {
+    0x187F: lambda _board, task: {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}[task.kind],
+    0x0695: lambda _board, _task: 10322,
+}
+"""Attributes of channels: their type, and what an analogue input measures (a voltage)."""
+READS: dict[int, Callable[[Board, Task], Any]] = {
+    0x1223: lambda board, task: board.waiting(task),
+    0x31E8: lambda board, task: board.default(task),
+    0x217C: _lines,
+}
+"""Attributes of reading: samples that wait, samples that are read where all are asked for, lines of a channel."""
+
+
+def _mode(_board: Board, task: Task) -> int:
+    return FINITE if task.finite else CONTINUOUS
 
 
 CALLS: dict[str, Callable[..., Answer]] = {
@@ -278,26 +381,44 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "GetDeviceAttributeDouble": _value(lambda _server, request: _found({0x298D: FASTEST}, request)),
     "GetDeviceAttributeDoubleArray": _value(EmulatedServer.numbers),
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
-    "GetTaskAttributeString": _value(lambda s, r: _of_samples(s, r, {0x1276: lambda _b, _t: r.task.name})),
-    "GetTaskAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x2181: lambda _b, task: len(task.names)})),
+    "GetTaskAttributeString": _value(
+        lambda s, r: _of_samples(s, r, {0x1276: lambda _b, _t: r.task.name, 0x1273: _names})
+    ),
+    "GetTaskAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x2181: lambda _b, task: len(task.channels)})),
     "GetChanAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x182C: lambda _b, _t: float(BITS)})),
     "ClearTask": _of_task(_clear),
     "StartTask": _of_task(lambda board, task, _request: board.start(task)),
     "StopTask": _of_task(_set_state("committed")),
     "TaskControl": _of_task(lambda board, task, request: board.control(task, request.action_raw)),
     "CreateAIVoltageChan": _of_task(
-        lambda b, t, r: b.add_input(t, r.physical_channel, r.terminal_config_raw, r.min_val, r.max_val)
+        lambda b, t, r: b.add_input(
+            t, r.physical_channel, r.name_to_assign_to_channel, r.terminal_config_raw, r.min_val, r.max_val
+        )
     ),
     "CreateAOVoltageChan": _of_task(_add_output),
     "CreateDIChan": _add("di", DI),
     "CreateDOChan": _add("do", DO),
-    "CfgSampClkTiming": _of_task(lambda board, task, r: board.configure(task, r.rate, r.samps_per_chan)),
+    "CfgSampClkTiming": _of_task(
+        lambda board, task, r: board.configure(task, r.rate, r.samps_per_chan, finite=r.sample_mode_raw == FINITE)
+    ),
     "GetTimingAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x1344: lambda _b, task: task.rate})),
-    "GetReadAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x1223: lambda b, task: b.waiting(task)})),
+    "GetReadAttributeUInt32": _value(lambda s, r: _of_samples(s, r, READS)),
     "GetReadAttributeUInt64": _value(lambda s, r: _of_samples(s, r, {0x1221: lambda _b, task: task.read})),
     "ReadAnalogF64": _value(EmulatedServer.read),
-    "ReadDigitalLines": _value(EmulatedServer.read_line),
+    "ReadDigitalLines": _value(EmulatedServer.read_lines),
+    "ReadDigitalU32": _value(EmulatedServer.read_ports),
+    "GetChanAttributeInt32": _value(lambda s, r: _of_samples(s, r, CHANNELS, "value_raw")),
+    "GetReadAttributeString": _value(lambda s, r: _of_samples(s, r, {0x1823: _names})),
+    "GetReadAttributeBool": _value(lambda s, r: _of_samples(s, r, {0x1215: lambda _b, _t: False})),
+    "GetWriteAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x217F: _lines})),
+    "GetTimingAttributeInt32": _value(lambda s, r: _of_samples(s, r, {0x1300: _mode}, "value_raw")),
+    "GetTimingAttributeUInt64": _value(lambda s, r: _of_samples(s, r, {0x1310: lambda _b, t: t.finite or t.buffer})),
+    "GetPhysicalChanAttributeInt32": _value(lambda _server, request: _terminals(request)),
+    "IsTaskDone": _value(lambda s, r: {"is_task_done": s.board.task(r.task.name).done}),
+    "WaitUntilTaskDone": _of_task(_not_done),
+    "WriteAnalogF64": lambda server, request, context, fault: server.write_many(request, context, fault),
+    "WriteDigitalU32": lambda server, request, context, fault: server.write_ports(request, context, fault),
     "WriteAnalogScalarF64": lambda server, request, context, fault: server.write(request, context, fault),
-    "WriteDigitalLines": lambda server, request, context, fault: server.write_line(request, context, fault),
+    "WriteDigitalLines": lambda server, request, context, fault: server.write_lines(request, context, fault),
 }
 """The calls that there are; any other is told to be unknown."""

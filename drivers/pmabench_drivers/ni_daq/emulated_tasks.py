@@ -6,9 +6,10 @@ no wire.
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import floor
 from time import monotonic
@@ -33,6 +34,24 @@ TICK = 0.02
 """Samples that fall due are taken at least so often [s]; each at its own time."""
 
 
+BUFFERS = ((100.0, 1_000), (10e3, 10_000), (1e6, 100_000))
+"""Up to this rate [Hz] NI-DAQmx gives a continuous task a buffer of so many samples, unless more are asked for."""
+
+
+def listed(text: str) -> list[str]:
+    """Each physical channel of a list such as `Dev1/ai0:3, Dev1/ai7`."""
+    found = []
+    for part in text.split(","):
+        span = re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())
+        if span is None:
+            found.append(part.strip())
+            continue
+        first, last = int(span[2]), int(span[3])
+        step = 1 if last >= first else -1
+        found += [f"{span[1]}{number}" for number in range(first, last + step, step)]
+    return found
+
+
 class Refused(Exception):
     """An error of NI-DAQmx."""
 
@@ -41,16 +60,32 @@ class Refused(Exception):
         self.code = code
 
 
+@dataclass(frozen=True)
+class Virtual:
+    """A virtual channel: its name, and the terminals behind it; several only of digital lines."""
+
+    name: str
+    terminals: tuple[str, ...]
+
+    def bits(self, levels: Callable[[str], bool]) -> int:
+        """The levels of its lines, each at its place in the port."""
+        return sum(levels(name) << int(name.rpartition("line")[2]) for name in self.terminals)
+
+
 @dataclass
 class Task:
     """A task as the server keeps it."""
 
     kind: str = ""
     """`ai`, `ao`, `di`, `do`."""
+    channels: list[Virtual] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     spans: list[tuple[float, float]] = field(default_factory=list)
     terminals: list[int] = field(default_factory=list)
     rate: float = 0.0
+    """Of its sample clock [Hz]; 0: on demand, at the moment at which it is read or written."""
+    finite: int = 0
+    """Samples after which it is done; 0: it goes on."""
     buffer: int = 0
     state: str = "verified"
     start: float = 0.0
@@ -59,6 +94,11 @@ class Task:
     waiting: deque[tuple[float, ...]] = field(default_factory=deque)
     overwritten: bool = False
     aborted: bool = False
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more comes of it."""
+        return self.state != "running" or bool(self.finite and self.taken >= self.finite)
 
 
 class Board:
@@ -90,29 +130,42 @@ class Board:
             raise Refused(-200088, "Task specified is invalid or does not exist.")
         return self.tasks[name]
 
-    def channel(self, task: Task, kind: str, physical: str, known: Sequence[str]) -> str:
-        """Put a physical channel into a task."""
-        device, _, name = physical.partition("/")
-        if device != self.device.address:
-            raise Refused(-200220, "Device identifier is invalid.")
-        if name not in known:
-            raise Refused(-200170, "Physical channel specified does not exist on this device.")
-        if task.kind not in {"", kind}:
-            raise Refused(-200559, "Specified channels cannot be added to the task: they are of another type.")
-        if name in task.names:
-            raise Refused(-200489, "Specified channel cannot be added to the task more than once.")
+    def add(self, task: Task, kind: str, text: str, known: Sequence[str], title: str = "", *, one: bool = False) -> int:
+        """Put physical channels into a task, each a virtual one or all as `one`; returns how many."""
+        names: list[str] = []
+        for physical in listed(text):
+            device, _, name = physical.partition("/")
+            if device != self.device.address:
+                raise Refused(-200220, "Device identifier is invalid.")
+            if name not in known:
+                raise Refused(-200170, "Physical channel specified does not exist on this device.")
+            if task.kind not in {"", kind}:
+                raise Refused(-200559, "Specified channels cannot be added to the task: they are of another type.")
+            if name in (*task.names, *names):
+                raise Refused(-200489, "Specified channel cannot be added to the task more than once.")
+            names.append(name)
         task.kind = kind
-        task.names.append(name)
-        return name
+        task.names += names
+        device = self.device.address
+        if one:
+            shown = f"{device}/{names[0]}{'...' if len(names) > 1 else ''}"
+            task.channels.append(Virtual(title or shown, tuple(names)))
+        else:
+            titles = [
+                f"{title}{i if len(names) > 1 else ''}" if title else f"{device}/{n}" for i, n in enumerate(names)
+            ]
+            task.channels += [Virtual(shown, (name,)) for shown, name in zip(titles, names, strict=True)]
+        return len(names)
 
-    def add_input(self, task: Task, physical: str, terminal: int, low: float, high: float) -> None:
-        """An analogue input, with the narrowest range that holds `low` to `high`."""
-        name = self.channel(task, "ai", physical, AI)
+    def add_input(self, task: Task, text: str, title: str, terminal: int, low: float, high: float) -> None:
+        """Analogue inputs, with the narrowest range that holds `low` to `high`."""
         fitting = [span for span in SPANS if span >= max(abs(low), abs(high))]
-        if not fitting or terminal not in {USUAL, RSE, NRSE, DIFF} or (terminal == DIFF and AI.index(name) >= 8):
+        upper = any(name.partition("/")[2] in AI[8:] for name in listed(text))
+        if not fitting or terminal not in {USUAL, RSE, NRSE, DIFF} or (terminal == DIFF and upper):
             raise Refused(-200077, "Requested value is not a supported value for this property.")
-        task.spans.append((-fitting[0], fitting[0]))
-        task.terminals.append(terminal)
+        for _ in range(self.add(task, "ai", text, AI, title)):
+            task.spans.append((-fitting[0], fitting[0]))
+            task.terminals.append(terminal)
 
     def reserve(self, task: Task) -> None:
         """Take what a task needs, or refuse."""
@@ -131,19 +184,18 @@ class Board:
         else:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
 
-    def configure(self, task: Task, rate: float, buffer: int) -> None:
-        """Set the sample clock; the rate becomes one that it can have."""
+    def configure(self, task: Task, rate: float, samples: int, *, finite: bool) -> None:
+        """Set the sample clock to a rate that it can have; the buffer is at least what NI-DAQmx makes it."""
         if task.kind != "ai" or not rate > 0:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         if rate * len(task.names) > FASTEST:
             raise Refused(-200081, "Sample rate exceeds the maximum sample rate for the number of channels specified.")
-        task.rate, task.buffer = TIMEBASE / floor(TIMEBASE / rate), buffer
+        task.rate, task.finite = TIMEBASE / floor(TIMEBASE / rate), samples if finite else 0
+        task.buffer = samples if finite else max(samples, next(size for most, size in BUFFERS if rate <= most))
 
     def start(self, task: Task) -> None:
         """Begin."""
         self.reserve(task)
-        if task.kind == "ai" and not task.rate:
-            raise Refused(-200077, "Requested value is not a supported value for this property.")
         task.state, task.start = "running", monotonic()
         task.taken = task.read = 0
         task.overwritten = task.aborted = False
@@ -177,6 +229,7 @@ class Board:
         if task.kind != "ai" or task.state != "running":
             return
         due = floor((monotonic() - task.start) * task.rate)
+        due = min(due, task.finite) if task.finite else due
         while task.taken < due and not task.overwritten:
             if len(task.waiting) >= task.buffer:
                 task.overwritten = True
@@ -201,8 +254,24 @@ class Board:
             raise Refused(-200279, "The application is not able to keep up with the hardware acquisition.")
         return len(task.waiting)
 
+    def default(self, task: Task) -> int:
+        """How many samples are read where all that are there are asked for."""
+        return (task.finite or self.waiting(task)) if task.rate else 1
+
+    def ready(self, task: Task, count: int) -> bool:
+        """Whether so many samples can be read without waiting; a task with a clock begins when it is read."""
+        if not task.rate or task.kind != "ai":
+            return True
+        if task.state != "running":
+            self.start(task)
+        return self.waiting(task) >= count
+
     def fetch(self, task: Task, count: int) -> list[float]:
         """So many samples, one channel after the other."""
+        if task.kind == "ai" and not task.rate:
+            self.reserve(task)
+            quantities, pairs = self._plant.quantities(), zip(task.names, task.spans, strict=True)
+            return [volts for name, span in pairs for volts in [self._volts(name, span[1], quantities)] * count]
         if self.waiting(task) < count:
             raise Refused(-200284, "Some or all of the samples requested have not yet been acquired.")
         rows = [task.waiting.popleft() for _ in range(count)]
@@ -211,12 +280,24 @@ class Board:
 
     # -- outputs and lines -------------------------------------------------------------------------------------------
 
-    def set_output(self, task: Task, volts: float, connection: int) -> None:
-        """A voltage on the one output of a task."""
-        [name], [(low, high)] = task.names, task.spans
+    def set_outputs(self, task: Task, rows: Sequence[Sequence[float]], connection: int, *, start: bool) -> None:
+        """Voltages on the outputs of a task, on demand: a row for each, its values one after another."""
+        self._begin_writing(task, len(rows), start=start)
+        for (low, high), row in zip(task.spans, rows, strict=True):
+            if not all(low <= volts <= high for volts in row):
+                raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
+        for moment in zip(*rows, strict=True):
+            for name, volts in zip(task.names, moment, strict=True):
+                self._set_output(name, volts, connection)
+
+    def _begin_writing(self, task: Task, rows: int, *, start: bool) -> None:
         self.reserve(task)
-        if not low <= volts <= high:
-            raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
+        if rows != len(task.channels):
+            raise Refused(-200524, "Write cannot be performed: the number of channels in the data is another.")
+        if not start and task.state != "running":
+            raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
+
+    def _set_output(self, name: str, volts: float, connection: int) -> None:
         output = self._outputs.get(name)
         if output is not None:
             si = float(output.scale.to_si(volts))
@@ -231,10 +312,14 @@ class Board:
         if output is not None and output.quantity == "pressure":
             self._plant.command(float(output.scale.to_si(reached)))
 
-    def set_line(self, task: Task, connection: int, *, high: bool) -> None:
-        """A level on the one line of a task."""
-        [name] = task.names
-        self.reserve(task)
+    def set_lines(self, task: Task, values: Sequence[int], connection: int, *, start: bool) -> None:
+        """Levels on the lines of a task: of each virtual channel, its lines at their places in the port."""
+        self._begin_writing(task, len(values), start=start)
+        for channel, value in zip(task.channels, values, strict=True):
+            for name in channel.terminals:
+                self._set_line(name, connection, high=bool(value >> int(name.rpartition("line")[2]) & 1))
+
+    def _set_line(self, name: str, connection: int, *, high: bool) -> None:
         self._drive(name, high=high)
         valve = self._valves.get(name)
         if valve is not None:
@@ -247,9 +332,8 @@ class Board:
         if valve is not None:
             self._plant.switch(on=high == (valve.energised == "closed"))
 
-    def level(self, task: Task) -> bool:
-        """The level of the one line of a task; an input that nobody wired is low."""
-        [name] = task.names
+    def level(self, name: str) -> bool:
+        """The level of a line; an input that nobody wired is low."""
         if name in self._levels:
             return self._levels[name]
         lock = self._interlocks.get(name)

@@ -1,0 +1,41 @@
+"""The clients, a line each: README.md says how one is added."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tests.drivers.alicat.rigs import controller
+from tests.drivers.labjack.rigs import t7
+from tests.drivers.ni.rigs import daq
+from tests.drivers.wires.rigs import regulator
+
+
+def _address(served):
+    return [served.address]
+
+
+@dataclass(frozen=True)
+class Client:
+    """A client that others wrote, in front of one emulated device."""
+
+    name: str
+    what: str
+    """Client and device, as docs/devices.md names them."""
+    package: str
+    """What `pip install` is given for an environment of its own; empty: the project's own environment has the client."""
+    script: str
+    device: Callable
+    """Makes the record of the device from a path for a serial line."""
+    addresses: Callable = _address
+    """What of the served device the script is given."""
+    program: str = ""
+    """A program of the system that the script needs; a machine without it does not run it."""
+
+
+CLIENTS: tuple[Client, ...] = (
+    Client("alicat", "alicat 0.9.0 / MCD", "alicat==0.9.0", "alicat_client.py", lambda line: controller(line, baud=19200, emulate="MCD")),
+    Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
+    Client("nidaqmx", "nidaqmx 1.7.0 over gRPC / USB-6215", "", "nidaqmx_client.py", lambda _line: daq()),
+    Client("minimalmodbus", "minimalmodbus 2.1.1 / register map on RTU", "minimalmodbus==2.1.1", "minimalmodbus_client.py", lambda line: regulator(str(line))),
+    Client("pymodbus", "pymodbus / register map on TCP", "", "pymodbus_client.py", lambda _line: regulator()),
+    Client("mbpoll", "mbpoll / register map on TCP", "", "mbpoll_client.py", lambda _line: regulator(), program="mbpoll"),
+)  # fmt: skip
