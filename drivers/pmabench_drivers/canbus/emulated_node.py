@@ -10,15 +10,19 @@ from time import monotonic
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.frames import Frame
 
-NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, VALUE, STATE = (
+NO_OBJECT, NO_SUB, READ_ONLY, LONG, SHORT, VALUE, STATE, COMMAND = (
     0x06020000,
     0x06090011,
     0x06010002,
-    0x06070010,
+    0x06070012,
+    0x06070013,
     0x06090030,
     0x08000022,
+    0x05040001,
 )
 LOST_HEARTBEAT = 0x8130
+COMMUNICATION = range(0x1000, 0x2000)
+"""Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
 SEGMENT = 7
 PDOS = 2
 
@@ -43,6 +47,9 @@ class Entry:
     written: Callable[[int], None] | None = None
     """Called with a new value before it is stored; raises Abort."""
 
+    def __post_init__(self) -> None:
+        self.power_on = self.value
+
     def bytes(self) -> bytes:
         """The value as it goes over the wire."""
         value = self.read() if self.read is not None else self.value
@@ -64,17 +71,18 @@ class _Consumer:
 class EmulatedNode:
     """One node. A kind of node adds objects, and says what happens on SYNC, on stop and when a heartbeat is lost."""
 
-    def __init__(self, number: int, profile: int, model: str, send: Callable[[Frame], None]) -> None:
+    def __init__(self, number: int, device_type: int, model: str, send: Callable[[Frame], None]) -> None:
         self.number, self.state = number, f.PREOP
         self._send = send
-        self._consumer = _Consumer()
+        self._consumer, self._missed = _Consumer(), False
         self._beat_due, self.now = 0.0, monotonic()
-        self._segments = b""
+        self._segments: bytes | None = None
+        """What is left to send of a long object; None: nothing was asked for."""
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
         self._event_due = [0.0] * PDOS
         self.objects: dict[tuple[int, int], Entry] = {
-            (f.DEVICE_TYPE, 0): Entry("I", profile),
+            (f.DEVICE_TYPE, 0): Entry("I", device_type),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
             (f.DEVICE_NAME, 0): Entry("s", model.encode()),
             (f.SOFTWARE, 0): Entry("s", b"1"),
@@ -82,7 +90,7 @@ class EmulatedNode:
             (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
             (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
             (f.IDENTITY, 0): Entry("B", 4),
-            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, 1), 1)},
+            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, device_type, 1, number), 1)},
         }
         for index in range(PDOS):
             for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
@@ -95,6 +103,7 @@ class EmulatedNode:
             (parameter, 0): Entry("B", 5),
             (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
             (parameter, 2): Entry("B", 254, writable=True),
+            (parameter, 3): Entry("H", 0, writable=True),
             (parameter, 5): Entry("H", 0, writable=True),
             (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
         }
@@ -103,9 +112,21 @@ class EmulatedNode:
 
     def boot(self) -> None:
         """Start: pre-operational, and say so."""
-        self.state = f.PREOP
-        self._consumer.heard = 0.0
+        self.state, self._beat_due = f.PREOP, 0.0
         self._send(Frame(f.HEARTBEAT + self.number, bytes([f.BOOT])))
+
+    def reset(self, *, everything: bool = True) -> None:
+        """Start again, with power-on values of all objects, or of those of the communication only."""
+        for (index, _sub), entry in self.objects.items():
+            if everything or index in COMMUNICATION:
+                entry.value = entry.power_on
+        self._consumer, self._missed, self._segments = _Consumer(), False, None
+        self._waiting.clear()
+        self.boot()
+
+    def preset(self, index: int, sub: int, value: int) -> None:
+        """Let an object have this value when it starts."""
+        self.objects[index, sub].value = self.objects[index, sub].power_on = value
 
     def expire_heartbeat(self) -> bool:
         """Let the wait for a heartbeat be over; whether there was one."""
@@ -121,8 +142,12 @@ class EmulatedNode:
     def lost_heartbeat(self) -> None:
         """The heartbeat that it waits for is missing."""
 
-    def left(self) -> None:
-        """It is not operational any more."""
+    def stopped(self) -> None:
+        """It was brought to the state stopped."""
+
+    def well(self) -> bool:
+        """Whether it has no error but that of the communication."""
+        return True
 
     # -- values -------------------------------------------------------------------------------------------------------
 
@@ -140,16 +165,18 @@ class EmulatedNode:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         if not entry.writable:
             raise Abort(READ_ONLY)
-        if len(data) != struct.calcsize(f"<{entry.kind}"):
-            raise Abort(LENGTH)
+        if (surplus := len(data) - struct.calcsize(f"<{entry.kind}")) != 0:
+            raise Abort(LONG if surplus > 0 else SHORT)
         [value] = struct.unpack(f"<{entry.kind}", data)
         if entry.written is not None:
             entry.written(value)
         entry.value = value
 
     def emergency(self, code: int, register: int = 1) -> None:
-        """Send an emergency; code 0 says that it is over."""
+        """Send an emergency, which a stopped node does not; code 0 says that it is over."""
         self.objects[f.ERROR_REGISTER, 0].value = register
+        if self.state == f.STOPPED:
+            return
         data = code.to_bytes(2, "little") + bytes([register]) + bytes(5)
         self._send(Frame(f.EMCY + self.number, data))
 
@@ -166,9 +193,11 @@ class EmulatedNode:
         elif identifier == f.SYNC:
             self._synchronise()
         elif identifier == f.SDO_QUESTION + self.number and len(data) == 8 and self.state != f.STOPPED:
-            self._send(Frame(f.SDO_ANSWER + self.number, self._answer(data)))
+            if answer := self._answer(data):
+                self._send(Frame(f.SDO_ANSWER + self.number, answer))
         elif identifier == f.HEARTBEAT + self._consumer.node and self._consumer.time:
             self._consumer.heard = self.now
+            self._forgive()
         elif self.state == f.OPERATIONAL:
             self._receive(identifier, data)
 
@@ -181,33 +210,36 @@ class EmulatedNode:
             self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state])))
         consumer = self._consumer
         if consumer.time and consumer.heard and (consumer.expired or now - consumer.heard > consumer.time):
-            consumer.heard, consumer.expired = 0.0, False
+            consumer.heard, consumer.expired, self._missed = 0.0, False, True
             self.emergency(LOST_HEARTBEAT, 0x11)
             self.lost_heartbeat()
         for index in range(PDOS):
             self._on_event(index)
 
     def _manage(self, command: int) -> None:
-        before = self.state
+        known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
         if command in {f.RESET_NODE, f.RESET_COMMUNICATION}:
-            self.boot()
-        else:
-            known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
-            self.state = known.get(command, self.state)
-        if before == f.OPERATIONAL and self.state != f.OPERATIONAL:
-            self.left()
-        self._beat_due = 0.0
+            self.reset(everything=command == f.RESET_NODE)
+        elif command in known:
+            before, self.state = self.state, known[command]
+            if self.state == f.STOPPED != before:
+                self.stopped()
+            self._beat_due = 0.0
 
     # -- SDO ----------------------------------------------------------------------------------------------------------
 
     def _answer(self, data: bytes) -> bytes:
+        """What is answered; nothing to the word that a transfer is given up."""
         command, index, sub = struct.unpack_from("<BHB", data)
         kind = command >> 5
         try:
+            if kind == 4:
+                self._segments = None
+                return b""
             if kind == 1:
                 size = 4 - (command >> 2 & 3) if command & 1 else self._size(index, sub)
-                if not command & 2:
-                    raise Abort(0x05040001)  # no object here is longer than 4 bytes and writable
+                if not command & 2:  # no object here is longer than 4 bytes and writable
+                    self.put(index, sub, bytes(max(5, int.from_bytes(data[4:], "little") & 0xFF)))
                 self.put(index, sub, data[4 : 4 + size])
                 return struct.pack("<BHB4x", 0x60, index, sub)
             if kind == 2:
@@ -216,7 +248,7 @@ class EmulatedNode:
                 return self._segment(command >> 4 & 1)
         except Abort as error:
             return f.abort(index, sub, error.code)
-        return f.abort(index, sub, 0x05040001)
+        return f.abort(index, sub, COMMAND)
 
     def _size(self, index: int, sub: int) -> int:
         entry = self.objects.get((index, sub))
@@ -233,11 +265,14 @@ class EmulatedNode:
         return struct.pack("<BHBI", 0x41, index, sub, len(data))
 
     def _segment(self, toggle: int) -> bytes:
+        if self._segments is None:
+            raise Abort(COMMAND)
         if toggle != self._toggle:
             raise Abort(0x05030000)
         piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
         self._toggle ^= 1
         head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
+        self._segments = self._segments or None
         return bytes([head]) + piece.ljust(SEGMENT, b"\0")
 
     # -- PDO ----------------------------------------------------------------------------------------------------------
@@ -322,6 +357,14 @@ class EmulatedNode:
 
     def _consume(self, value: int) -> None:
         self._consumer = _Consumer(value >> 16 & 0x7F, (value & 0xFFFF) * 1e-3)
+        self._forgive()
+
+    def _forgive(self) -> None:
+        """The heartbeat has come again, or is not waited for any more."""
+        if self._missed:
+            self._missed = False
+            if self.well():
+                self.emergency(0, 0)
 
     def _produce(self, _value: int) -> None:
         self._beat_due = 0.0

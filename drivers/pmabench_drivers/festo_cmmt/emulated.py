@@ -34,6 +34,8 @@ BEHIND, SO_LONG = 0.003, 0.1
 """A place that is so far from the profile [m] for so long [s] is a following error."""
 TIMED_OUT, OUT_OF_STROKE, FOLLOWING = 299, 110, 126
 """Fault codes; which one a drive has for a time-out of Modbus is the emulator's guess."""
+SERIAL_NUMBER = 2076
+"""Parameter: serial number of the control unit, a text of 9 characters."""
 MILLI = -3
 """Decimal exponent of its velocity unit [m/s]."""
 
@@ -59,6 +61,7 @@ class EmulatedDrive:
             t.TELEGRAM: struct.pack("<H", t.TELEGRAM_111),
             t.POSITION_PREFIX: struct.pack("<b", prefix),
             t.VELOCITY_PREFIX: struct.pack("<b", MILLI),
+            SERIAL_NUMBER: b"EMULATED1",
         }
         """Number -> its bytes, besides what process data says."""
         self.control, self.homed, self.supplied, self.fault = True, True, True, 0
@@ -246,6 +249,28 @@ class EmulatedDrive:
         """Let the time-out end at the next look; whether there is one that stops it."""
         self._expire = self.timeout > 0 and self._powered != float("inf")
         return self._expire
+
+    def restart(self) -> None:
+        """As after power-on: without power, with the time-out from the factory, and still homed (absolute encoder)."""
+        with self._lock:
+            self._off("restart")
+            self._out, self.timeout, self.fault, self._inhibited = [0] * t.SENT, FACTORY, 0, True
+            self._mail, self._data = dict.fromkeys(self._mail, 0), []
+            self._heard = monotonic()
+            self._log.note("restart", self.device.name)
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program sends one target [user units] in the process data; whether the drive takes it."""
+        with self._lock:
+            words = encode(Register("", "holding", 0, "int32", low_word_first=True), round(value))
+            self._obey([*self._out[:5], *words, *self._out[7:]])
+            return self.enabled
 
     def look_at_watchdog(self) -> None:
         """Stop where nothing was heard for the time-out."""

@@ -200,6 +200,35 @@ class EmulatedTerminal:
         self._expire = self.timeout > 0
         return self._expire
 
+    # -- what happens to it from outside --------------------------------------------------------------------------
+
+    def restart(self) -> None:
+        """As after power-on: nothing is put out, and the time-out is the one from the factory."""
+        with self._lock:
+            self._drop_outputs()
+            self._words = dict.fromkeys(self._words, 0)
+            self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
+            self.timeout, self._read = FACTORY, 0
+            self._heard, self._bitten = monotonic(), False
+            self._log.note("restart", self.device.name)
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program writes the first analogue output [count]; whether there is one."""
+        with self._lock:
+            for name in list(self._outputs)[:1]:
+                address = self._written[name].address
+                self._put(address, round(value) & 0xFFFF)
+                self._put_out(address, 0)
+            return bool(self._outputs)
+
+    # -- the end of the time-out ----------------------------------------------------------------------------------
+
     def bite(self) -> bool:
         """Whether the time-out ends now; then every output is 0."""
         with self._lock:
@@ -208,13 +237,17 @@ class EmulatedTerminal:
             if not self.timeout or self._bitten or not ends:
                 return False
             self._bitten, self._expire = True, False
-            on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
-            if on:
+            if self._drop_outputs():
                 self._log.note("watchdog", self.device.name, silent=silent)
-            for address in on:
-                self._put(address, 0)
-                self._put_out(address, 0)
             return True
+
+    def _drop_outputs(self) -> bool:
+        """Put out 0 everywhere; whether anything was put out."""
+        on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
+        for address in on:
+            self._put(address, 0)
+            self._put_out(address, 0)
+        return bool(on)
 
 
 class CpxDevice(NamedDevice):
