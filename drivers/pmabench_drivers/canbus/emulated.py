@@ -14,7 +14,7 @@ from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import transducer as t
 from pmabench_drivers.canbus.dbc import Message
 from pmabench_drivers.canbus.emulated_drive import EmulatedDrive
-from pmabench_drivers.canbus.emulated_encoder import LINEAR_ENCODER, STEP, encoder_objects
+from pmabench_drivers.canbus.emulated_encoder import STEP, encoder_objects
 from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.hub import Hub
@@ -118,7 +118,7 @@ class EmulatedBus:
 
     def _gauge(self, name: str, number: int) -> EmulatedNode:
         channel = next((c for c in self._device.channels if c.input == f"{name}.position"), None)
-        node = EmulatedNode(number, LINEAR_ENCODER, f"{EMULATED}CiA 406 transducer", self._hub.send)
+        node = EmulatedNode(number, 406, f"{EMULATED}CiA 406 transducer", self._hub.send)
 
         def position() -> int:
             if channel is None:

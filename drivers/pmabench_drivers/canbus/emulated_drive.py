@@ -37,11 +37,12 @@ class EmulatedDrive(EmulatedNode):
         stroke: Sequence[int],
         note: Callable[..., Any],
     ) -> None:
-        super().__init__(number, SERVO_DRIVE, model, send)
+        super().__init__(number, 402, model, send)
         self._plant, self._scale, self._note = plant, scale, note
         self.drive_state = State.DISABLED
         self.obeys = True
         """Whether it goes on from state to state, as one whose enable input is on does."""
+        self.preset(f.DEVICE_TYPE, 0, SERVO_DRIVE)
         self._word = 0
         self._acknowledged = self._limited = False
         self._late_since = 0.0

@@ -31,6 +31,7 @@ UNKNOWN_TIME = 0xFFFF_FFFF
 
 def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tuple[int, int], Entry]:
     """The objects of the profile; `position` [steps] is where the magnet is now."""
+    node.preset(f.DEVICE_TYPE, 0, LINEAR_ENCODER)
     timer = node.objects[f.TPDO_PARAMETER, 5]
 
     def cycle(period: int) -> None:

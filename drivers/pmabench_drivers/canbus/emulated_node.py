@@ -71,7 +71,7 @@ class _Consumer:
 class EmulatedNode:
     """One node. A kind of node adds objects, and says what happens on SYNC, on stop and when a heartbeat is lost."""
 
-    def __init__(self, number: int, device_type: int, model: str, send: Callable[[Frame], None]) -> None:
+    def __init__(self, number: int, profile: int, model: str, send: Callable[[Frame], None]) -> None:
         self.number, self.state = number, f.PREOP
         self._send = send
         self._consumer, self._missed = _Consumer(), False
@@ -82,7 +82,7 @@ class EmulatedNode:
         self._waiting: dict[int, bytes] = {}
         self._event_due = [0.0] * PDOS
         self.objects: dict[tuple[int, int], Entry] = {
-            (f.DEVICE_TYPE, 0): Entry("I", device_type),
+            (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
             (f.DEVICE_NAME, 0): Entry("s", model.encode()),
             (f.SOFTWARE, 0): Entry("s", b"1"),
@@ -90,7 +90,7 @@ class EmulatedNode:
             (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
             (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
             (f.IDENTITY, 0): Entry("B", 4),
-            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, device_type, 1, number), 1)},
+            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
         }
         for index in range(PDOS):
             for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
