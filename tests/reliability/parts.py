@@ -39,5 +39,6 @@ PARTS = (
     Part("rigs", "S3, S4, S6, S7b", "each driver over its wire, whole runs, everything killed", 10_000, ("tests/drivers", "tests/session/test_realtime.py")),
     Part("hostile", "hostile input", "damaged answers to each driver, and every promise of a driver", 10_000, ("tests/conformance",)),
     Part("imports", "R5, hostile input", "damaged files of each format: no number changed in silence", 10_000, ("tests/store/test_import_fuzz.py",)),
+    Part("clients", "S16, N5", "calls of clients that others wrote, each in an environment of its own", 1, ("tests/clients/test_clients.py", "tests/clients/own_environments.py")),
     Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
 )  # fmt: skip

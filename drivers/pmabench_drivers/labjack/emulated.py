@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
 from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, SKEW, Faults
-from pmabench_drivers.emulator.frames import ADDRESS, Refused, Request
+from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, Fault, Faults
+from pmabench_drivers.emulator.frames import ADDRESS, FUNCTION, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import host_of
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH
+from pmabench_drivers.labjack.emulated_map import F32, FEEDBACK, WORDS, Cut, Unknown, Value, feedback, values_of, whole
 from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
 from pmabench_drivers.labjack.options import Options, read_options
 from pmabench_drivers.options import Reader
@@ -27,6 +31,37 @@ SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
 DAC_END = 0.993
 """Share of its full voltage that a DAC reaches."""
 BUFFER = 2 * 4096
+FLASHED = (r.WATCHDOG_ENABLE, r.WATCHDOG_ENABLE + 100)
+"""Registers that power-on does not change."""
+POWER_ON = 1
+"""Bit 0 of the cause of the last restart."""
+HARDWARE, FIRMWARE = 1.3, 1.0331
+CORE = 40e6
+"""Half of the core's frequency [Hz]."""
+REBOOT = 0x4C4A
+"""What the upper word of `REBOOT` must be; the lower one waits in steps of 50 ms."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Digital lines in one register."""
+
+    first: int
+    count: int
+    directions: bool = False
+
+
+BITS = {
+    **{r.STATES + i: Lines(first, count) for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))},
+    **{
+        r.DIRECTIONS + i: Lines(first, count, True)
+        for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))
+    },
+    **{r.STATES_OF_TWO + i: Lines(first, count) for i, (first, count) in enumerate(((0, 16), (8, 12), (16, 7)))},
+    r.DIO_STATE: Lines(0, 23),
+    r.DIO_DIRECTION: Lines(0, 23, True),
+}
+"""Registers of several lines."""
 
 
 def constants() -> list[float]:
@@ -58,7 +93,7 @@ class _Faults(Faults):
     """Faults of the link, and those of the stream."""
 
     def __init__(self, stream: Streamer) -> None:
-        super().__init__(*KINDS, SKEW, EXPIRY, FAULTS)
+        super().__init__(*KINDS, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT, FAULTS)
         self._stream = stream
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
@@ -95,6 +130,19 @@ class EmulatedT7(TcpDevice):
         super().close()
         self.stream.close()
 
+    def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
+        """The answer to a request; of function 76, all reads after one another."""
+        if pdu[0] != FEEDBACK:
+            return super().reply(pdu, connection, fault)
+        words: list[int] = []
+        for number, request in enumerate(feedback(pdu)):
+            try:
+                words += self.values(request, connection, fault)
+            except Refused:
+                self.t7.failed_frame = number
+                raise
+        return bytes([FEEDBACK]) + struct.pack(f">{len(words)}H", *words)
+
 
 class T7:
     """The registers of a model, kept as words by their addresses."""
@@ -112,34 +160,23 @@ class T7:
         self._valves = {r.line_of(valve.output): valve for valve in device.valves}
         self._locks = {r.line_of(lock.input): lock for lock in device.interlocks}
         self._words: dict[int, int] = {}
-        self._last_error = 0
+        self._values = values_of(options.model)
+        self._shown = self._show()
+        self._last_error = self.failed_frame = 0
         self._levels = self._directions = 0
-        self._cleared, self._bitten = monotonic(), False
+        self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
         self.sample: Callable[[int], list[int]] | None = None
         """What stands in for the plant in tests of the stream: the counts of a scan by its number."""
         self._defaults()
 
     def _defaults(self) -> None:
-        for number in range(14):
-            self._store(r.AIN_RANGE + 2 * number, r.f32(0.0))
-            self._words[r.AIN_NEGATIVE + number] = r.SINGLE_ENDED
-        for index in range(2):
-            self._store(r.DAC + 2 * index, r.f32(0.0))
-        for first, last in ((r.STREAM_SCANRATE, 4030), (r.STREAM_SCANLIST, 4356), (r.WATCHDOG_ENABLE, 61608)):
-            for address in range(first, last):
-                self._words[address] = 0
-        for first, size in ((r.WATCHDOG_STRICT, 6), (r.WATCHDOG_RESET, 2), (r.WATCHDOG_DIO_ENABLE, 8)):
-            self._store(first, [0] * size)
-        for first in r.WATCHDOG_DAC_ENABLE:
-            self._store(first, [0] * 4)
-        self._store(r.STREAM_ENABLE, [0, 0])
-        self._store(r.FLASH_POINTER, [0, 0])
-        self._store(r.TEST, r.u32(0x00112233))
+        self._words.clear()
+        for address, value in self._values.items():
+            self._store(address, value.words)
         self._store(r.PRODUCT_ID, r.f32(self._model.product))
-        if self._model.captures:
-            self._store(r.CAPTURE, [0] * self._inputs)
-        self._store(r.FIRMWARE_VERSION, r.f32(1.0331))
-        self._store(r.SERIAL_NUMBER, r.u32(0))
+        self._store(r.HARDWARE_VERSION, r.f32(HARDWARE))
+        self._store(r.FIRMWARE_VERSION, r.f32(FIRMWARE))
+        self._store(r.RESET_CAUSE, r.u32(POWER_ON))
 
     def _store(self, address: int, words: list[int]) -> None:
         for offset, word in enumerate(words):
@@ -163,40 +200,71 @@ class T7:
             if not self._u32(r.WATCHDOG_STRICT):
                 self._clear()
             if request.table not in {"holding", "input"}:
-                raise Refused(ADDRESS)
+                raise Refused(FUNCTION)
             if request.values:
                 self._write(request.address, list(request.values), connection, ignore=ignore)
                 return []
             return self._read(request.address, request.count)
 
+    def _whole(self, address: int, count: int, access: str) -> list[tuple[int, Value]]:
+        try:
+            return list(whole(self._values, address, count, access))
+        except Unknown:
+            raise Refused(ADDRESS) from None
+        except Cut:
+            self._refuse(2315)
+            raise
+
     def _read(self, address: int, count: int) -> list[int]:
-        if r.DIO <= address < r.DIO + 23 and address + count <= r.DIO + 23:
-            return [self._read_line(line) for line in range(address - r.DIO, address - r.DIO + count)]
-        if (address, count) == (r.LAST_ERR_DETAIL, 1):
-            return [self._last_error]
-        if (address, count) == (r.DIO_STATE, 2):
-            return r.u32(sum(self._terminal(line) << line for line in range(23)))
-        if (address, count) == (r.DIO_DIRECTION, 2):
-            return r.u32(self._directions)
+        asked = self._whole(address, count, "R")
+        if any(at < self._inputs for at, _value in asked):
+            self._read_inputs()
+        for at, _value in asked:
+            if at in self._shown:
+                self._store(at, self._shown[at]())
+            elif r.DIO <= at < r.DIO + len(r.LINES):
+                self._words[at] = self._read_line(at - r.DIO)
         if address == r.FLASH_READ:
             return self._read_flash(count)
-        if address < self._inputs and address + count <= self._inputs:
-            return self._read_inputs(address, count)
-        if address == r.STREAM_SCANRATE and count >= 2:  # what it will really use
-            self._store(address, r.f32(self._actual_rate()))
-        if not all(address + offset in self._words for offset in range(count)):
-            raise Refused(ADDRESS)
         return [self._words[address + offset] for offset in range(count)]
 
-    def _read_inputs(self, address: int, count: int) -> list[int]:
-        """Volts of some inputs; a model that captures takes all of them at this moment."""
+    def _show(self) -> dict[int, Callable[[], list[int]]]:
+        """Registers that are made when they are read: address -> what makes their words."""
+
+        def uptime() -> float:
+            return monotonic() - self._started
+
+        shown: dict[int, Callable[[], list[int]]] = {
+            r.LAST_ERR_DETAIL: lambda: [self._last_error],
+            r.LAST_ERR_FRAME: lambda: [self.failed_frame],
+            r.LAST_MB_ERR: lambda: [FAILED if self._last_error else 0],
+            r.STREAM_SCANRATE: lambda: r.f32(self._actual_rate()),
+            r.RTC_TIME: lambda: r.u32(int(uptime())),
+            r.COUNTER_10KHZ: lambda: r.u32(int(uptime() % 1.0 * 1e4)),
+            r.CORE_TIMER: lambda: r.u32(int(uptime() * CORE) & 0xFFFFFFFF),
+        }
+        for address, lines in BITS.items():
+            shown[address] = lambda address=address, lines=lines: self._bits(address, lines)  # type: ignore[misc]
+        return shown
+
+    def _bits(self, address: int, lines: Lines) -> list[int]:
+        """Levels or directions of some lines, the first in the lowest bit."""
+        if lines.directions:
+            found = self._directions
+        else:
+            found = sum(self._terminal(line) << line for line in range(len(r.LINES)))
+        found = found >> lines.first & (1 << lines.count) - 1
+        return r.u32(found) if WORDS[self._values[address].type] == 2 else [found]
+
+    def _read_inputs(self) -> None:
+        """Volts of all inputs; a model that captures takes all of them at this moment."""
         if self._stream.running:
             self._refuse(2605)
         quantities = self._plant.quantities()
         words = r.f32(*(self._volts(number, quantities) for number in range(self._inputs // 2)))
+        self._store(0, words)
         if self._model.captures:
             self._store(r.CAPTURE, words)
-        return words[address : address + count]
 
     def _read_flash(self, count: int) -> list[int]:
         first = (self._u32(r.FLASH_POINTER) - FLASH) // 4
@@ -206,48 +274,76 @@ class T7:
         return r.f32(*wanted)
 
     def _write(self, address: int, words: list[int], connection: int, *, ignore: bool) -> None:
-        last = address + len(words)
-        line = r.DIO <= address and last <= r.DIO + 23
-        clear = (address, len(words)) == (r.WATCHDOG_CLEAR, 2)
-        if not line and not all(place in self._words for place in range(address, last)):
-            raise Refused(ADDRESS)
-        if not line and not r.AIN_NEGATIVE <= address < r.AIN_NEGATIVE + 14 and len(words) % 2:
-            self._refuse(2315)
-        if r.WATCHDOG_ENABLE < address < r.WATCHDOG_ENABLE + 100 and not clear and self._u32(r.WATCHDOG_ENABLE):
-            self._refuse(2671)
-        if self._stream.running and (4002 <= address < 4990 or r.AIN_RANGE <= address < r.AIN_RANGE + 1100):
-            self._refuse(2605)
+        asked = self._whole(address, len(words), "W")
+        given = {at: words[at - address : at - address + WORDS[value.type]] for at, value in asked}
+        self._refuse_wrong(given)
         if ignore:
             return
-        if line:
-            for offset, word in enumerate(words):
-                self._set_line(address - r.DIO + offset, high=word != 0, connection=connection)
-            return
-        if clear:
-            if not self._u32(r.WATCHDOG_STRICT) or r.from_u32(words) == [self._u32(r.WATCHDOG_KEY)]:
+        for at, part in given.items():
+            self._take(at, part, connection)
+
+    def _refuse_wrong(self, given: dict[int, list[int]]) -> None:
+        """LabJack's own error for what cannot be now, or has a value that cannot be."""
+        for at, part in given.items():
+            if self._u32(r.WATCHDOG_ENABLE) and r.WATCHDOG_ENABLE < at < FLASHED[1] and at != r.WATCHDOG_CLEAR:
+                self._refuse(2671)
+            if self._stream.running and (r.STREAM_SCANRATE <= at < r.STREAM_ENABLE or r.AIN_RANGE <= at < 42100):
+                self._refuse(2605)
+            if self._values[at].type == F32 and at != r.TEST_FLOAT and not isfinite(r.from_f32(part)[0]):
+                raise Refused(VALUE)
+            if at == r.WATCHDOG_ENABLE and part[1] and self._u32(r.WATCHDOG_TIMEOUT) < 1:
+                self._refuse(2670)
+            if at == r.REBOOT and part[0] != REBOOT:
+                self._refuse(2402)
+            self._refuse_wrong_input(at, part)
+
+    def _refuse_wrong_input(self, at: int, part: list[int]) -> None:
+        """Of settings of the analogue inputs."""
+        count = len(self._model.inputs)
+        if r.AIN_RANGE <= at < r.AIN_RANGE + 2 * count and self._model.ranges:
+            [span] = r.from_f32(part)
+            if span and not any(abs(span - known) < 0.01 * known for _gain, known in self._model.ranges.values()):
+                self._refuse(2370)
+        number = at - r.AIN_NEGATIVE
+        if 0 <= number < count and part[0] != r.SINGLE_ENDED and (number % 2 or part[0] != number + 1):
+            self._refuse(2373)
+        if r.AIN_RESOLUTION <= at < r.AIN_RESOLUTION + count and part[0] > self._model.finest:
+            self._refuse(2375)
+        if r.AIN_SETTLING <= at < r.AIN_SETTLING + 2 * count and not 0 <= r.from_f32(part)[0] <= 50_000:
+            self._refuse(2371)
+
+    def _take(self, at: int, part: list[int], connection: int) -> None:
+        """Carry out the writing of one value."""
+        if r.DIO <= at < r.DIO + len(r.LINES):
+            self._set_line(at - r.DIO, high=part[0] != 0, connection=connection)
+        elif at == r.WATCHDOG_CLEAR:
+            if not self._u32(r.WATCHDOG_STRICT) or r.from_u32(part) == [self._u32(r.WATCHDOG_KEY)]:
                 self._clear()
-            return
-        if address == r.STREAM_ENABLE:
-            self._enable_stream(on=words[1] != 0)
-            return
-        if address == r.WATCHDOG_ENABLE and words[1] and self._u32(r.WATCHDOG_TIMEOUT) < 1:
-            self._refuse(2670)
-        self._store(address, words)
-        if address == r.WATCHDOG_ENABLE:
+        elif at == r.STREAM_ENABLE:
+            self._enable_stream(on=part[1] != 0)
+        elif at == r.REBOOT:
+            threading.Timer(0.05 * part[1], self.restart).start()
+        elif at in {r.DAC, r.DAC + 2}:
+            self._set_dac(at, r.from_f32(part)[0], connection)
+        elif at in BITS:
+            self._set_bits(at, part, connection)
+        else:
+            self._store(at, part)
+        if at == r.WATCHDOG_ENABLE:
             self._clear()
-            self._log.note("watchdog-register", self.device.name, raw=words[1], connection=connection)
-        for index, name in enumerate(r.DACS):
-            if r.DAC + 2 * index in range(address, last):
-                self._set_dac(name, self._f32(r.DAC + 2 * index), connection)
+            self._log.note("watchdog-register", self.device.name, raw=part[1], connection=connection)
 
     # -- terminals ------------------------------------------------------------------------------------------------
 
-    def _set_dac(self, name: str, volts: float, connection: int) -> None:
-        output = self._outputs.get(name)
+    def _set_dac(self, at: int, volts: float, connection: int) -> None:
+        """Give a voltage within its range; what is beyond reads back as the end of it (datasheet, 15.0 DAC)."""
+        volts = min(max(volts, 0.0), DAC_END * self._model.dac_full)
+        self._store(at, r.f32(volts))
+        output = self._outputs.get(r.DACS[(at - r.DAC) // 2])
         if output is None:
             return
         step = self._model.dac_step
-        reached = round(min(max(volts, 0.0), DAC_END * self._model.dac_full) / step) * step
+        reached = round(volts / step) * step
         si = float(output.scale.to_si(volts))
         note = {"output": output.name, "raw": volts, "si": si, "connection": connection}
         self._log.note("set", self.device.name, **note)
@@ -258,9 +354,31 @@ class T7:
         self._directions |= 1 << line
         self._levels = self._levels | 1 << line if high else self._levels & ~(1 << line)
         self._valve_follows(line)
+        self._note_valve(line, connection)
+
+    def _set_bits(self, at: int, part: list[int], connection: int) -> None:
+        """Levels or directions of several lines at once, but for those that are inhibited."""
+        lines = BITS[at]
+        if len(part) == 2:
+            value, inhibited = r.from_u32(part)[0], self._u32(r.DIO_INHIBIT)
+        else:
+            value, inhibited = part[0], part[0] >> 8 if lines.count <= 8 else 0
+        mask = ((1 << lines.count) - 1) & ~inhibited
+        value, mask = (value & mask) << lines.first, mask << lines.first
+        if lines.directions:
+            self._directions = self._directions & ~mask | value
+        else:
+            self._levels = self._levels & ~mask | value
+        for line in self._valves:
+            if line is not None and mask >> line & 1:
+                self._valve_follows(line)
+                self._note_valve(line, connection)
+
+    def _note_valve(self, line: int, connection: int) -> None:
         valve = self._valves.get(line)
         if valve is not None:
-            self._log.note("switch", self.device.name, valve=valve.name, on=high, connection=connection)
+            on = bool(self._levels & self._directions & 1 << line)
+            self._log.note("switch", self.device.name, valve=valve.name, on=on, connection=connection)
 
     def _valve_follows(self, line: int) -> None:
         """A relay in front of the valve: energised while the line is an output and high."""
@@ -348,6 +466,38 @@ class T7:
     def _clear(self) -> None:
         self._cleared, self._bitten = monotonic(), False
 
+    def switch_off_watchdog(self) -> bool:
+        """Another program switches it off; whether it was on."""
+        with self._lock:
+            was_on = bool(self._u32(r.WATCHDOG_ENABLE))
+            self._store(r.WATCHDOG_ENABLE, r.u32(0))
+            return was_on
+
+    def restart(self) -> None:
+        """Power off and on: DACs at 0 V, lines as inputs, no stream; what is in flash, the watchdog's settings, stays.
+
+        T-series datasheet, 23.0 Watchdog: settings are defaults at power-on, and the watchdog starts again by itself.
+        """
+        with self._lock:
+            self._stream.end()
+            kept = {address: word for address, word in self._words.items() if FLASHED[0] <= address < FLASHED[1]}
+            self._defaults()
+            self._words |= kept
+            self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
+            self._levels = self._directions = 0
+            for line in self._valves:
+                self._valve_follows(line or 0)
+            for output in self._outputs.values():
+                if output.quantity == "pressure":
+                    self._plant.command(float(output.scale.to_si(0.0)))
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program commands the first DAC of the bench [V]; whether there is one."""
+        with self._lock:
+            for name in list(self._outputs)[:1]:
+                self._set_dac(r.DAC + 2 * r.DACS.index(name), value, 0)
+            return bool(self._outputs)
+
     def look_at_watchdog(self) -> None:
         """Set DACs and lines where nobody has cleared it for its time."""
         if monotonic() - self._cleared > self._u32(r.WATCHDOG_TIMEOUT):
@@ -357,10 +507,11 @@ class T7:
         """Do it now; whether the watchdog was armed."""
         with self._lock:
             silent = monotonic() - self._cleared
-            if not self._u32(r.WATCHDOG_ENABLE) or self._bitten:
+            if not self._u32(r.WATCHDOG_ENABLE):
                 return False
-            self._bitten = True
-            self._log.note("watchdog", self.device.name, silent=silent)
+            if not self._bitten:
+                self._log.note("watchdog", self.device.name, silent=silent)
+            self._bitten, self._cleared = True, monotonic()  # it counts again, and does the same after its time
             for index, name in enumerate(r.DACS):
                 if self._u32(r.WATCHDOG_DAC_ENABLE[index]):
                     volts = self._f32(r.WATCHDOG_DAC[index])

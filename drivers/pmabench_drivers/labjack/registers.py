@@ -11,9 +11,15 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-TEST, TEST_VALUE = 55100, 0x00112233
-PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
-LAST_ERR_DETAIL = 55000
+TEST, TEST_VALUE, TEST_FLOAT = 55100, 0x00112233, 55124
+PRODUCT_ID, HARDWARE_VERSION, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60002, 60004, 60028
+LAST_ERR_DETAIL, LAST_MB_ERR, LAST_ERR_FRAME = 55000, 55001, 55002
+RESET_CAUSE, RTC_TIME = 60014, 61500
+"""Why it restarted last, as bits; its clock [s], from power-on or of the day."""
+COUNTER_10KHZ, CORE_TIMER, REBOOT = 61502, 61520, 61998
+"""The clock's fraction of a second in 0.1 ms; a timer of half the core's frequency; 0x4C4Axxxx: restart."""
+TIME_OF_DAY = 1_000_000_000
+"""A clock beyond this counts from 1970: no device was on for 30 years."""
 
 DAC = 1000
 """DAC0 [V]; DAC1 two registers on."""
@@ -21,8 +27,10 @@ DACS = ("DAC0", "DAC1")
 
 DIO = 2000
 """FIO0, one register a line: writing makes it an output, reading an input."""
-DIO_STATE, DIO_DIRECTION = 2800, 2850
+DIO_STATE, DIO_DIRECTION, DIO_INHIBIT = 2800, 2850, 2900
 """All lines as bits, as they stand; reading changes nothing."""
+STATES, STATES_OF_TWO, DIRECTIONS = 2500, 2580, 2600
+"""Of FIO, EIO, CIO, MIO each; of FIO with EIO, EIO with CIO, CIO with MIO."""
 LINES = {
     **{f"FIO{i}": i for i in range(8)},
     **{f"EIO{i}": 8 + i for i in range(8)},
@@ -33,7 +41,7 @@ LINES = {
 ALL_LINES = (1 << 23) - 1
 
 AINS = {f"AIN{i}": i for i in range(14)}
-AIN_RANGE, AIN_NEGATIVE = 40000, 41000
+AIN_RANGE, AIN_NEGATIVE, AIN_RESOLUTION, AIN_SETTLING = 40000, 41000, 41500, 42000
 SINGLE_ENDED = 199
 CAPTURE = 650
 """T8: what AIN0 was when any input was read last [V]; the next one two registers on."""
@@ -54,8 +62,12 @@ class Model:
     inputs: Mapping[str, int]
     ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Ranges of the inputs, the widest first; none where they cannot be set here."""
+    tells_restarts: float = 0.0
+    """Firmware from which on it tells why it restarted last."""
     streams: bool = False
     """Whether it is read by its stream, or asked for each sample."""
+    finest: int = 16
+    """Highest resolution index."""
     captures: bool = False
     """Whether reading one input takes all of them at that moment."""
 
@@ -66,8 +78,8 @@ class Model:
 
 
 MODELS = {
-    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}),
-    "T7": Model(7.0, 5.0, 12, AINS, RANGES, streams=True),
+    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, tells_restarts=1.0023, finest=5),
+    "T7": Model(7.0, 5.0, 12, AINS, RANGES, tells_restarts=1.0281, streams=True, finest=8),
     "T8": Model(
         8.0, 10.0, 16, {f"AIN{i}": i for i in range(8)}, {f"{v:g} V": (0, float(v)) for v in T8_SPANS}, captures=True
     ),
@@ -99,7 +111,9 @@ FLASH_POINTER, FLASH_READ = 61810, 61812
 ERRORS = {
     2313: "a wrong number of registers",
     2315: "an even number of registers is needed",
+    2402: "the code of the restart is wrong",
     2370: "this range of an analogue input does not exist",
+    2371: "this settling time is too long",
     2373: "this negative channel does not exist",
     2375: "this resolution index does not exist",
     2600: "a stream needs a channel",

@@ -1,0 +1,1 @@
+"""Clients that others wrote, in front of the emulators: README.md."""
