@@ -90,7 +90,7 @@ def _judged(said, emulator):
     wrong = [said["why"]] if not said["ok"] else []
     truth = emulator.plant.quantities() if said.get("saw") else {}
     for what, value in said.get("saw", {}).items():
-        known = truth.get(what, _commanded(emulator, what))
+        known = truth[what] if what in truth else _commanded(emulator, what)
         if not abs(value - known) <= NEAR[what]:
             wrong.append(f"the client saw {what} {value:g} and it is {known:g}")
     return Result(said["call"], DISAGREES if wrong else AGREES, "; ".join(wrong))

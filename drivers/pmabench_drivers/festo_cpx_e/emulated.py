@@ -19,7 +19,6 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.festo_cpx_e.named import NamedDevice
 from pmabench_drivers.festo_cpx_e.terminal import (
     CONTROL,
-    DATA_FORMAT,
     DONE,
     FAULTS,
     FIRST_INPUT,
@@ -38,6 +37,13 @@ from pmabench_drivers.options import Reader
 
 CYCLE = 0.003
 """What is written shows in the modules' inputs and in the data system table so much later [s]."""
+DEFAULTS = {
+    "16di": {0: 0x01, 1: 0x51},
+    "8do": {0: 0x06, 1: 0x00},
+    "4ai-ui": {0: 0x81, 1: 0x01, 6: 0xE0},
+    "4ao-ui": {0: 0x86, 1: 0x0A, 6: 0x20},
+}
+"""Parameters of a module and their values from the factory on, as Festo's client library describes each bit."""
 FACTORY = 100
 """Time-out from the factory on [ms]."""
 NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", f"{EMULATED}CPX-E", "")
@@ -75,8 +81,8 @@ class EmulatedTerminal:
             number, shift = terminal.module_of(name).range_of(int(name.partition(".")[2]))
             self.parameters[number] = self.parameters.get(number, 0) | code << shift
         for module in terminal.modules:
-            if module.kind.ranges:
-                self.parameters[module.parameter(DATA_FORMAT)] = 0x20
+            for number, value in DEFAULTS[module.name].items():
+                self.parameters[module.parameter(number)] = value
         self._words = {CONTROL: 0, VALUE_IN: 0}
         self._words.update({register.address: 0 for register in self._written.values()})
         self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
