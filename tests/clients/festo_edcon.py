@@ -55,6 +55,10 @@ def wait(condition, what):
         time.sleep(0.02)
 
 
+def opened(handler):
+    return handler(ComModbus(HOST), config_mode="write")
+
+
 def ready(drive):
     assert drive.acknowledge_faults(), "keeps a fault"
     assert drive.enable_powerstage(), "is not enabled"
@@ -198,24 +202,20 @@ with call("disable_powerstage, shutdown"), soon():
     assert mot.disable_powerstage(), "keeps its power"
     mot.shutdown()
 
-with call("Telegram9Handler: enable_powerstage, referencing_task"), soon():
-    with Telegram9Handler(ComModbus(HOST), config_mode="write") as drive:
-        assert ready(drive).referencing_task(), "homing does not end"
-        assert drive.referenced()
+with call("Telegram9Handler: enable_powerstage, referencing_task"), soon(), opened(Telegram9Handler) as drive:
+    assert ready(drive).referencing_task(), "homing does not end"
+    assert drive.referenced()
 
-with call("Telegram1Handler: velocity_task"), soon():
-    with Telegram1Handler(ComModbus(HOST), config_mode="write") as drive:
-        assert ready(drive).velocity_task(2_000, duration=0.4)
-        assert drive.telegram.nist_a.value == 2_000, f"tells the velocity {drive.telegram.nist_a.value}"
+with call("Telegram1Handler: velocity_task"), soon(), opened(Telegram1Handler) as drive:
+    assert ready(drive).velocity_task(2_000, duration=0.4)
+    assert drive.telegram.nist_a.value == 2_000, f"tells the velocity {drive.telegram.nist_a.value}"
 
-with call("Telegram102Handler: velocity_task"), soon():
-    with Telegram102Handler(ComModbus(HOST), config_mode="write") as drive:
-        assert ready(drive).velocity_task(-100_000_000, duration=0.4)
-        assert abs(drive.telegram.nist_b.value + 100_000_000) < 1_000, f"tells {drive.telegram.nist_b.value}"
+with call("Telegram102Handler: velocity_task"), soon(), opened(Telegram102Handler) as drive:
+    assert ready(drive).velocity_task(-100_000_000, duration=0.4)
+    assert abs(drive.telegram.nist_b.value + 100_000_000) < 1_000, f"tells {drive.telegram.nist_b.value}"
 
-with call("MotionHandler after other telegrams"), soon():
-    with MotionHandler(ComModbus(HOST), config_mode="write") as mot:
-        assert ready(mot).position_task(1_000, 20)
+with call("MotionHandler after other telegrams"), soon(), opened(MotionHandler) as mot:
+    assert ready(mot).position_task(1_000, 20)
 
 not_tried("Telegram9Handler: position_task", "festo-edcon 1.0.3 itself ends it: its telegram 9 has no pos_stw1")
 not_tried("configure_traversing_to_fixed_stop", "no torque is emulated")

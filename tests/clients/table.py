@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tests.drivers.can.rigs import bus
 from tests.drivers.festo.rigs import terminal
 from tests.drivers.festo_cmmt.rigs import drive
 from tests.drivers.labjack.rigs import t7
@@ -32,6 +33,7 @@ class Client:
 
 CLIENTS: tuple[Client, ...] = (
     Client("labjack", "Modbus TCP by hand / T7", "", "labjack_raw.py", lambda _line: t7()),
+    Client("canopen", "canopen / CiA 402 drive and CiA 406 encoder", "", "canopen_nodes.py", lambda _line: bus()),
     Client("festo-cpx-io", "festo-cpx-io / CPX-E", "festo-cpx-io==0.11.3", "festo_cpx_io.py", lambda _line: terminal()),
     Client("festo-edcon", "festo-edcon / CMMT", "festo-edcon==1.0.3", "festo_edcon.py", lambda _line: drive()),
 )  # fmt: skip

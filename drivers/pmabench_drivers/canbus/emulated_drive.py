@@ -15,9 +15,18 @@ from pmabench_drivers.emulator.plant import RealPlant
 
 WORDS = {state: value for _mask, value, state in c.STATES}
 FOLLOWING_ERROR = 0x8611
+VELOCITY, AVERAGED = 0x606C, 0.02
+"""Actual velocity, and over which time it is taken [s]."""
 SERVO_DRIVE = 402 | 2 << 16
 """Device type: the profile, and the kind of drive."""
 CONNECTION_LOST = 0x8100
+ON_EVENT = 255
+"""Transmission type of a PDO that is sent, or is in force, when its content changes."""
+DEFAULT_PDOS = (
+    (((c.STATUSWORD, 16),), ((c.CONTROLWORD, 16),)),
+    (((c.STATUSWORD, 16), (c.MODE_SHOWN, 8)), ((c.CONTROLWORD, 16), (c.MODE, 8))),
+)
+"""What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
 ACCELERATIONS = (0x6083, 0x6084, 0x6085)
 """Profile acceleration, deceleration, quick stop deceleration: held, and without effect, as its profile has none."""
 OPTION_STAYS = 5
@@ -57,6 +66,7 @@ class EmulatedDrive(EmulatedNode):
             (c.MODE_SHOWN, 0): Entry("b", 0),
             (c.TARGET, 0): Entry("i", self._actual(), writable=True),
             (c.ACTUAL, 0): Entry("i", read=self._actual),
+            (VELOCITY, 0): Entry("i", read=self._velocity),
             (c.DEMAND, 0): Entry("i", read=self._demand),
             (c.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
             **{(index, 0): Entry("I", 1_000_000, writable=True) for index in ACCELERATIONS},
@@ -74,10 +84,23 @@ class EmulatedDrive(EmulatedNode):
             (c.WINDOW_TIME, 0): Entry("H", 100, writable=True),
         }
 
+        for place, (shown, commanded) in enumerate(DEFAULT_PDOS):
+            for parameter, entries in ((f.TPDO_PARAMETER, shown), (f.RPDO_PARAMETER, commanded)):
+                for sub, (index, bits) in enumerate(entries, 1):
+                    self.preset(parameter + 0x200 + place, sub, f.mapping(index, 0, bits))
+                self.preset(parameter + 0x200 + place, 0, len(entries))
+                self.preset(parameter + place, 1, self.get(parameter + place, 1) & ~f.INVALID)
+                self.preset(parameter + place, 2, ON_EVENT)
+
     # -- where it is --------------------------------------------------------------------------------------------------
 
     def _actual(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement"])))
+
+    def _velocity(self) -> int:
+        """How fast it goes [count/s], over the last 20 ms."""
+        before, after = (self._plant.at(self.now - back)["displacement"] for back in (AVERAGED, 0.0))
+        return round(float(self._scale.to_raw(after) - self._scale.to_raw(before)) / AVERAGED)
 
     def _demand(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement_command"])))

@@ -20,7 +20,19 @@ NO_OBJECT, NO_SUB, READ_ONLY, LONG, SHORT, VALUE, STATE, COMMAND = (
     0x08000022,
     0x05040001,
 )
+NO_DATA = 0x08000024
 LOST_HEARTBEAT = 0x8130
+ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
+    0x1003,
+    0x1005,
+    0x1006,
+    0x1009,
+    0x100C,
+    0x100D,
+    0x1014,
+)
+KEPT = 4
+"""So many errors of the past are kept."""
 COMMUNICATION = range(0x1000, 0x2000)
 """Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
 SEGMENT = 7
@@ -81,11 +93,24 @@ class EmulatedNode:
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
         self._event_due = [0.0] * PDOS
+        self._event_sent: list[bytes | None] = [None] * PDOS
+        self._errors: list[int] = []
+        """Those of the past, the newest first."""
+        self._guarded, self._guard_toggle = 0.0, 0
+        """When it was asked for its state last [s, monotonic]; 0: never, and so nothing is missed."""
         self.objects: dict[tuple[int, int], Entry] = {
             (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
             (f.DEVICE_NAME, 0): Entry("s", model.encode()),
+            (ERRORS, 0): Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
+            **{(ERRORS, sub): Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
+            (SYNC_ID, 0): Entry("I", f.SYNC, writable=True),
+            (SYNC_PERIOD, 0): Entry("I", 0, writable=True),
+            (HARDWARE, 0): Entry("s", b"1"),
             (f.SOFTWARE, 0): Entry("s", b"1"),
+            (GUARD_TIME, 0): Entry("H", 0, writable=True),
+            (LIFE_FACTOR, 0): Entry("B", 0, writable=True),
+            (EMCY_ID, 0): Entry("I", f.EMCY + number, writable=True),
             (f.CONSUMER, 0): Entry("B", 1),
             (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
             (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
@@ -121,6 +146,7 @@ class EmulatedNode:
             if everything or index in COMMUNICATION:
                 entry.value = entry.power_on
         self._consumer, self._missed, self._segments = _Consumer(), False, None
+        self._guarded, self._guard_toggle = 0.0, 0
         self._waiting.clear()
         self.boot()
 
@@ -175,10 +201,25 @@ class EmulatedNode:
     def emergency(self, code: int, register: int = 1) -> None:
         """Send an emergency, which a stopped node does not; code 0 says that it is over."""
         self.objects[f.ERROR_REGISTER, 0].value = register
+        if code:
+            self._errors = [code, *self._errors[: KEPT - 1]]
         if self.state == f.STOPPED:
             return
         data = code.to_bytes(2, "little") + bytes([register]) + bytes(5)
-        self._send(Frame(f.EMCY + self.number, data))
+        self._send(Frame(self.get(EMCY_ID) & 0x7FF, data))
+
+    def _error(self, sub: int) -> Callable[[], int]:
+        def read() -> int:
+            if sub > len(self._errors):
+                raise Abort(NO_DATA)
+            return self._errors[sub - 1]
+
+        return read
+
+    def _forget_errors(self, count: int) -> None:
+        if count:
+            raise Abort(VALUE)
+        self._errors = []
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
@@ -188,9 +229,12 @@ class EmulatedNode:
             return
         self.now = now
         identifier, data = frame.identifier, frame.data
-        if identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
+        if frame.remote:
+            if identifier == f.HEARTBEAT + self.number:
+                self._answer_guard()
+        elif identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
             self._manage(data[0])
-        elif identifier == f.SYNC:
+        elif identifier == self.get(SYNC_ID) & 0x7FF:
             self._synchronise()
         elif identifier == f.SDO_QUESTION + self.number and len(data) == 8 and self.state != f.STOPPED:
             if answer := self._answer(data):
@@ -213,8 +257,19 @@ class EmulatedNode:
             consumer.heard, consumer.expired, self._missed = 0.0, False, True
             self.emergency(LOST_HEARTBEAT, 0x11)
             self.lost_heartbeat()
+        life = self.get(GUARD_TIME) * self.get(LIFE_FACTOR) * 1e-3
+        if life and self._guarded and now - self._guarded > life:
+            self._guarded = 0.0
+            self.emergency(LOST_HEARTBEAT, f.COMMUNICATION_ERROR | 1)
+            self.lost_heartbeat()
         for index in range(PDOS):
             self._on_event(index)
+
+    def _answer_guard(self) -> None:
+        """Node guarding: its state, with a bit that alternates."""
+        self._guarded = self.now
+        self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state | self._guard_toggle])))
+        self._guard_toggle ^= 0x80
 
     def _manage(self, command: int) -> None:
         known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
@@ -260,6 +315,7 @@ class EmulatedNode:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         data = entry.bytes()
         if entry.kind != "s":
+            self._segments = None
             return struct.pack("<BHB", 0x43 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
         self._segments, self._toggle = data, 0
         return struct.pack("<BHBI", 0x41, index, sub, len(data))
@@ -314,21 +370,27 @@ class EmulatedNode:
                 self._transmit(index)
 
     def _on_event(self, index: int) -> None:
-        """Event timer of an asynchronous TPDO."""
+        """An asynchronous TPDO: at each turn of its event timer, or where it has none, when its content changed."""
         parameter = f.TPDO_PARAMETER + index
-        period = self.get(parameter, 5) * 1e-3
-        if self.state != f.OPERATIONAL or not period or self.get(parameter, 2) < 254:
+        if self.state != f.OPERATIONAL:
+            self._event_sent[index] = None
             return
-        if self.now >= self._event_due[index]:
-            self._event_due[index] = self.now + period
+        if self.get(parameter, 2) < 254 or self.get(parameter, 1) & f.INVALID or self.now < self._event_due[index]:
+            return
+        period = self.get(parameter, 5) * 1e-3
+        data = self._content(index)
+        if period or data != self._event_sent[index]:
+            self._event_due[index] = self.now + (period or self.get(parameter, 3) * 1e-4)
+            self._event_sent[index] = data
             self._transmit(index)
+
+    def _content(self, index: int) -> bytes:
+        return b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
 
     def _transmit(self, index: int) -> None:
         identifier = self.get(f.TPDO_PARAMETER + index, 1)
-        if identifier & f.INVALID:
-            return
-        data = b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
-        self._send(Frame(identifier & 0x7FF, data))
+        if not identifier & f.INVALID:
+            self._send(Frame(identifier & 0x7FF, self._content(index)))
 
     def _receive(self, identifier: int, data: bytes) -> None:
         for index in range(PDOS):

@@ -81,11 +81,12 @@ EMERGENCIES = (
 
 @dataclass(frozen=True)
 class Frame:
-    """One data frame."""
+    """One data frame, or one that asks for it (`remote`)."""
 
     identifier: int
     data: bytes = b""
     extended: bool = False
+    remote: bool = False
 
 
 @dataclass(frozen=True)
