@@ -224,8 +224,10 @@ with call("BaseNode402.state"):
     for state in ("SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
         drive.state = state
         assert drive.state == state
-    drive.state = "QUICK STOP ACTIVE"  # quick stop option 2: it goes on to switch on disabled
-    wait(lambda: drive.state == "SWITCH ON DISABLED", "end of the quick stop")
+    drive.sdo["Quick stop option"].raw = 6  # it stays there, and does not go on to switch on disabled
+    for state in ("QUICK STOP ACTIVE", "SWITCH ON DISABLED"):
+        drive.state = state
+        assert drive.state == state
 
 with call("BaseNode402.op_mode"):
     assert drive.is_op_mode_supported("PROFILED POSITION")

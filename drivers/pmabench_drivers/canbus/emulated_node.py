@@ -31,6 +31,8 @@ ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
     0x100D,
     0x1014,
 )
+BOOTING = 0.05
+"""From a reset until it says that it has started [s]."""
 KEPT = 4
 """So many errors of the past are kept."""
 COMMUNICATION = range(0x1000, 0x2000)
@@ -88,6 +90,8 @@ class EmulatedNode:
         self._send = send
         self._consumer, self._missed = _Consumer(), False
         self._beat_due, self.now = 0.0, monotonic()
+        self._boots = 0.0
+        """When it will have started [s, monotonic]."""
         self._segments: bytes | None = None
         """What is left to send of a long object; None: nothing was asked for."""
         self._toggle = 0
@@ -148,7 +152,7 @@ class EmulatedNode:
         self._consumer, self._missed, self._segments = _Consumer(), False, None
         self._guarded, self._guard_toggle = 0.0, 0
         self._waiting.clear()
-        self.boot()
+        self.state, self._boots = f.BOOT, self.now + BOOTING
 
     def preset(self, index: int, sub: int, value: int) -> None:
         """Let an object have this value when it starts."""
@@ -225,9 +229,9 @@ class EmulatedNode:
 
     def take(self, frame: Frame, now: float) -> None:
         """A frame of the bus; all nodes have it at the same moment, `now` [s, monotonic]."""
-        if frame.extended:
-            return
         self.now = now
+        if frame.extended or self.state == f.BOOT:
+            return
         identifier, data = frame.identifier, frame.data
         if frame.remote:
             if identifier == f.HEARTBEAT + self.number:
@@ -248,6 +252,10 @@ class EmulatedNode:
     def turn(self, now: float) -> None:
         """Time passes [s, monotonic]."""
         self.now = now
+        if self.state == f.BOOT:
+            if now >= self._boots:
+                self.boot()
+            return
         period = self.get(f.PRODUCER) * 1e-3
         if period and now >= self._beat_due:
             self._beat_due = now + period
