@@ -19,7 +19,7 @@ from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.hub import Hub
 from pmabench_drivers.canbus.options import Options, read_options
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, STUCK, Faults, Kind
+from pmabench_drivers.emulator.faults import EXPIRY, LINK, SETPOINT, STUCK, WATCHDOG_OFF, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.options import Reader
@@ -51,7 +51,7 @@ class EmulatedBus:
         self._device, self._plant, self._log = device, plant, log
         self._events: SimpleQueue[str] = SimpleQueue()
         """What is to happen in the hub's thread."""
-        self.faults = Faults(LINK, STUCK, EXPIRY, CAN)
+        self.faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
         self._hub = Hub(device.name, device.address, self._take, self._turn, self.faults, log.tap(device.name))
         self.address = self._hub.address
         self.nodes: dict[str, EmulatedNode] = {}
