@@ -9,7 +9,8 @@ from pmabench.bench.interface import Scale
 from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.cia402 import State
-from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, STATE, VALUE, Abort, EmulatedNode, Entry
+from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, EmulatedNode
+from pmabench_drivers.canbus.emulated_objects import STATE, VALUE, Abort, Entry
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.emulator.plant import RealPlant
 

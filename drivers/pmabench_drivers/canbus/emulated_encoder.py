@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.emulated_node import EmulatedNode, Entry
+from pmabench_drivers.canbus.emulated_node import EmulatedNode
+from pmabench_drivers.canbus.emulated_objects import Entry
 
 LINEAR_ENCODER = 406 | 8 << 16
 """Device type: the profile, and an absolute linear encoder."""

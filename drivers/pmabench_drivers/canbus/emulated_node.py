@@ -8,19 +8,24 @@ from dataclasses import dataclass
 from time import monotonic
 
 from pmabench_drivers.canbus import frames as f
+from pmabench_drivers.canbus.emulated_objects import (
+    COMMAND,
+    LONG,
+    NO_DATA,
+    NO_OBJECT,
+    NO_SUB,
+    READ_ONLY,
+    SHORT,
+    STATE,
+    TOGGLE,
+    TOO_MUCH,
+    UNMAPPABLE,
+    VALUE,
+    Abort,
+    Entry,
+)
 from pmabench_drivers.canbus.frames import Frame
 
-NO_OBJECT, NO_SUB, READ_ONLY, LONG, SHORT, VALUE, STATE, COMMAND = (
-    0x06020000,
-    0x06090011,
-    0x06010002,
-    0x06070012,
-    0x06070013,
-    0x06090030,
-    0x08000022,
-    0x05040001,
-)
-NO_DATA = 0x08000024
 LOST_HEARTBEAT = 0x8130
 ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
     0x1003,
@@ -39,37 +44,6 @@ COMMUNICATION = range(0x1000, 0x2000)
 """Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
 SEGMENT = 7
 PDOS = 2
-
-
-class Abort(Exception):
-    """The node refuses a transfer, with this code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"{code:08X}")
-        self.code = code
-
-
-@dataclass
-class Entry:
-    """One object: its `kind` is that of `struct`, or `s` for text."""
-
-    kind: str
-    value: int | bytes = 0
-    writable: bool = False
-    read: Callable[[], int] | None = None
-    """Where its value comes from at each look, if it is no stored one."""
-    written: Callable[[int], None] | None = None
-    """Called with a new value before it is stored; raises Abort."""
-
-    def __post_init__(self) -> None:
-        self.power_on = self.value
-
-    def bytes(self) -> bytes:
-        """The value as it goes over the wire."""
-        value = self.read() if self.read is not None else self.value
-        if isinstance(value, bytes):
-            return value
-        return struct.pack(f"<{self.kind}", value)
 
 
 @dataclass
@@ -332,7 +306,7 @@ class EmulatedNode:
         if self._segments is None:
             raise Abort(COMMAND)
         if toggle != self._toggle:
-            raise Abort(0x05030000)
+            raise Abort(TOGGLE)
         piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
         self._toggle ^= 1
         head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
@@ -357,9 +331,9 @@ class EmulatedNode:
         for entry in entries:
             target = self.objects.get((entry >> 16, entry >> 8 & 0xFF))
             if target is None or target.kind == "s" or 8 * struct.calcsize(f"<{target.kind}") != entry & 0xFF:
-                raise Abort(0x06040041)
+                raise Abort(UNMAPPABLE)
         if sum(entry & 0xFF for entry in entries) > 64:
-            raise Abort(0x06040042)
+            raise Abort(TOO_MUCH)
 
     def _entries(self, mapping: int) -> list[tuple[int, int]]:
         values = (self.get(mapping, sub) for sub in range(1, self.get(mapping) + 1))
