@@ -154,8 +154,8 @@ class EmulatedDrive(EmulatedNode):
     def fault(self, code: int) -> None:
         """Stop and say why."""
         self.objects[c.ERROR_CODE, 0].value = code
-        self.emergency(code, 0x21)
         self._enter(State.FAULT)
+        self.emergency(code, 0x21)
 
     def well(self) -> bool:
         """Whether it is in no fault."""
