@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tests.drivers.alicat.rigs import controller
+from tests.drivers.can.rigs import bus
+from tests.drivers.festo.rigs import terminal
+from tests.drivers.festo_cmmt.rigs import drive
 from tests.drivers.labjack.rigs import t7
 from tests.drivers.ni.rigs import daq
 from tests.drivers.wires.rigs import regulator
@@ -38,4 +41,7 @@ CLIENTS: tuple[Client, ...] = (
     Client("minimalmodbus", "minimalmodbus 2.1.1 / register map on RTU", "minimalmodbus==2.1.1", "minimalmodbus_client.py", lambda line: regulator(str(line))),
     Client("pymodbus", "pymodbus / register map on TCP", "", "pymodbus_client.py", lambda _line: regulator()),
     Client("mbpoll", "mbpoll / register map on TCP", "", "mbpoll_client.py", lambda _line: regulator(), program="mbpoll"),
+    Client("canopen", "canopen / CiA 402 drive and CiA 406 encoder", "", "canopen_nodes.py", lambda _line: bus()),
+    Client("festo-cpx-io", "festo-cpx-io / CPX-E", "festo-cpx-io==0.11.3", "festo_cpx_io.py", lambda _line: terminal()),
+    Client("festo-edcon", "festo-edcon / CMMT", "festo-edcon==1.0.3", "festo_edcon.py", lambda _line: drive()),
 )  # fmt: skip

@@ -264,3 +264,12 @@ class Drive(Node):
     def disarm(self, deadline: float) -> None:
         """Wait for no heartbeat any more; it stays in its state."""
         self.objects.set(f.CONSUMER, 1, "I", 0, deadline)
+
+    def waits_for(self, producer: int, deadline: float) -> float:
+        """After how long without the heartbeat of node `producer` it stops [s]; 0: never, or it has missed it.
+
+        That it missed it is in what `held` has just read.
+        """
+        held = self.objects.read(f.CONSUMER, 1, "I", deadline)
+        missed = self.errors & f.COMMUNICATION_ERROR
+        return 0.0 if held >> 16 & 0x7F != producer or missed else (held & 0xFFFF) * 1e-3

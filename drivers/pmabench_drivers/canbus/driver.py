@@ -349,6 +349,21 @@ class CanBus:
         for output in self._outputs:
             self._drive(output).disarm(monotonic() + CALL)
 
+    def held(self) -> dict[str, float | str]:
+        """Of each node its state, starts since it was opened, error register and serial number; of drives the watchdog.
+
+        `watchdog`: the shortest time [s] after which a drive stops without this program's heartbeat; 0 where one waits
+        for another node or none, or reports that it missed it.
+        """
+        deadline = monotonic() + CALL
+        found: dict[str, float | str] = {}
+        for node in self._nodes.values():
+            found |= {f"{node.name} {what}": value for what, value in node.held(deadline).items()}
+        if self._outputs:
+            own, drives = self._options.own_node, {self._drive(output) for output in self._outputs}
+            found["watchdog"] = min(drive.waits_for(own, deadline) for drive in drives)
+        return found
+
     def _beat(self) -> None:
         self._send(f.HEARTBEAT + self._options.own_node, bytes([f.OPERATIONAL]))
 

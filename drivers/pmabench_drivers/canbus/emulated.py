@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from queue import SimpleQueue
 from time import monotonic
 from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
+from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import transducer as t
 from pmabench_drivers.canbus.dbc import Message
 from pmabench_drivers.canbus.emulated_drive import EmulatedDrive
-from pmabench_drivers.canbus.emulated_node import EmulatedNode, Entry
+from pmabench_drivers.canbus.emulated_encoder import STEP, encoder_objects
+from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.hub import Hub
 from pmabench_drivers.canbus.options import Options, read_options
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, STUCK, Faults, Kind
+from pmabench_drivers.emulator.faults import EXPIRY, LINK, SETPOINT, STUCK, WATCHDOG_OFF, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.options import Reader
 
-STEP = 1000
-"""Measuring step of an emulated transducer: 1 um, in units of 0.001 um."""
 CAN = {
     "emergency": Kind(
         "the drive stops with a fault, or a transducer has an error, and the emergency has this code", "number", 0x5000
@@ -48,7 +49,9 @@ class EmulatedBus:
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._plant, self._log = device, plant, log
-        self.faults = Faults(LINK, STUCK, EXPIRY, CAN)
+        self._events: SimpleQueue[str] = SimpleQueue()
+        """What is to happen in the hub's thread."""
+        self.faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
         self._hub = Hub(device.name, device.address, self._take, self._turn, self.faults, log.tap(device.name))
         self.address = self._hub.address
         self.nodes: dict[str, EmulatedNode] = {}
@@ -72,6 +75,26 @@ class EmulatedBus:
     def expire_watchdog(self) -> bool:
         """Let the drives miss the program's heartbeat; whether one waited for it."""
         return sum(node.expire_heartbeat() for node in self.nodes.values()) > 0
+
+    def restart(self) -> None:
+        """Let every node start again."""
+        self._events.put("restart")
+
+    def switch_off_watchdog(self) -> bool:
+        """Let every drive wait for no heartbeat, as another program may; whether one waited."""
+        waited = [drive for drive in self._drives() if drive.get(f.CONSUMER, 1)]
+        for drive in waited:
+            drive.put(f.CONSUMER, 1, bytes(4))
+        return bool(waited)
+
+    def change_set_point(self, value: float) -> bool:
+        """Let the first drive hold another target [count], as by another program; whether there is a drive."""
+        for drive in self._drives()[:1]:
+            drive.put(c.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
+        return bool(self._drives())
+
+    def _drives(self) -> list[EmulatedDrive]:
+        return [node for node in self.nodes.values() if isinstance(node, EmulatedDrive)]
 
     def _drive(self, name: str, number: int) -> EmulatedDrive:
         output = next((o for o in self._device.outputs if o.output == f"{name}.position"), None)
@@ -103,19 +126,12 @@ class EmulatedBus:
             place = self._plant.at(node.now).get(channel.name, 0.0)
             return round(float(channel.calibrated.to_raw(place)) * 1000 / STEP)
 
-        node.objects |= {
-            (0x6020, 1): Entry("i", read=position),
-            (0x6030, 1): Entry("h", 0),
-            (0x6400, 1): Entry("B", 0),
-            (t.STEPS, 1): Entry("I", STEP),
-            (t.STEPS, 2): Entry("I", 10),
-            (t.ALARMS, 0): Entry("H", 0),
-        }
+        node.objects |= encoder_objects(node, position)
         for sub, entry in enumerate((t.POSITIONS[0], t.VELOCITY, t.STATUS), 1):
-            node.objects[f.TPDO_MAPPING, sub].value = entry
-        node.objects[f.TPDO_MAPPING, 0].value = 3
-        node.objects[f.TPDO_PARAMETER, 1].value = f.TPDO[0] + number
-        node.objects[f.TPDO_PARAMETER, 5].value = 1
+            node.preset(f.TPDO_MAPPING, sub, entry)
+        node.preset(f.TPDO_MAPPING, 0, 3)
+        node.preset(f.TPDO_PARAMETER, 1, f.TPDO[0] + number)
+        node.preset(f.TPDO_PARAMETER, 5, 1)
         return node
 
     # -- the hub's thread ---------------------------------------------------------------------------------------------
@@ -127,6 +143,8 @@ class EmulatedBus:
 
     def _turn(self, now: float) -> None:
         fault = self.faults.peek()
+        while not self._events.empty():
+            self._befall(self._events.get(), 0)
         if fault.kind in {"emergency", "restart", "reset"}:
             self.faults.set("clear")
             self._befall(fault.kind, int(fault.value))
@@ -145,7 +163,7 @@ class EmulatedBus:
             self._hub.hang_up()
         for node in self.nodes.values():
             if kind != "emergency":
-                node.boot()
+                node.reset()
             elif isinstance(node, EmulatedDrive):
                 node.fault(value)
             else:

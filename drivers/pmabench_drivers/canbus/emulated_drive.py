@@ -7,13 +7,29 @@ from typing import Any
 
 from pmabench.bench.interface import Scale
 from pmabench_drivers.canbus import cia402 as c
+from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.cia402 import State
-from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, STATE, VALUE, Abort, EmulatedNode, Entry
+from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, EmulatedNode
+from pmabench_drivers.canbus.emulated_objects import STATE, VALUE, Abort, Entry
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.emulator.plant import RealPlant
 
 WORDS = {state: value for _mask, value, state in c.STATES}
 FOLLOWING_ERROR = 0x8611
+VELOCITY, AVERAGED = 0x606C, 0.02
+"""Actual velocity, and over which time it is taken [s]."""
+SERVO_DRIVE = 402 | 2 << 16
+"""Device type: the profile, and the kind of drive."""
+CONNECTION_LOST = 0x8100
+ON_EVENT = 255
+"""Transmission type of a PDO that is sent, or is in force, when its content changes."""
+DEFAULT_PDOS = (
+    (((c.STATUSWORD, 16),), ((c.CONTROLWORD, 16),)),
+    (((c.STATUSWORD, 16), (c.MODE_SHOWN, 8)), ((c.CONTROLWORD, 16), (c.MODE, 8))),
+)
+"""What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
+ACCELERATIONS = (0x6083, 0x6084, 0x6085)
+"""Profile acceleration, deceleration, quick stop deceleration: held, and without effect, as its profile has none."""
 OPTION_STAYS = 5
 """From this quick stop option code on a drive stays in quick stop active."""
 
@@ -36,6 +52,7 @@ class EmulatedDrive(EmulatedNode):
         self.drive_state = State.DISABLED
         self.obeys = True
         """Whether it goes on from state to state, as one whose enable input is on does."""
+        self.preset(f.DEVICE_TYPE, 0, SERVO_DRIVE)
         self._word = 0
         self._acknowledged = self._limited = False
         self._late_since = 0.0
@@ -50,8 +67,10 @@ class EmulatedDrive(EmulatedNode):
             (c.MODE_SHOWN, 0): Entry("b", 0),
             (c.TARGET, 0): Entry("i", self._actual(), writable=True),
             (c.ACTUAL, 0): Entry("i", read=self._actual),
+            (VELOCITY, 0): Entry("i", read=self._velocity),
             (c.DEMAND, 0): Entry("i", read=self._demand),
             (c.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
+            **{(index, 0): Entry("I", 1_000_000, writable=True) for index in ACCELERATIONS},
             (c.LIMITS, 0): Entry("B", 2),
             (c.LIMITS, 1): Entry("i", stroke[0], writable=True),
             (c.LIMITS, 2): Entry("i", stroke[1], writable=True),
@@ -66,10 +85,23 @@ class EmulatedDrive(EmulatedNode):
             (c.WINDOW_TIME, 0): Entry("H", 100, writable=True),
         }
 
+        for place, (shown, commanded) in enumerate(DEFAULT_PDOS):
+            for parameter, entries in ((f.TPDO_PARAMETER, shown), (f.RPDO_PARAMETER, commanded)):
+                for sub, (index, bits) in enumerate(entries, 1):
+                    self.preset(parameter + 0x200 + place, sub, f.mapping(index, 0, bits))
+                self.preset(parameter + 0x200 + place, 0, len(entries))
+                self.preset(parameter + place, 1, self.get(parameter + place, 1) & ~f.INVALID)
+                self.preset(parameter + place, 2, ON_EVENT)
+
     # -- where it is --------------------------------------------------------------------------------------------------
 
     def _actual(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement"])))
+
+    def _velocity(self) -> int:
+        """How fast it goes [count/s], over the last 20 ms."""
+        before, after = (self._plant.at(self.now - back)["displacement"] for back in (AVERAGED, 0.0))
+        return round(float(self._scale.to_raw(after) - self._scale.to_raw(before)) / AVERAGED)
 
     def _demand(self) -> int:
         return round(float(self._scale.to_raw(self._plant.at(self.now)["displacement_command"])))
@@ -116,30 +148,38 @@ class EmulatedDrive(EmulatedNode):
         if self._late_since:
             return
         self.objects[c.ERROR_CODE, 0].value = 0
-        self.emergency(0, 0)
         self._enter(State.DISABLED)
+        self.emergency(0, f.COMMUNICATION_ERROR | 1 if self._missed else 0)
 
     def fault(self, code: int) -> None:
         """Stop and say why."""
         self.objects[c.ERROR_CODE, 0].value = code
-        self.emergency(code, 0x21)
         self._enter(State.FAULT)
+        self.emergency(code, 0x21)
+
+    def well(self) -> bool:
+        """Whether it is in no fault."""
+        return self.drive_state is not State.FAULT
 
     def lost_heartbeat(self) -> None:
         """As object 6007h says."""
+        self._note("watchdog", option=self.get(c.ABORT_OPTION))
+        self._lost(LOST_HEARTBEAT)
+
+    def stopped(self) -> None:
+        """As with a lost connection."""
+        self._lost(CONNECTION_LOST)
+
+    def _lost(self, code: int) -> None:
+        """Do what object 6007h says; `code` where that is a fault."""
         option = self.get(c.ABORT_OPTION)
-        self._note("watchdog", option=option)
         if option == 1:
-            self.fault(LOST_HEARTBEAT)
+            self.fault(code)
         elif option == 2:
             self._enter(State.DISABLED)
         elif option == c.QUICK_STOP_ON_LOSS and self.drive_state is State.ENABLED:
             stays = self.get(c.QUICK_STOP_OPTION) >= OPTION_STAYS
             self._enter(State.STOPPED if stays else State.DISABLED)
-
-    def left(self) -> None:
-        """Not operational any more: as with a lost connection."""
-        self.lost_heartbeat()
 
     def _option(self, low: int, high: int) -> Callable[[int], None]:
         def check(value: int) -> None:
@@ -207,11 +247,14 @@ class EmulatedDrive(EmulatedNode):
             self._late_since = 0.0
             self.fault(FOLLOWING_ERROR)
 
-    def boot(self) -> None:
-        """Start over: without power."""
+    def reset(self, *, everything: bool = True) -> None:
+        """Start over, without power, at rest where it is."""
         if self.drive_state is not State.DISABLED:
             self._enter(State.DISABLED)
-        super().boot()
+        self._word, self._limited, self._late_since = 0, False, 0.0
+        super().reset(everything=everything)
+        if everything:
+            self.objects[c.TARGET, 0].value = self._actual()
 
 
 def _follows(state: State, word: int, *, stays: bool) -> State:

@@ -8,47 +8,42 @@ from dataclasses import dataclass
 from time import monotonic
 
 from pmabench_drivers.canbus import frames as f
+from pmabench_drivers.canbus.emulated_objects import (
+    COMMAND,
+    LONG,
+    NO_DATA,
+    NO_OBJECT,
+    NO_SUB,
+    READ_ONLY,
+    SHORT,
+    STATE,
+    TOGGLE,
+    TOO_MUCH,
+    UNMAPPABLE,
+    VALUE,
+    Abort,
+    Entry,
+)
 from pmabench_drivers.canbus.frames import Frame
 
-NO_OBJECT, NO_SUB, READ_ONLY, LENGTH, VALUE, STATE = (
-    0x06020000,
-    0x06090011,
-    0x06010002,
-    0x06070010,
-    0x06090030,
-    0x08000022,
-)
 LOST_HEARTBEAT = 0x8130
+ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
+    0x1003,
+    0x1005,
+    0x1006,
+    0x1009,
+    0x100C,
+    0x100D,
+    0x1014,
+)
+BOOTING = 0.05
+"""From a reset until it says that it has started [s]."""
+KEPT = 4
+"""So many errors of the past are kept."""
+COMMUNICATION = range(0x1000, 0x2000)
+"""Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
 SEGMENT = 7
 PDOS = 2
-
-
-class Abort(Exception):
-    """The node refuses a transfer, with this code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"{code:08X}")
-        self.code = code
-
-
-@dataclass
-class Entry:
-    """One object: its `kind` is that of `struct`, or `s` for text."""
-
-    kind: str
-    value: int | bytes = 0
-    writable: bool = False
-    read: Callable[[], int] | None = None
-    """Where its value comes from at each look, if it is no stored one."""
-    written: Callable[[int], None] | None = None
-    """Called with a new value before it is stored; raises Abort."""
-
-    def bytes(self) -> bytes:
-        """The value as it goes over the wire."""
-        value = self.read() if self.read is not None else self.value
-        if isinstance(value, bytes):
-            return value
-        return struct.pack(f"<{self.kind}", value)
 
 
 @dataclass
@@ -67,22 +62,38 @@ class EmulatedNode:
     def __init__(self, number: int, profile: int, model: str, send: Callable[[Frame], None]) -> None:
         self.number, self.state = number, f.PREOP
         self._send = send
-        self._consumer = _Consumer()
+        self._consumer, self._missed = _Consumer(), False
         self._beat_due, self.now = 0.0, monotonic()
-        self._segments = b""
+        self._boots = 0.0
+        """When it will have started [s, monotonic]."""
+        self._segments: bytes | None = None
+        """What is left to send of a long object; None: nothing was asked for."""
         self._toggle = 0
         self._waiting: dict[int, bytes] = {}
         self._event_due = [0.0] * PDOS
+        self._event_sent: list[bytes | None] = [None] * PDOS
+        self._errors: list[int] = []
+        """Those of the past, the newest first."""
+        self._guarded, self._guard_toggle = 0.0, 0
+        """When it was asked for its state last [s, monotonic]; 0: never, and so nothing is missed."""
         self.objects: dict[tuple[int, int], Entry] = {
             (f.DEVICE_TYPE, 0): Entry("I", profile),
             (f.ERROR_REGISTER, 0): Entry("B", 0),
             (f.DEVICE_NAME, 0): Entry("s", model.encode()),
+            (ERRORS, 0): Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
+            **{(ERRORS, sub): Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
+            (SYNC_ID, 0): Entry("I", f.SYNC, writable=True),
+            (SYNC_PERIOD, 0): Entry("I", 0, writable=True),
+            (HARDWARE, 0): Entry("s", b"1"),
             (f.SOFTWARE, 0): Entry("s", b"1"),
+            (GUARD_TIME, 0): Entry("H", 0, writable=True),
+            (LIFE_FACTOR, 0): Entry("B", 0, writable=True),
+            (EMCY_ID, 0): Entry("I", f.EMCY + number, writable=True),
             (f.CONSUMER, 0): Entry("B", 1),
             (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
             (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
             (f.IDENTITY, 0): Entry("B", 4),
-            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, 1), 1)},
+            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
         }
         for index in range(PDOS):
             for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
@@ -95,6 +106,7 @@ class EmulatedNode:
             (parameter, 0): Entry("B", 5),
             (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
             (parameter, 2): Entry("B", 254, writable=True),
+            (parameter, 3): Entry("H", 0, writable=True),
             (parameter, 5): Entry("H", 0, writable=True),
             (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
         }
@@ -103,9 +115,22 @@ class EmulatedNode:
 
     def boot(self) -> None:
         """Start: pre-operational, and say so."""
-        self.state = f.PREOP
-        self._consumer.heard = 0.0
+        self.state, self._beat_due = f.PREOP, 0.0
         self._send(Frame(f.HEARTBEAT + self.number, bytes([f.BOOT])))
+
+    def reset(self, *, everything: bool = True) -> None:
+        """Start again, with power-on values of all objects, or of those of the communication only."""
+        for (index, _sub), entry in self.objects.items():
+            if everything or index in COMMUNICATION:
+                entry.value = entry.power_on
+        self._consumer, self._missed, self._segments = _Consumer(), False, None
+        self._guarded, self._guard_toggle = 0.0, 0
+        self._waiting.clear()
+        self.state, self._boots = f.BOOT, self.now + BOOTING
+
+    def preset(self, index: int, sub: int, value: int) -> None:
+        """Let an object have this value when it starts."""
+        self.objects[index, sub].value = self.objects[index, sub].power_on = value
 
     def expire_heartbeat(self) -> bool:
         """Let the wait for a heartbeat be over; whether there was one."""
@@ -121,8 +146,12 @@ class EmulatedNode:
     def lost_heartbeat(self) -> None:
         """The heartbeat that it waits for is missing."""
 
-    def left(self) -> None:
-        """It is not operational any more."""
+    def stopped(self) -> None:
+        """It was brought to the state stopped."""
+
+    def well(self) -> bool:
+        """Whether it has no error but that of the communication."""
+        return True
 
     # -- values -------------------------------------------------------------------------------------------------------
 
@@ -140,74 +169,114 @@ class EmulatedNode:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         if not entry.writable:
             raise Abort(READ_ONLY)
-        if len(data) != struct.calcsize(f"<{entry.kind}"):
-            raise Abort(LENGTH)
+        if (surplus := len(data) - struct.calcsize(f"<{entry.kind}")) != 0:
+            raise Abort(LONG if surplus > 0 else SHORT)
         [value] = struct.unpack(f"<{entry.kind}", data)
         if entry.written is not None:
             entry.written(value)
         entry.value = value
 
     def emergency(self, code: int, register: int = 1) -> None:
-        """Send an emergency; code 0 says that it is over."""
+        """Send an emergency, which a stopped node does not; code 0 says that it is over."""
         self.objects[f.ERROR_REGISTER, 0].value = register
+        if code:
+            self._errors = [code, *self._errors[: KEPT - 1]]
+        if self.state == f.STOPPED:
+            return
         data = code.to_bytes(2, "little") + bytes([register]) + bytes(5)
-        self._send(Frame(f.EMCY + self.number, data))
+        self._send(Frame(self.get(EMCY_ID) & 0x7FF, data))
+
+    def _error(self, sub: int) -> Callable[[], int]:
+        def read() -> int:
+            if sub > len(self._errors):
+                raise Abort(NO_DATA)
+            return self._errors[sub - 1]
+
+        return read
+
+    def _forget_errors(self, count: int) -> None:
+        if count:
+            raise Abort(VALUE)
+        self._errors = []
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
     def take(self, frame: Frame, now: float) -> None:
         """A frame of the bus; all nodes have it at the same moment, `now` [s, monotonic]."""
-        if frame.extended:
-            return
         self.now = now
+        if frame.extended or self.state == f.BOOT:
+            return
         identifier, data = frame.identifier, frame.data
-        if identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
+        if frame.remote:
+            if identifier == f.HEARTBEAT + self.number:
+                self._answer_guard()
+        elif identifier == f.NMT and len(data) == 2 and data[1] in {0, self.number}:
             self._manage(data[0])
-        elif identifier == f.SYNC:
+        elif identifier == self.get(SYNC_ID) & 0x7FF:
             self._synchronise()
         elif identifier == f.SDO_QUESTION + self.number and len(data) == 8 and self.state != f.STOPPED:
-            self._send(Frame(f.SDO_ANSWER + self.number, self._answer(data)))
+            if answer := self._answer(data):
+                self._send(Frame(f.SDO_ANSWER + self.number, answer))
         elif identifier == f.HEARTBEAT + self._consumer.node and self._consumer.time:
             self._consumer.heard = self.now
+            self._forgive()
         elif self.state == f.OPERATIONAL:
             self._receive(identifier, data)
 
     def turn(self, now: float) -> None:
         """Time passes [s, monotonic]."""
         self.now = now
+        if self.state == f.BOOT:
+            if now >= self._boots:
+                self.boot()
+            return
         period = self.get(f.PRODUCER) * 1e-3
         if period and now >= self._beat_due:
             self._beat_due = now + period
             self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state])))
         consumer = self._consumer
         if consumer.time and consumer.heard and (consumer.expired or now - consumer.heard > consumer.time):
-            consumer.heard, consumer.expired = 0.0, False
+            consumer.heard, consumer.expired, self._missed = 0.0, False, True
             self.emergency(LOST_HEARTBEAT, 0x11)
+            self.lost_heartbeat()
+        life = self.get(GUARD_TIME) * self.get(LIFE_FACTOR) * 1e-3
+        if life and self._guarded and now - self._guarded > life:
+            self._guarded = 0.0
+            self.emergency(LOST_HEARTBEAT, f.COMMUNICATION_ERROR | 1)
             self.lost_heartbeat()
         for index in range(PDOS):
             self._on_event(index)
 
+    def _answer_guard(self) -> None:
+        """Node guarding: its state, with a bit that alternates."""
+        self._guarded = self.now
+        self._send(Frame(f.HEARTBEAT + self.number, bytes([self.state | self._guard_toggle])))
+        self._guard_toggle ^= 0x80
+
     def _manage(self, command: int) -> None:
-        before = self.state
+        known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
         if command in {f.RESET_NODE, f.RESET_COMMUNICATION}:
-            self.boot()
-        else:
-            known = {f.START: f.OPERATIONAL, f.STOP: f.STOPPED, f.PREOPERATIONAL: f.PREOP}
-            self.state = known.get(command, self.state)
-        if before == f.OPERATIONAL and self.state != f.OPERATIONAL:
-            self.left()
-        self._beat_due = 0.0
+            self.reset(everything=command == f.RESET_NODE)
+        elif command in known:
+            before, self.state = self.state, known[command]
+            if self.state == f.STOPPED != before:
+                self.stopped()
+            self._beat_due = 0.0
 
     # -- SDO ----------------------------------------------------------------------------------------------------------
 
     def _answer(self, data: bytes) -> bytes:
+        """What is answered; nothing to the word that a transfer is given up."""
         command, index, sub = struct.unpack_from("<BHB", data)
         kind = command >> 5
         try:
+            if kind == 4:
+                self._segments = None
+                return b""
             if kind == 1:
                 size = 4 - (command >> 2 & 3) if command & 1 else self._size(index, sub)
-                if not command & 2:
-                    raise Abort(0x05040001)  # no object here is longer than 4 bytes and writable
+                if not command & 2:  # no object here is longer than 4 bytes and writable
+                    self.put(index, sub, bytes(max(5, int.from_bytes(data[4:], "little") & 0xFF)))
                 self.put(index, sub, data[4 : 4 + size])
                 return struct.pack("<BHB4x", 0x60, index, sub)
             if kind == 2:
@@ -216,7 +285,7 @@ class EmulatedNode:
                 return self._segment(command >> 4 & 1)
         except Abort as error:
             return f.abort(index, sub, error.code)
-        return f.abort(index, sub, 0x05040001)
+        return f.abort(index, sub, COMMAND)
 
     def _size(self, index: int, sub: int) -> int:
         entry = self.objects.get((index, sub))
@@ -228,16 +297,20 @@ class EmulatedNode:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         data = entry.bytes()
         if entry.kind != "s":
+            self._segments = None
             return struct.pack("<BHB", 0x43 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
         self._segments, self._toggle = data, 0
         return struct.pack("<BHBI", 0x41, index, sub, len(data))
 
     def _segment(self, toggle: int) -> bytes:
+        if self._segments is None:
+            raise Abort(COMMAND)
         if toggle != self._toggle:
-            raise Abort(0x05030000)
+            raise Abort(TOGGLE)
         piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
         self._toggle ^= 1
         head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
+        self._segments = self._segments or None
         return bytes([head]) + piece.ljust(SEGMENT, b"\0")
 
     # -- PDO ----------------------------------------------------------------------------------------------------------
@@ -258,9 +331,9 @@ class EmulatedNode:
         for entry in entries:
             target = self.objects.get((entry >> 16, entry >> 8 & 0xFF))
             if target is None or target.kind == "s" or 8 * struct.calcsize(f"<{target.kind}") != entry & 0xFF:
-                raise Abort(0x06040041)
+                raise Abort(UNMAPPABLE)
         if sum(entry & 0xFF for entry in entries) > 64:
-            raise Abort(0x06040042)
+            raise Abort(TOO_MUCH)
 
     def _entries(self, mapping: int) -> list[tuple[int, int]]:
         values = (self.get(mapping, sub) for sub in range(1, self.get(mapping) + 1))
@@ -279,21 +352,27 @@ class EmulatedNode:
                 self._transmit(index)
 
     def _on_event(self, index: int) -> None:
-        """Event timer of an asynchronous TPDO."""
+        """An asynchronous TPDO: at each turn of its event timer, or where it has none, when its content changed."""
         parameter = f.TPDO_PARAMETER + index
-        period = self.get(parameter, 5) * 1e-3
-        if self.state != f.OPERATIONAL or not period or self.get(parameter, 2) < 254:
+        if self.state != f.OPERATIONAL:
+            self._event_sent[index] = None
             return
-        if self.now >= self._event_due[index]:
-            self._event_due[index] = self.now + period
+        if self.get(parameter, 2) < 254 or self.get(parameter, 1) & f.INVALID or self.now < self._event_due[index]:
+            return
+        period = self.get(parameter, 5) * 1e-3
+        data = self._content(index)
+        if period or data != self._event_sent[index]:
+            self._event_due[index] = self.now + (period or self.get(parameter, 3) * 1e-4)
+            self._event_sent[index] = data
             self._transmit(index)
+
+    def _content(self, index: int) -> bytes:
+        return b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
 
     def _transmit(self, index: int) -> None:
         identifier = self.get(f.TPDO_PARAMETER + index, 1)
-        if identifier & f.INVALID:
-            return
-        data = b"".join(self.objects[key].bytes() for key in self._entries(f.TPDO_MAPPING + index))
-        self._send(Frame(identifier & 0x7FF, data))
+        if not identifier & f.INVALID:
+            self._send(Frame(identifier & 0x7FF, self._content(index)))
 
     def _receive(self, identifier: int, data: bytes) -> None:
         for index in range(PDOS):
@@ -322,6 +401,14 @@ class EmulatedNode:
 
     def _consume(self, value: int) -> None:
         self._consumer = _Consumer(value >> 16 & 0x7F, (value & 0xFFFF) * 1e-3)
+        self._forgive()
+
+    def _forgive(self) -> None:
+        """The heartbeat has come again, or is not waited for any more."""
+        if self._missed:
+            self._missed = False
+            if self.well():
+                self.emergency(0, 0)
 
     def _produce(self, _value: int) -> None:
         self._beat_due = 0.0

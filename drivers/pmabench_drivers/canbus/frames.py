@@ -26,6 +26,8 @@ DEVICE_TYPE, ERROR_REGISTER, DEVICE_NAME, SOFTWARE, CONSUMER, PRODUCER, IDENTITY
     0x1017,
     0x1018,
 )
+COMMUNICATION_ERROR = 1 << 4
+"""Bit of the error register."""
 RPDO_PARAMETER, RPDO_MAPPING, TPDO_PARAMETER, TPDO_MAPPING = 0x1400, 0x1600, 0x1800, 0x1A00
 INVALID, NO_REMOTE = 1 << 31, 1 << 30
 """Bits of a PDO's identifier: it is not used; it is not sent on request."""
@@ -79,11 +81,12 @@ EMERGENCIES = (
 
 @dataclass(frozen=True)
 class Frame:
-    """One data frame."""
+    """One data frame, or one that asks for it (`remote`)."""
 
     identifier: int
     data: bytes = b""
     extended: bool = False
+    remote: bool = False
 
 
 @dataclass(frozen=True)

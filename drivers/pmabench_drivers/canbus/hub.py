@@ -126,14 +126,14 @@ class Hub:
         if line[:1] in COMMANDS:
             self._write(link, SERIAL if line[:1] == b"N" else b"V1010\r" if line[:1] == b"V" else b"\r")
             return
-        frame = read_line(line)
+        frame = read_line(line) or _asked(line)
         if frame is None:
             if line:
                 self._write(link, b"\x07")
             return
         self._write(link, b"Z\r" if frame.extended else b"z\r")
         for other in [other for other in self._rests if other is not link]:
-            self._write(other, line_of(frame))
+            self._write(other, line + b"\r" if frame.remote else line_of(frame))
         if self._faults.peek().kind != "silence":
             self._take(frame)
 
@@ -154,3 +154,13 @@ class Hub:
         if self._rests.pop(link, None) is not None:
             self._selector.unregister(link)
             link.close()
+
+
+def _asked(line: bytes) -> Frame | None:
+    """The identifier that a remote frame asks for; None for anything else."""
+    if line[:1] != b"r" or not line[1:5].isalnum():
+        return None
+    try:
+        return Frame(int(line[1:4], 16), remote=True)
+    except ValueError:
+        return None

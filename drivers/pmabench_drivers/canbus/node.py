@@ -35,6 +35,10 @@ class Node(ABC):
         self.model = self.serial = self.firmware = ""
         self._send = send
         self._heard, self._state = 0.0, -1
+        self.errors = 0
+        """The error register (1001h) when `held` read it last."""
+        self._starts = 0
+        """How often it said that it has started."""
         self._watched = False
         self._trouble = ""
 
@@ -73,11 +77,25 @@ class Node(ABC):
             self._trouble = f"{self.name}: no heartbeat for {SILENT:g} s; is its supply or its cable off?"
         return self._trouble
 
+    def held(self, deadline: float) -> dict[str, float | str]:
+        """What it reports now of itself; state and starts as its last message had them, at most 0.5 s ago."""
+        if monotonic() - self._heard > SILENT:
+            raise self.error(f"no heartbeat for {SILENT:g} s; is its supply or its cable off?")
+        serial = self.objects.read_if_there(f.IDENTITY, 4, "I", deadline)
+        self.errors = self.objects.read(f.ERROR_REGISTER, 0, "B", deadline)
+        return {
+            "state": f.STATES.get(self._state, str(self._state)),
+            "starts": float(self._starts),
+            "error register": float(self.errors),
+            "serial number": "" if serial is None else str(serial),
+        }
+
     def take_heartbeat(self, data: bytes) -> None:
         """A heartbeat, or the word that it has started, has come."""
         if len(data) != 1:
             return
         self._heard, self._state = monotonic(), data[0] & 0x7F
+        self._starts += self._state == f.BOOT
         if self._watched and self._state != f.OPERATIONAL and not self._trouble:
             told = f.STATES.get(self._state, f"in state {self._state}")
             self._trouble = f"{self.name}: is {told} all of a sudden; it has started again, or was told to stop"

@@ -363,6 +363,19 @@ class FestoCmmt:
         self._release = True
         self._opened().put(t.TIMEOUT, self._found, monotonic() + CALL)
 
+    def held(self) -> dict[str, float | str]:
+        """Its time-out [s], its telegram, its serial number where it tells one, and what forbids a motion."""
+        until, line = monotonic() + CALL, self._opened()
+        status = line.look(until)
+        return {
+            "watchdog": line.get(t.TIMEOUT, until) * 1e-3,
+            "telegram": line.parameter(t.TELEGRAM, "uint16", until),
+            "serial number": line.text(t.SERIAL, until),
+            "fault": float(status.fault),
+            "control": "by the network" if status.has(t.CONTROL) else "elsewhere",
+            "homed": "yes" if status.has(t.HOMED) else "no",
+        }
+
     # -- small things ---------------------------------------------------------------------------------------------
 
     def _opened(self) -> DriveLink:

@@ -1,7 +1,8 @@
-"""An emulated CMMT in front of the plant: process data, states, profile, parameters, time-out, names, faults on demand.
+"""An emulated CMMT in front of the plant: process data, states, tasks, parameters, time-out, names, faults on demand.
 
-Stricter than a drive may be: it takes only the requests that Festo's own client makes. Its profile has no acceleration.
-When its time-out ends while it is under power it stops, reports a fault and is off.
+Stricter than a drive may be: it takes only the requests that Festo's own client makes. When its time-out ends while it
+is under power it stops, reports a fault and is off. Registers of Modbus and numbers of parameters: Festo's client
+library festo-edcon 1.0 and its list of parameters, read as a description of the wire; states: PROFIdrive.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from pmabench.bench.interface import DeviceRecord, Scale
 from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.festo_cmmt import telegram as t
+from pmabench_drivers.festo_cmmt import emulated_telegrams as p
+from pmabench_drivers.festo_cmmt.emulated_motion import RECORDS, STROKE, Motion
 from pmabench_drivers.festo_cmmt.options import read_options
 from pmabench_drivers.festo_cpx_e.named import NamedDevice
-from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.options import Reader
 
 NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", "{}", "")
@@ -28,12 +29,33 @@ FACTORY = 1000
 """Time-out until it is set [ms]; 0: none."""
 WARMING = 0.02
 """From the command to be under power [s]."""
-STROKE = (-0.01, 0.09)
-"""Software limits [m of contraction]."""
+PROCESS_OUT, PROCESS_IN, TIMEOUT = 0, 100, 400
+NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH, DATA = 500, 501, 502, 503, 504, 510
+"""Mailbox of parameters."""
+READ, WRITE, FAILED, DONE = 1, 2, 3, 0x10
+"""What is written to `EXECUTE`, and what it holds then."""
+LONGEST_DATA = 64
+ON, NO_COAST_STOP, NO_QUICK_STOP, ENABLE = (1 << bit for bit in range(4))
+"""Bits of STW1 that all telegrams have."""
+TELEGRAM = 3490
+PROCESS_WORDS = {
+    1: "STW1", 2: "ZSW1", 3: "STW2", 4: "ZSW2", 34: "MDI_TARPOS", 35: "MDI_VELOCITY", 36: "MDI_ACC", 37: "MDI_DEC",
+    102: "MELDW", 205: "OVERRIDE", 220: "POS_STW1", 221: "POS_ZSW1", 222: "POS_STW2", 223: "POS_ZSW2",
+    301: "FAULT_CODE", 303: "WARN_CODE",
+}  # fmt: skip
+"""Parameters that are words of the process data."""
+FULL = 0x4000
+"""100 % of the override."""
+BASE_VELOCITY = 0.1
+"""Base value of the velocity [m/s]."""
 BEHIND, SO_LONG = 0.003, 0.1
 """A place that is so far from the profile [m] for so long [s] is a following error."""
 TIMED_OUT, OUT_OF_STROKE, FOLLOWING = 299, 110, 126
 """Fault codes; which one a drive has for a time-out of Modbus is the emulator's guess."""
+POSITION_PREFIX, VELOCITY_PREFIX, BASE_VALUE = 11724, 11725, 12345
+"""Parameters: decimal exponents of its units, base value of the velocity."""
+SERIAL_NUMBER = 2076
+"""Parameter: serial number of the control unit, a text of 9 characters."""
 MILLI = -3
 """Decimal exponent of its velocity unit [m/s]."""
 
@@ -57,23 +79,24 @@ class EmulatedDrive:
         self._scale = scales[0] if scales else Scale(1e-6)
         prefix = round(log10(abs(self._scale.slope)))
         self.parameters = {
-            t.TELEGRAM: struct.pack("<H", t.TELEGRAM_111),
-            t.POSITION_PREFIX: struct.pack("<b", prefix),
-            t.VELOCITY_PREFIX: struct.pack("<b", MILLI),
+            TELEGRAM: struct.pack("<H", 111),
+            POSITION_PREFIX: struct.pack("<b", prefix),
+            VELOCITY_PREFIX: struct.pack("<b", MILLI),
+            BASE_VALUE: struct.pack("<f", BASE_VELOCITY),
+            SERIAL_NUMBER: b"EMULATED1",
         }
         """Number -> its bytes, besides what process data says."""
-        self.control, self.homed, self.supplied, self.fault = True, True, True, 0
+        self.motion = Motion(plant, self._scale, lambda kind, **data: log.note(kind, device.name, **data))
+        self.control, self.supplied, self.fault = True, True, 0
         self.timeout = FACTORY
         """Without communication for so long it stops [ms]; 0: never."""
-        self._out = [0] * t.SENT
-        self._mail = dict.fromkeys((t.NUMBER, t.SUBINDEX, t.ELEMENTS, t.EXECUTE, t.LENGTH), 0)
+        self._out = [0] * p.SIZE
+        self._mail = dict.fromkeys((NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH), 0)
         self._data: list[int] = []
         self._powered = float("inf")
         """When it is under power [s, monotonic]; infinite: it is not."""
         self._inhibited = True
         self._taken = False
-        self._from = self._to = 0.0
-        self._begun, self._pace = 0.0, 0.0
         self._behind_since = 0.0
         self._heard, self._expire = monotonic(), False
 
@@ -90,6 +113,7 @@ class EmulatedDrive:
         if request.table != "holding":
             raise frames.Refused(frames.FUNCTION)
         with self._lock:
+            self.motion.settle(monotonic())
             if request.values:
                 self._write(request, ignore=ignore)
                 return []
@@ -101,41 +125,73 @@ class EmulatedDrive:
 
     def _cells(self) -> Mapping[int, int]:
         """Everything that can be read now."""
-        cells = {t.PROCESS_IN + i: word for i, word in enumerate(self._told())}
-        cells.update({t.TIMEOUT.address: self.timeout, t.TIMEOUT.address + 1: 0})
-        cells.update({t.EXECUTE: self._mail[t.EXECUTE], t.LENGTH: self._mail[t.LENGTH]})
-        cells.update({t.DATA + i: word for i, word in enumerate(self._data)})
+        cells = {PROCESS_IN + i: word for i, word in enumerate(p.join(self.telegram, self._told()))}
+        cells.update({TIMEOUT: self.timeout, TIMEOUT + 1: 0})
+        cells.update({EXECUTE: self._mail[EXECUTE], LENGTH: self._mail[LENGTH]})
+        cells.update({DATA + i: word for i, word in enumerate(self._data)})
         return cells
 
     def _write(self, request: frames.Request, *, ignore: bool) -> None:
         shape = request.function, request.address, request.count
-        if shape in {(16, t.PROCESS_OUT, t.SENT), (16, t.PROCESS_OUT, t.SIZE)}:
+        if request.function == 16 and request.address == PROCESS_OUT:
+            if request.count not in {p.length(self.telegram), p.SIZE}:
+                raise frames.Refused(frames.ADDRESS)
             if not ignore:
-                self._obey(list(request.values[: t.SENT]))
-        elif shape == (16, t.TIMEOUT.address, 2):
+                self._obey([*request.values, *self._out[request.count :]])
+        elif shape == (16, TIMEOUT, 2):
             if request.values[1] or 0 < request.values[0] < 100:
                 raise frames.Refused(frames.VALUE)
             if not ignore:
                 self.timeout = request.values[0]
                 self._log.note("watchdog-register", self.device.name, raw=self.timeout)
-        elif request.function == 6 and request.address in {t.NUMBER, t.SUBINDEX, t.ELEMENTS, t.EXECUTE}:
+        elif request.function == 6 and request.address in self._mail:
             self._mail[request.address] = request.values[0]
-            if request.address == t.EXECUTE and not ignore:
-                self._tell()
+            if request.address == EXECUTE and not ignore:
+                self._carry_parameter()
+        elif request.function == 16 and request.address == DATA and request.count <= LONGEST_DATA:
+            self._data = list(request.values)
         else:
             raise frames.Refused(frames.ADDRESS)
 
-    def _tell(self) -> None:
-        """The parameter that is asked for, into the mailbox."""
-        number = self._mail[t.NUMBER]
-        target = struct.pack("<HH", *self._out[5:7])
-        data = {**self.parameters, t.TARGET: target}.get(number)
-        if data is None or self._mail[t.EXECUTE] != t.READ or self._mail[t.ELEMENTS] != 1:
-            self._mail[t.EXECUTE], self._mail[t.LENGTH], self._data = t.FAILED, 0, []
+    # -- parameters -----------------------------------------------------------------------------------------------
+
+    @property
+    def telegram(self) -> int:
+        """The selected telegram."""
+        return int.from_bytes(self.parameters[TELEGRAM], "little")
+
+    def _carry_parameter(self) -> None:
+        """Read or write the parameter of the mailbox."""
+        number, what = self._mail[NUMBER], self._mail[EXECUTE]
+        one = self._mail[ELEMENTS] == 1 and self._mail[SUBINDEX] == 0
+        if what == WRITE:
+            size = self._mail[LENGTH]
+            given = b"".join(word.to_bytes(2, "little") for word in self._data)[:size]
+            self._mail[EXECUTE] = DONE if one and len(given) == size and self._set(number, given) else FAILED
+            return
+        data = {**self.parameters, **self._process_parameters()}.get(number)
+        if data is None or what != READ or not one:
+            self._mail[EXECUTE], self._mail[LENGTH], self._data = FAILED, 0, []
             return
         padded = data + b"\0" * (len(data) % 2)
         self._data = list(struct.unpack(f"<{len(padded) // 2}H", padded))
-        self._mail[t.EXECUTE], self._mail[t.LENGTH] = t.DONE, len(data)
+        self._mail[EXECUTE], self._mail[LENGTH] = DONE, len(data)
+
+    def _process_parameters(self) -> dict[int, bytes]:
+        """Parameters that are words of the process data."""
+        values = p.split(self.telegram, self._out) | self._told()
+        found = {number: (values.get(name, 0), 4 if name in p.LONG else 2) for number, name in PROCESS_WORDS.items()}
+        return {
+            number: (value & (1 << 8 * size) - 1).to_bytes(size, "little") for number, (value, size) in found.items()
+        }
+
+    def _set(self, number: int, data: bytes) -> bool:
+        """Write a parameter; whether the drive takes it: the telegram, without power."""
+        if number != TELEGRAM or len(data) != 2 or int.from_bytes(data, "little") not in p.SENT or self.enabled:
+            return False
+        self.parameters[number] = data
+        self._out = [0] * p.SIZE
+        return True
 
     # -- states ---------------------------------------------------------------------------------------------------
 
@@ -144,34 +200,104 @@ class EmulatedDrive:
         """Whether it is under power."""
         return monotonic() >= self._powered
 
+    @property
+    def homed(self) -> bool:
+        """Whether its positions mean anything."""
+        return self.motion.homed
+
+    @homed.setter
+    def homed(self, homed: bool) -> None:
+        self.motion.homed = homed
+
     def _obey(self, words: list[int]) -> None:
         """New process data: what changed in the control word, and where it is sent."""
         before, self._out = self._out, words
-        control, mode, rising = words[0], words[1], words[0] & ~before[0]
-        if not control & t.BY_PLC or not self.control:
+        now, was = p.split(self.telegram, words), p.split(self.telegram, before)
+        control, rising = now["STW1"], now["STW1"] & ~was["STW1"]
+        if not control & p.BY_PLC or not self.control:
             self._off("no control")
             return
-        if rising & t.ACKNOWLEDGE and self.fault:
+        if rising & p.ACKNOWLEDGE and self.fault:
             self.fault = 0
-        free = control & t.NO_COAST_STOP and control & t.NO_QUICK_STOP
-        if not control & t.ON and free and not self.fault:
+        free = control & NO_COAST_STOP and control & NO_QUICK_STOP
+        if not control & ON and free and not self.fault:
             self._inhibited = False
-        if not (free and control & t.ON and control & t.ENABLE):
+        if now.get("POS_STW2", 0) & ~was.get("POS_STW2", 0) & p.SET_REFERENCE:
+            self.motion.home_here()
+        if not (free and control & ON and control & ENABLE):
             self._off("switched off")
             return
-        if rising & t.ON and self._can and self._powered == float("inf"):
+        if rising & ON and self._can and self._powered == float("inf"):
             self._powered = monotonic() + WARMING
             self._log.note("power", self.device.name, on=True)
         if not self.enabled:
             return
-        if not control & t.KEEP_TASK or not control & t.NO_INTERMEDIATE_STOP:
-            if self._taken or not before[0] & t.ON or before[0] & t.KEEP_TASK:
+        if self.telegram in p.BY_SPEED:
+            self._turn(now, was)
+        else:
+            self._move(now, was, started=bool(before[0] & ON))
+
+    def _turn(self, now: Mapping[str, int], was: Mapping[str, int]) -> None:
+        """A velocity is commanded: it goes there at once, and stops where one of three bits is missing."""
+        [name] = [name for name in now if name in p.FULL_SPEED]
+        free = p.REJECT | p.GO_ON | p.TASK
+        wanted, before = (w[name] if w["STW1"] & free == free else 0 for w in (now, was))
+        if wanted == before:
+            return
+        if wanted:
+            self.motion.run(wanted, abs(wanted) / p.FULL_SPEED[name] * BASE_VELOCITY)
+        else:
+            self._stand()
+
+    def _move(self, now: Mapping[str, int], was: Mapping[str, int], *, started: bool) -> None:
+        """Tasks, homing and jogging, as the control word says."""
+        control, rising, falling = now["STW1"], now["STW1"] & ~was["STW1"], was["STW1"] & ~now["STW1"]
+        if not control & p.REJECT:
+            if self._taken or not started or falling & p.REJECT:
                 self._log.note("halt", self.device.name)
             self._stand()
             return
-        new = rising & t.TASK or (mode & t.CONTINUOUS and words[4:9] != before[4:9])
-        if control & t.TASK and new and mode & t.MDI and mode & t.ABSOLUTE:
-            self._go(words)
+        if not control & p.GO_ON:
+            if falling & p.GO_ON:
+                self._log.note("halt", self.device.name)
+            self.motion.interrupt()
+            return
+        if rising & p.GO_ON:
+            self.motion.go_on()
+        if falling & p.HOME:
+            self.motion.give_up_homing()
+        if rising & p.HOME:
+            self._log.note("homing", self.device.name)
+            self.motion.home()
+        jogs = p.JOG_1 | p.JOG_2
+        if (control ^ was["STW1"]) & jogs:
+            forwards = bool(control & p.JOG_1) - bool(control & p.JOG_2)
+            self.motion.jog(forwards, by_steps=bool(now.get("POS_STW2", 0) & p.BY_STEPS))
+        if control & p.TASK:
+            self._task(now, was, rising=bool(rising & p.TASK))
+
+    def _task(self, now: Mapping[str, int], was: Mapping[str, int], *, rising: bool) -> None:
+        """Begin a task at the rising edge of its bit, or at each new set-point where the mode says so."""
+        if self.telegram == 9:
+            by_record, mode = not now["SATZANW"] & p.MDI, p.ABSOLUTE if now["MDI_MOD"] & 1 else 0
+            number = now["SATZANW"] & p.RECORD
+        else:
+            mode = now["POS_STW1"]
+            by_record, number = not mode & p.MDI, mode & p.RECORD
+        changed = any(now.get(name) != was.get(name) for name in ("OVERRIDE", "MDI_TARPOS", "MDI_VELOCITY"))
+        if not rising and not (mode & p.CONTINUOUS and mode & p.ABSOLUTE and changed and not by_record):
+            return
+        pace = now["MDI_VELOCITY"] * 10.0**MILLI * now.get("OVERRIDE", FULL) / FULL
+        if by_record:
+            if self.homed and number in RECORDS:
+                self._log.note("record", self.device.name, number=number)
+                self.motion.go(*RECORDS[number])
+                self._taken = True
+        elif mode & p.SET_UP:
+            self.motion.run(1 if mode & p.FORWARD else -1, pace)
+            self._taken = True
+        elif self.homed:
+            self._go(self.motion.target(now["MDI_TARPOS"], absolute=bool(mode & p.ABSOLUTE)), pace)
 
     @property
     def _can(self) -> bool:
@@ -186,60 +312,67 @@ class EmulatedDrive:
 
     def _stand(self) -> None:
         """Stop, and hold the place."""
-        self._from = self._to = self._plant.stop_drive()
+        self.motion.stop()
         self._taken = False
 
-    def _go(self, words: list[int]) -> None:
-        """Move to the target that came with the process data, from where the profile is."""
-        if not self.homed:
-            return
-        target = decode(Register("", "holding", 0, "int32", low_word_first=True), words[5:7])
-        velocity = decode(Register("", "holding", 0, "uint32", low_word_first=True), words[7:9])
-        si, pace = float(self._scale.to_si(target)), velocity * 10.0**MILLI * words[4] / t.FULL
-        if not STROKE[0] <= si <= STROKE[1]:
+    def _go(self, place: float, pace: float) -> None:
+        """Move to a target, from where the profile is."""
+        if not STROKE[0] <= place <= STROKE[1]:
             self._fail(OUT_OF_STROKE)
             return
-        self._log.note("move", self.device.name, si=si, speed=pace)
-        now = monotonic()
-        self._from, self._to, self._begun, self._pace = self._profile(now), si, now, pace
-        if pace > 0:
-            self._plant.drive(si, pace, self._from)
+        self.motion.go(place, pace)
         self._taken = True
-
-    def _profile(self, now: float) -> float:
-        left, way = self._to - self._from, self._pace * (now - self._begun)
-        return self._to if way >= abs(left) else self._from + (way if left > 0 else -way)
 
     def _fail(self, code: int) -> None:
         self.fault = code
         self._log.note("fault", self.device.name, code=code)
         self._off(f"fault {code}")
 
-    def _told(self) -> list[int]:
-        """The input process data."""
-        place = self._plant.quantities()["displacement"]
-        raw = min(max(round(float(self._scale.to_raw(place))), -(2**31)), 2**31 - 1)
-        now = monotonic()
-        at_rest = self._profile(now) == self._to
-        if self._powered > now or abs(place - self._profile(now)) <= BEHIND:
+    def _told(self) -> dict[str, int]:
+        """The words of the input process data, of all telegrams."""
+        now, motion = monotonic(), self.motion
+        if self._powered > now or motion.off(now) <= BEHIND:
             self._behind_since = now
         elif now - self._behind_since > SO_LONG:
             self._fail(FOLLOWING)
-        bits = {
-            t.READY: self._can,
-            t.ENABLED: self.enabled,
-            t.FAULT: bool(self.fault),
-            t.INHIBITED: self._inhibited,
-            t.CONTROL: self.control,
-            t.HOMED: self.homed,
-            t.REACHED: at_rest,
-            t.TAKEN: self._taken,
-            t.STOPPED: at_rest,
+        sent = p.split(self.telegram, self._out)
+        control, mode = sent["STW1"], sent.get("POS_STW1", 0)
+        at_rest, velocity, forwards = motion.rests(now), motion.velocity(now), motion.forwards(now)
+        task = self._taken and bool(control & p.TASK)
+        status = {
+            "ready to switch on": self._can,
+            "ready to operate": self._powered != float("inf"),
+            "enabled": self.enabled,
+            "fault": bool(self.fault),
+            "no coast stop": bool(control & NO_COAST_STOP),
+            "no quick stop": bool(control & NO_QUICK_STOP),
+            "inhibited": self._inhibited,
+            "follows": motion.off(now) <= BEHIND,
+            "control": self.control,
+            "reached": at_rest,
+            "homed": self.homed,
+            "taken": task,
+            "stopped": at_rest,
         }
-        word = sum(bit for bit, on in bits.items() if on)
-        position = encode(Register("", "holding", 0, "int32", low_word_first=True), raw)
-        words = [word, 0, 0, 0, 0, *position, 0, 0, self.fault, 0]
-        return words + [0] * (t.SIZE - len(words))
+        position = {
+            "jogging": motion.jogging,
+            "homing": motion.homing,
+            "by record": task and not mode & p.MDI,
+            "set up": task and bool(mode & p.SET_UP),
+            "mdi": task and bool(mode & p.MDI),
+        }
+        more = {"forwards": forwards > 0, "backwards": forwards < 0, "task active": task and not at_rest}
+        share = abs(velocity) / BASE_VELOCITY * forwards
+        return {
+            "ZSW1": p.bits(p.ZSW1, status),
+            "POS_ZSW1": p.bits(p.POS_ZSW1, position) | (mode & p.RECORD if position["by record"] else 0),
+            "POS_ZSW2": p.bits(p.POS_ZSW2, more),
+            "XIST_A": motion.position(),
+            "G1_XIST1": motion.position(),
+            "NIST_A": round(share * p.FULL_SPEED["NIST_A"]),
+            "NIST_B": round(share * p.FULL_SPEED["NIST_B"]),
+            "FAULT_CODE": self.fault,
+        }
 
     # -- what it does by itself -----------------------------------------------------------------------------------
 
@@ -247,6 +380,28 @@ class EmulatedDrive:
         """Let the time-out end at the next look; whether there is one that stops it."""
         self._expire = self.timeout > 0 and self._powered != float("inf")
         return self._expire
+
+    def restart(self) -> None:
+        """As after power-on: without power, with the time-out from the factory, and still homed (absolute encoder)."""
+        with self._lock:
+            self._off("restart")
+            self._out, self.timeout, self.fault, self._inhibited = [0] * p.SIZE, FACTORY, 0, True
+            self._mail, self._data = dict.fromkeys(self._mail, 0), []
+            self._heard = monotonic()
+            self._log.note("restart", self.device.name)
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program sends one target [user units] in the process data; whether the drive takes it."""
+        with self._lock:
+            target = round(value)
+            self._obey([*self._out[:5], target & 0xFFFF, target >> 16 & 0xFFFF, *self._out[7:]])
+            return self.enabled
 
     def look_at_watchdog(self) -> None:
         """Stop where nothing was heard for the time-out."""

@@ -51,21 +51,39 @@ class DriveLink(NamedLine):
             raise DeviceError(self._device, f"was given {value:g} and holds {held:g}", register.name)
 
     def parameter(self, number: int, kind: str, until: float) -> float:
-        """The value of a parameter, through the mailbox; `kind` is a type of registers, or `int8`."""
+        """The value of a parameter; `kind` is a type of registers, or `int8`."""
+        what = f"parameter {number}"
+        words, size = self._fetch(number, until)
+        register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
+        if size == 0:
+            raise DeviceError(self._device, f"does not tell it (mailbox state {t.FAILED})", what)
+        if size != (1 if kind == "int8" else 2 * register.count):
+            raise DeviceError(self._device, f"has {size} bytes, where {kind} was expected", what)
+        value = decode(register, words)
+        return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
+
+    def text(self, number: int, until: float) -> str:
+        """A parameter that is a text; empty where the drive has none."""
+        words, size = self._fetch(number, until)
+        data = b"".join(word.to_bytes(2, "little") for word in words)[:size]
+        return "".join(chr(byte) for byte in data.split(b"\0")[0] if 32 <= byte < 127).strip()
+
+    def _fetch(self, number: int, until: float) -> tuple[list[int], int]:
+        """Registers and bytes of a parameter, through the mailbox; nothing where the drive refuses it."""
         what = f"parameter {number}"
         with self._mailbox:
             for address, word in ((t.NUMBER, number), (t.SUBINDEX, 0), (t.ELEMENTS, 1), (t.EXECUTE, t.READ)):
                 self.write(6, address, [word], until, what)
             while (state := self.read("holding", t.EXECUTE, 1, until, what)[0]) != t.DONE:
-                if state == t.FAILED or monotonic() > until - LOOK:
+                if state == t.FAILED:
+                    return [], 0
+                if monotonic() > until - LOOK:
                     raise DeviceError(self._device, f"does not tell it (mailbox state {state})", what)
                 sleep(LOOK)
-            register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
             [size] = self.read("holding", t.LENGTH, 1, until, what)
-            if size != (1 if kind == "int8" else 2 * register.count):
-                raise DeviceError(self._device, f"has {size} bytes, where {kind} was expected", what)
-            value = decode(register, self.read("holding", t.DATA, register.count, until, what))
-        return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
+            if not 0 < size <= t.LONGEST_TEXT:
+                raise DeviceError(self._device, f"has {size} bytes, which is no value that is read here", what)
+            return self.read("holding", t.DATA, (size + 1) // 2, until, what), size
 
     def _again(self, address: int, count: int, until: float, what: str) -> list[int]:
         """Registers; asked once more where no answer came in time: that moves nothing."""

@@ -26,10 +26,12 @@ NUMBER, SUBINDEX, ELEMENTS, EXECUTE, LENGTH, DATA = 500, 501, 502, 503, 504, 510
 """Mailbox of parameters (PNU)."""
 READ, FAILED, DONE = 1, 3, 0x10
 """What is written to `EXECUTE`, and what it holds afterwards."""
-TELEGRAM, TARGET, POSITION_PREFIX, VELOCITY_PREFIX = 3490, 34, 11724, 11725
+TELEGRAM, TARGET, POSITION_PREFIX, VELOCITY_PREFIX, SERIAL = 3490, 34, 11724, 11725, 2076
 TELEGRAM_111 = 111
 """Parameters: the selected telegram (it must be 111), MDI_TARPOS as the drive holds it, decimal exponents of its user
-units."""
+units, serial number of its control unit (a text)."""
+LONGEST_TEXT = 50
+"""No parameter that is read here is longer [bytes]."""
 
 ON, NO_COAST_STOP, NO_QUICK_STOP, ENABLE = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 KEEP_TASK, NO_INTERMEDIATE_STOP, TASK, ACKNOWLEDGE, BY_PLC = 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 10

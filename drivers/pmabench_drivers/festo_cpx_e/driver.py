@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
@@ -114,6 +114,9 @@ class FestoCpxE(ModbusDevice):
 
         return NamedLine(self._device.name, self._device.address, self._map.timeout)
 
+    def _opened(self) -> NamedLine:
+        return cast("NamedLine", super()._opened())
+
     def _keep_alive(self) -> None:
         """One question while no watchdog of ours is armed; once it is, only the program keeps the terminal quiet."""
         line = self._line
@@ -128,16 +131,11 @@ class FestoCpxE(ModbusDevice):
 
     def _compare(self, line: Line, until: float) -> None:
         name, modules = self._device.name, self._terminal.modules
-        present = sum(word.bit_count() for word in line.read("holding", PRESENT, 3, until, "modules"))
+        present = self._present(line, until)
         if present != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
             raise DeviceError(name, message, "options.modules")
-        faults = [
-            16 * i + bit
-            for i, word in enumerate(line.read("holding", FAULTS, 3, until, "faults"))
-            for bit in range(16)
-            if word >> bit & 1
-        ]
+        faults = self._faulty(line, until)
         if faults:
             raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
@@ -170,6 +168,33 @@ class FestoCpxE(ModbusDevice):
         now = self._parameter(line, number, until) >> shift & 0xF
         if now != wanted:
             raise DeviceError(self._device.name, f"did not take the range {names[wanted]}", channel)
+
+    def held(self) -> dict[str, float | str]:
+        """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
+
+        It tells no serial number in less than half a second.
+        """
+        until = monotonic() + CALL
+        watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()
+        [status] = line.read("holding", STATUS, 1, until, "status")
+        told = line.identification(until)
+        return {
+            "watchdog": watchdog,
+            "modules": float(self._present(line, until)),
+            "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
+            "forced": "yes" if status & FORCED else "no",
+            "terminal": " ".join(told[number] for number in sorted(told) if told[number]),
+        }
+
+    @staticmethod
+    def _present(line: Line, until: float) -> int:
+        return sum(word.bit_count() for word in line.read("holding", PRESENT, 3, until, "modules"))
+
+    @staticmethod
+    def _faulty(line: Line, until: float) -> list[int]:
+        """Places of the modules that report a fault; 0 is the bus module."""
+        words = line.read("holding", FAULTS, 3, until, "faults")
+        return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
 
     def _parameter(self, line: Line, number: int, until: float) -> int:
         """The value of a function number."""

@@ -19,7 +19,6 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.festo_cpx_e.named import NamedDevice
 from pmabench_drivers.festo_cpx_e.terminal import (
     CONTROL,
-    DATA_FORMAT,
     DONE,
     FAULTS,
     FIRST_INPUT,
@@ -38,6 +37,13 @@ from pmabench_drivers.options import Reader
 
 CYCLE = 0.003
 """What is written shows in the modules' inputs and in the data system table so much later [s]."""
+DEFAULTS = {
+    "16di": {0: 0x01, 1: 0x51},
+    "8do": {0: 0x06, 1: 0x00},
+    "4ai-ui": {0: 0x81, 1: 0x01, 6: 0xE0},
+    "4ao-ui": {0: 0x86, 1: 0x0A, 6: 0x20},
+}
+"""Parameters of a module and their values from the factory on, as Festo's client library describes each bit."""
 FACTORY = 100
 """Time-out from the factory on [ms]."""
 NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", "{}", "")
@@ -76,8 +82,8 @@ class EmulatedTerminal:
             number, shift = terminal.module_of(name).range_of(int(name.partition(".")[2]))
             self.parameters[number] = self.parameters.get(number, 0) | code << shift
         for module in terminal.modules:
-            if module.kind.ranges:
-                self.parameters[module.parameter(DATA_FORMAT)] = 0x20
+            for number, value in DEFAULTS[module.name].items():
+                self.parameters[module.parameter(number)] = value
         self._words = {CONTROL: 0, VALUE_IN: 0}
         self._words.update({register.address: 0 for register in self._written.values()})
         self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
@@ -201,6 +207,35 @@ class EmulatedTerminal:
         self._expire = self.timeout > 0
         return self._expire
 
+    # -- what happens to it from outside --------------------------------------------------------------------------
+
+    def restart(self) -> None:
+        """As after power-on: nothing is put out, and the time-out is the one from the factory."""
+        with self._lock:
+            self._drop_outputs()
+            self._words = dict.fromkeys(self._words, 0)
+            self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
+            self.timeout, self._read = FACTORY, 0
+            self._heard, self._bitten = monotonic(), False
+            self._log.note("restart", self.device.name)
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program writes the first analogue output [count]; whether there is one."""
+        with self._lock:
+            for name in list(self._outputs)[:1]:
+                address = self._written[name].address
+                self._put(address, round(value) & 0xFFFF)
+                self._put_out(address, 0)
+            return bool(self._outputs)
+
+    # -- the end of the time-out ----------------------------------------------------------------------------------
+
     def bite(self) -> bool:
         """Whether the time-out ends now; then every output is 0."""
         with self._lock:
@@ -209,13 +244,17 @@ class EmulatedTerminal:
             if not self.timeout or self._bitten or not ends:
                 return False
             self._bitten, self._expire = True, False
-            on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
-            if on:
+            if self._drop_outputs():
                 self._log.note("watchdog", self.device.name, silent=silent)
-            for address in on:
-                self._put(address, 0)
-                self._put_out(address, 0)
             return True
+
+    def _drop_outputs(self) -> bool:
+        """Put out 0 everywhere; whether anything was put out."""
+        on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
+        for address in on:
+            self._put(address, 0)
+            self._put_out(address, 0)
+        return bool(on)
 
 
 class CpxDevice(NamedDevice):

@@ -1,0 +1,170 @@
+"""How an emulated CMMT moves the free end of the plant: targets, velocities, jogging, records, homing; knows no wire.
+
+Its profile has no acceleration. Places are metres of contraction; positions count user units from where it was homed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from pmabench.bench.interface import Scale
+from pmabench_drivers.emulator.plant import RealPlant
+
+STROKE = (-0.01, 0.09)
+"""Software limits [m of contraction]."""
+HOMING, LEAST = 0.02, 0.3
+"""Speed towards the reference mark, which is at a contraction of 0 [m/s]; homing takes at least so long [s]."""
+JOGGING, STEP = 0.005, 0.001
+"""Speed of jogging [m/s], and how far it goes by steps [m]."""
+RECORDS = {1: (0.005, 0.02), 2: (0.010, 0.02)}
+"""Its record table: number -> place [m of contraction] and speed [m/s]."""
+
+
+@dataclass
+class _Way:
+    """From `origin` to `target` [m of contraction] at `pace` [m/s] since `begun` [s, monotonic]."""
+
+    origin: float = 0.0
+    target: float = 0.0
+    pace: float = 0.0
+    begun: float = 0.0
+
+    def at(self, now: float) -> float:
+        """Where it is on its way."""
+        left, way = self.target - self.origin, self.pace * (now - self.begun)
+        return self.target if way >= abs(left) else self.origin + (way if left > 0 else -way)
+
+
+class Motion:
+    """One axis. `note` gets what it does."""
+
+    def __init__(self, plant: RealPlant, scale: Scale, note: Callable[..., Any]) -> None:
+        self._plant, self._scale, self._note = plant, scale, note
+        self._way = _Way()
+        self._rest: _Way | None = None
+        """What is left of a motion that was interrupted."""
+        self._zero = 0
+        """User units at a contraction of 0 where it was homed last."""
+        self._at_mark = False
+        """Whether it is homing to the reference mark, or where it stands."""
+        self._homing = 0.0
+        """When homing will be over at the earliest [s, monotonic]; 0: it is not homing."""
+        self.homed = True
+        self.jogging = False
+
+    # -- where it is --------------------------------------------------------------------------------------------------
+
+    def position(self) -> int:
+        """Where it is [user units]."""
+        return self._units(self.place())
+
+    def _units(self, place: float) -> int:
+        raw = round(float(self._scale.to_raw(place))) - self._zero
+        return min(max(raw, -(2**31)), 2**31 - 1)
+
+    def place(self) -> float:
+        """Where it is [m of contraction]."""
+        return self._plant.quantities()["displacement"]
+
+    def off(self, now: float) -> float:
+        """How far it is from where it should be [m]."""
+        return abs(self.place() - self._way.at(now))
+
+    def rests(self, now: float) -> bool:
+        """Whether it has come to where it was sent."""
+        return self._way.at(now) == self._way.target
+
+    def velocity(self, now: float) -> float:
+        """How fast it goes [m/s of contraction]."""
+        if self.rests(now):
+            return 0.0
+        return self._way.pace if self._way.target > self._way.origin else -self._way.pace
+
+    def forwards(self, now: float) -> int:
+        """1 where its position grows, -1 where it gets less, 0 at rest."""
+        moves = self.velocity(now) * self._scale.slope
+        return (moves > 0) - (moves < 0)
+
+    @property
+    def homing(self) -> bool:
+        """Whether it looks for its reference."""
+        return self._homing > 0
+
+    # -- motions ------------------------------------------------------------------------------------------------------
+
+    def target(self, position: int, *, absolute: bool) -> float:
+        """The place of a target [user units], which counts from where it is sent now if it is not `absolute`."""
+        start = 0 if absolute else self._units(self._way.at(monotonic()))
+        return float(self._scale.to_si(position + start + self._zero))
+
+    def go(self, place: float, pace: float) -> None:
+        """Go there [m of contraction] at `pace` [m/s]."""
+        now = monotonic()
+        self._rest, self._way = None, _Way(self._way.at(now), place, pace, now)
+        self._note("move", si=place, speed=pace)
+        if pace > 0:
+            self._plant.drive(place, pace, self._way.origin)
+
+    def run(self, forwards: float, pace: float) -> None:
+        """Go on to the software limit of that direction of its positions."""
+        self.go(STROKE[(forwards > 0) == (self._scale.slope > 0)], pace)
+
+    def jog(self, forwards: int, *, by_steps: bool) -> None:
+        """Jog in that direction, or end it with 0."""
+        if not forwards:
+            if self.jogging:
+                self.stop()
+            return
+        self.jogging = True
+        if by_steps:
+            step = STEP if (forwards > 0) == (self._scale.slope > 0) else -STEP
+            self.go(min(max(self._way.at(monotonic()) + step, STROKE[0]), STROKE[1]), JOGGING)
+        else:
+            self.run(forwards, JOGGING)
+
+    def stop(self) -> None:
+        """Stop, hold the place, and forget what was under way."""
+        place = self._plant.stop_drive()
+        self._way, self._rest, self.jogging, self._homing = _Way(place, place), None, False, 0.0
+
+    def interrupt(self) -> None:
+        """Stop for a while."""
+        if self._rest is None:
+            way = self._way
+            self.stop()
+            self._rest = way
+
+    def go_on(self) -> None:
+        """Go on with what was interrupted."""
+        if self._rest is not None:
+            self.go(self._rest.target, self._rest.pace)
+
+    # -- homing -------------------------------------------------------------------------------------------------------
+
+    def home(self) -> None:
+        """Go to the reference mark, which becomes position 0."""
+        self.homed, self._at_mark = False, True
+        self.go(0.0, HOMING)
+        self._homing = monotonic() + LEAST
+
+    def home_here(self) -> None:
+        """Where it stands becomes position 0."""
+        self._zero += self._units(self._way.at(monotonic()))
+        self.homed, self._at_mark = False, False
+        self._homing = monotonic() + LEAST
+
+    def give_up_homing(self) -> None:
+        """End homing where it is under way; it has no reference then."""
+        if self.homing:
+            self.stop()
+
+    def settle(self, now: float) -> None:
+        """End homing where it is over."""
+        if self.homing and now >= self._homing and self.rests(now):
+            if self._at_mark:
+                self._zero = round(float(self._scale.to_raw(0.0)))
+            self._homing, self.homed = 0.0, True
+            self._note("homed", si=self._way.target)
