@@ -28,6 +28,7 @@ from pmabench.display.link import Link
 from pmabench.display.plain import first_line, last_line, plain_line
 from pmabench.display.quantities import prepare
 from pmabench.display.state import RunState
+from pmabench.display.succession import awaits_another, run_after
 from pmabench.display.view import Extra, Question, closing, screen
 
 PERIOD = 0.25
@@ -166,16 +167,27 @@ def _dots(character: str) -> str:
 
 
 class Console:
-    """Shows one run until it ends, until `q` where it is not linked, or until the link ends."""
+    """Shows one run until it ends, until `q` where it is not linked, or until the link ends.
+
+    With `on`, the run that comes after it in the same program is shown next.
+    """
 
     def __init__(
-        self, folder: Path, stream: TextIO, *, link: Link | None = None, color: bool = True, plain: bool = False
+        self,
+        folder: Path,
+        stream: TextIO,
+        *,
+        link: Link | None = None,
+        color: bool = True,
+        plain: bool = False,
+        on: bool = False,
     ) -> None:
         self.state = RunState(folder)
         self._stream = stream
         self._link = link
         self._color = color
         self._plain = plain
+        self._on = on
         self._keys: terminal.Keyboard | None = None
         self._parent = os.getppid()
         self._asked: dict[str, Any] | None = None
@@ -203,13 +215,13 @@ class Console:
         return self.state
 
     def _run_drawn(self, painter: Painter) -> None:
-        preparing: threading.Thread | None = None
+        prepared = ""
         while not self._over:
             started = time.monotonic()
             behind = self.state.poll()
-            if preparing is None and self.state.kind:
-                preparing = threading.Thread(target=prepare, args=(self.state.kind,))
-                preparing.start()
+            if self.state.kind != prepared:
+                prepared = self.state.kind
+                threading.Thread(target=prepare, args=(prepared,)).start()
             self._listen()
             size = painter.size()
             painter.draw(screen(self.state, *size, self._extra()), size)
@@ -220,12 +232,12 @@ class Console:
                     break
 
     def _run_plain(self) -> None:
-        begun = False
+        begun: RunState | None = None
         while not self._over:
             behind = self.state.poll()
             self._listen()
-            if self.state.files.there and not begun:
-                begun = True
+            if self.state.files.there and begun is not self.state:
+                begun = self.state
                 self._print(first_line(self.state))
             fresh, self.state.fresh = self.state.fresh, []
             for item in fresh:
@@ -254,9 +266,22 @@ class Console:
 
     def _look_for_end(self, behind: bool) -> None:
         if self._link is None:
-            self._over |= self.state.ended
+            self._over |= self.state.ended and not self._goes_on()
         elif self._link.closed or os.getppid() != self._parent:
             self._over = self._orphaned = not behind
+
+    def _goes_on(self) -> bool:
+        """Whether another run follows; shows it as soon as it is there."""
+        manifest = self.state.files.manifest
+        if not self._on:
+            return False
+        awaited = awaits_another(manifest, self.state.status)  # first: a program that began one may end at once
+        after = run_after(self.state.files.folder, manifest)
+        if after is not None:
+            if self._plain:
+                self._print(last_line(self.state))
+            self.state = RunState(after)
+        return awaited or after is not None
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
@@ -368,14 +393,16 @@ def _edited(text: str, key: str, longest: int) -> str:
     return (text + key)[:longest] if key.isprintable() else text
 
 
-def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> RunState:
+def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False, on: bool = False) -> RunState:
     """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines.
+
+    With `on` also the runs that come after it: the one behind a session, the next ones of a campaign.
 
     Raises Interrupted at a signal that ends it.
     """
     plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"
     try:
         with tidy_signals(child=False):
-            return Console(folder, sys.stdout, color=color, plain=plain).run(quiet=quiet)
+            return Console(folder, sys.stdout, color=color, plain=plain, on=on).run(quiet=quiet)
     except Terminate as end:
         raise Interrupted(str(end), 128 + end.number) from None
