@@ -13,6 +13,7 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
+from pmabench.cli.next_steps import next_steps
 from pmabench.cli.progress import CLEAR, progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -81,6 +82,8 @@ def command(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
     tell_outcome(ui, outcome)
+    for line in next_steps(outcome, prepared.mounted.bench, trials=True):
+        say(line)
     return outcome.exit_code
 
 
@@ -102,7 +105,7 @@ def execute(
     from pmabench.cli.devices import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
-    from pmabench.session.session import ensure
+    from pmabench.session.session import SessionFailed, ensure
 
     steps = prepared.plan.steps if continues is None else continues.steps
     if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
@@ -126,6 +129,10 @@ def execute(
                     **shown,
                     **(session or {}),
                 )
+            except SessionFailed as error:
+                for line in next_steps(error.outcome, mounted.bench, trials=False):
+                    say(line)
+                raise
             finally:
                 for checks in tables if not (ui.quiet or ui.json) else ():
                     print_checks(ui, checks, err=True)

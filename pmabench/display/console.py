@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import select
+import shlex
 import shutil
 import signal
 import sys
@@ -30,6 +31,7 @@ from pmabench.display.quantities import prepare
 from pmabench.display.state import RunState
 from pmabench.display.succession import awaits_another, run_after
 from pmabench.display.view import Extra, Question, closing, screen
+from pmabench.display.wording import clean
 
 PERIOD = 0.25
 """A picture at most so often [s], but where a key was pressed."""
@@ -37,7 +39,13 @@ LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
 LINKED = "r repeat this trial  p pause or go on  n note  v vent now  Ctrl-C stop and vent"  # fits 80 columns
 ALONE = "q quits; the run goes on"
-ORPHANED = "the program of this run died; the guard vents then, and how it ended says:"
+ORPHANED = (
+    "the program of this run died; the guard vents then and keeps the bench tripped. Look at the bench, then:",
+    "pmabench runs show {folder}",
+    "pmabench vent {bench} --reset --operator NAME --because TEXT",
+    "pmabench run --resume {folder}",
+)
+"""What is left to do; the last line where the run has trials."""
 PRESSED = {
     "r": "repeat this trial",
     "p": "pause at low pressure, or go on",
@@ -259,7 +267,9 @@ class Console:
         if self._link is None:
             lines = [*lines, Text(last_line(self.state))]
         elif self._orphaned:
-            lines += [Text(text) for text in (ORPHANED, f"pmabench runs show {self.state.files.folder}")]
+            files = self.state.files
+            told = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
+            lines += [Text(clean(text.format(**told))) for text in ORPHANED[: None if self.state.trials else -1]]
         ascii_only = "utf" not in (self._stream.encoding or "").lower()
         for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
             self._print(line)

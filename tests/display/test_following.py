@@ -224,7 +224,9 @@ def test_while_nothing_is_recorded_the_newest_values_are_shown(tmp_path):
     """As in the warm-up of a session: 300 kPa are commanded, and the last recorded sample is old."""
     run = Recorded(tmp_path / "runs", POINTS)
     run.trial(0)
-    run.writer.event("command", run.t, output="pressure", type="set", value=3e5, before=0.0, phase="warm-up", trial=None)
+    run.writer.event(
+        "command", run.t, output="pressure", type="set", value=3e5, before=0.0, phase="warm-up", trial=None
+    )
     run.writer.event("live", run.t + 1.0, values={"pressure": 298.7e3, "displacement": 0.0312})
     state = read(run.folder)
     assert state.channels["pressure"].value == 298.7e3
@@ -236,7 +238,9 @@ def test_while_nothing_is_recorded_the_newest_values_are_shown(tmp_path):
 
 
 def test_a_run_that_goes_on_shows_what_the_chain_has(tmp_path):
-    run = Recorded(tmp_path / "runs", POINTS, continues={"run": "one", "sha256": "", "trials_done": [0]}, trials_planned=2)
+    run = Recorded(
+        tmp_path / "runs", POINTS, continues={"run": "one", "sha256": "", "trials_done": [0]}, trials_planned=2
+    )
     state = read(run.folder)
     assert state.done == 1
     assert "1 of 2 trials done (1 before this run)" in shown(state)

@@ -212,7 +212,9 @@ def test_of_every_kind_what_should_move_is_looked_at(kind, channel, point):
     assert f"{channel} changed by less than its noise: nothing moved" in doubts[0]
     assert not any("nothing moved" in doubt for doubt in doubts[1])
     trial = TrialData("run", 0, {"pressure": 0.0}, 0, False, "finished", t, {"displacement": still}, flags, (), {})
-    assert not any("nothing moved" in doubt for doubt in Verdicts().judge(run_of("free-contraction", trial), trial).doubts)
+    assert not any(
+        "nothing moved" in doubt for doubt in Verdicts().judge(run_of("free-contraction", trial), trial).doubts
+    )
 
 
 def run_of(kind, trial):

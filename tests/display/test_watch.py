@@ -124,7 +124,9 @@ def test_a_signal_ends_it_with_its_own_code(tmp_path):
 def test_the_run_after_a_session_and_the_next_of_a_campaign_are_watched_too(tmp_path):
     """Until the last one: the program that records them lives on all the time."""
     runs, number = tmp_path / "runs", {"name": "c", "of": 2}
-    session = Recorded(runs, POINTS, name="0", kind="session", trials_planned=0, started_utc="2026-11-23T10:00:00.000+00:00")
+    session = Recorded(
+        runs, POINTS, name="0", kind="session", trials_planned=0, started_utc="2026-11-23T10:00:00.000+00:00"
+    )
     command = [sys.executable, "-m", "pmabench", "watch", str(runs)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as watching:
         assert "session" in watching.stdout.readline()
@@ -133,7 +135,9 @@ def test_the_run_after_a_session_and_the_next_of_a_campaign_are_watched_too(tmp_
             time.sleep(0.6)
             assert watching.poll() is None, "it waits for the next run"
             when = f"2026-11-23T10:0{n + 1}:00.000+00:00"
-            run = Recorded(runs, POINTS, name=str(n + 1), campaign={**number, "number": n}, trials_planned=2, started_utc=when)
+            run = Recorded(
+                runs, POINTS, name=str(n + 1), campaign={**number, "number": n}, trials_planned=2, started_utc=when
+            )
             run.trial(0)
             run.trial(1)
             run.close()
