@@ -29,7 +29,7 @@ type: ??                                       # as on its label
 serial: ??
 nominal_length: ??                             # between the fittings, as ordered: 250 mm
 inner_diameter: ??                             # 20 mm
-mounted: {date: "??", length: "??", at: {load: 0 kg, pressure: 0 kPa}}   # 2026-11-23; measured in the rig, with that load
+mounted: {date: "??", length: "??", at: {load: 0 kg, pressure: 0 kPa}}  # in the rig, with that load
 limits: {pressure: {command: "??", never_above: "??"}, contraction: "??", source: "??"}   # by the maker's data sheet
 """
 CALIBRATION = """\
@@ -41,7 +41,7 @@ id: {id}
 quantity: {quantity}
 reference: ??                                  # what the sensor was compared with, with its serial or certificate
 date: ??                                       # 2026-11-23
-points: ??                                     # reading and true value, over all that is measured: [[0 V, 0 N], [10 V, 500 N]]
+points: ??                                     # readings, true values: [[0 V, 0 N], [10 V, 500 N]]
 expanded_uncertainty: ??                       # k = 2, with a unit
 """
 
@@ -197,7 +197,7 @@ def _readme(prepared: Prepared, bench: str) -> str:
 | file | what |
 | --- | --- |
 | `bench.yaml` | what is wired where, limits, safe state; the shipped bench `{bench}`. {kind} |
-| `calibrations/` | of the bench's channels; what is `??` is to be filled in. `pmabench calibrate CHANNEL --bench bench.yaml ...` writes new ones |
+| `calibrations/` | of the bench's channels; fill in what is `??`. `pmabench calibrate CHANNEL ...` writes new ones |
 | `specimen.yaml` | the muscle{muscle}. Put in type, serial, lengths and limits of yours |
 | `protocol.yaml` | what is tested: {plan.name} (kind {plan.kind}) |
 | `schemas/` | for editors, which complete and check the files with them |

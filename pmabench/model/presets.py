@@ -85,14 +85,6 @@ ARM = "arm-30"
 """That of four contractors of paper 2 (`pmabench.model.arm`)."""
 PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM)
 """All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
-LENGTHS = {
-    **dict.fromkeys(("paper0", "paper0-air", "serres2009"), 0.25),
-    "dmsp-40-305": 0.305,
-    "daerden": 0.2,
-    **CONTRACTORS,
-    ARM: 0.3,
-}
-"""Mounted length of each [m]."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 

@@ -98,9 +98,9 @@ def long_ranges(sweep: Any, document: Document, at: Location = ("sweep",)) -> It
     for form in ("matrix", "zip"):
         for name, axis in getattr(sweep, form) or ():
             if isinstance(axis, PressureRange) and (count := len(axis.values())) > USUAL_POINTS:
-                ends = f"{show(axis.start, 'pressure')} to {show(axis.stop, 'pressure')}"
+                start, stop, step = (show(value, "pressure") for value in (axis.start, axis.stop, axis.step))
                 yield (
-                    f"{document.where((*at, form, name))}  {ends} by {show(axis.step, 'pressure')} makes {count} values; "
+                    f"{document.where((*at, form, name))}  {start} to {stop} by {step} makes {count} values; "
                     "are the units of start, stop and step what you mean?"
                 )
 

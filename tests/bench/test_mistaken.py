@@ -7,7 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.bench.compile import mount
+from pmabench.bench.mistaken import LOOKED_AT, SIMULATED
 from pmabench.cli.main import main
+from pmabench.model.presets import PLANTS, preset
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
 SPECIMEN = {
@@ -43,10 +45,10 @@ def test_a_specimen_that_is_not_the_simulated_muscle_is_named_with_both_places()
 
 
 def test_a_muscle_of_the_same_size_is_told_by_its_forces():
-    """58.86 N are lifted by 100 kPa of one (1.08 * 100 - 49 N), by 18 kPa of the other (3.207 * 100 N at 100 kPa)."""
+    """At 300 kPa the published line of the one gives 2.91 * 300 + 44.6 N, that of the other 275 N."""
     (line,) = doubts("mock-serres2009", "mas-20-250-paper0")
-    assert "has F_ce 320.7" in line
-    assert "the specimen 59 N" in line
+    assert "has F_ce 917.6" in line
+    assert "the specimen 275 N" in line
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
@@ -91,8 +93,17 @@ def test_a_range_of_500_N_over_another_calibration(tmp_path, points, says):
     text = (
         text.replace("[-50 N, 1950 N]", "[-20 N, 500 N]")
         .replace("WIRES-F", "F-1")
-        .replace("trip: 1900 N", "trip: 450 N")
+        .replace("trip: 1900 N", "trip: 250 N")
     )
     (tmp_path / "bench.yaml").write_text(text)
     found = mount(tmp_path / "bench.yaml", FIXTURES / "specimens" / "mas-20-250-paper0.yaml").doubts
     assert [says in line and "bench.yaml:38:" in line for line in found] == ([True] if says else [])
+
+
+def test_every_simulated_muscle_is_known():
+    """Against the plants themselves, which the table must not import."""
+    assert set(SIMULATED) == set(PLANTS)
+    for name, (length, pull) in SIMULATED.items():
+        muscle = preset(name).muscle
+        assert getattr(muscle, "length", length) == pytest.approx(length)
+        assert pull is None or float(muscle.F_ce(LOOKED_AT)) == pytest.approx(pull)

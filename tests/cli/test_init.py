@@ -70,9 +70,9 @@ def test_a_lab_with_devices_is_refused_until_all_is_filled_in(tmp_path: Path, mo
 
 def test_a_file_of_ones_own_is_copied_as_it_is(tmp_path: Path) -> None:
     shipped = Path(__file__).resolve().parents[2] / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
-    (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("MOCK-P0", "4711"))
+    (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("MOCK-P0", "LAB-1"))
     call("init", str(tmp_path / "lab"), "--bench", "wires", "--specimen", str(tmp_path / "mine.yaml"))
-    assert "serial: 4711" in (tmp_path / "lab" / "specimen.yaml").read_text()
+    assert "serial: LAB-1" in (tmp_path / "lab" / "specimen.yaml").read_text()
 
 
 def test_editors_find_the_schemas_in_the_folder(tmp_path: Path) -> None:

@@ -30,4 +30,4 @@ def nothing_moved(trial: TrialData, channel: str) -> bool:
         return False
     means = [float(part.mean()) for part in np.array_split(y, min(BLOCKS, len(y) // LEAST_SAMPLES))]
     noise = float(np.diff(y).std()) / np.sqrt(2.0)
-    return max(means) - min(means) <= max(SPREADS * noise, LEAST.get(channel, 0.0))
+    return bool(max(means) - min(means) <= max(SPREADS * noise, LEAST.get(channel, 0.0)))
