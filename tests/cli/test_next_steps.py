@@ -19,6 +19,8 @@ SHIPPED = Path(__file__).resolve().parents[2] / "fixtures" / "benches"
 SPECIMEN = ["--specimen", "mas-20-250-paper0", "--yes"]
 SHORT = [
     "--set",
+    "prepare.precondition.cycles=1",
+    "--set",
     "sweep.repeat.count=1",
     "--set",
     "sweep.matrix.load=[6 kg]",
