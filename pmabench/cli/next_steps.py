@@ -6,6 +6,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmabench.cli.common import Ui, say
+
 if TYPE_CHECKING:
     from pmabench.bench.interface import CompiledBench
     from pmabench.engine.run import Outcome
@@ -13,20 +15,18 @@ if TYPE_CHECKING:
 FINISHED = ("finished", "failed")
 
 
-def next_steps(outcome: Outcome, bench: CompiledBench, *, trials: bool) -> list[str]:
-    """A line for each thing to do, each with its command; empty where the run came to its end.
+def tell_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:
+    """A line for each thing to do, each with its command; nothing where the run came to its end.
 
-    `trials`: whether the run had any; a session has none, and is done anew.
+    `trials`: whether the run had any; a session has none, and is done anew. With --quiet only that a bench is tripped.
     """
     from pmabench.guard.station import Station
 
-    lines = []
     if bench.realtime and Station(bench.name).latched():
         reset = f"pmabench vent {_named(bench)} --reset --operator NAME --because TEXT"
-        lines.append(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
+        say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
     if trials and outcome.folder is not None and outcome.status not in FINISHED:
-        lines.append(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
-    return lines
+        ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
 
 
 def _named(bench: CompiledBench) -> str:

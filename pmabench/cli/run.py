@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
-from pmabench.cli.next_steps import next_steps
+from pmabench.cli.next_steps import tell_next
 from pmabench.cli.progress import CLEAR, progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -82,8 +82,7 @@ def command(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
     tell_outcome(ui, outcome)
-    for line in next_steps(outcome, prepared.mounted.bench, trials=True):
-        say(line)
+    tell_next(ui, outcome, prepared.mounted.bench, trials=True)
     return outcome.exit_code
 
 
@@ -130,8 +129,7 @@ def execute(
                     **(session or {}),
                 )
             except SessionFailed as error:
-                for line in next_steps(error.outcome, mounted.bench, trials=False):
-                    say(line)
+                tell_next(ui, error.outcome, mounted.bench, trials=False)
                 raise
             finally:
                 for checks in tables if not (ui.quiet or ui.json) else ():

@@ -60,7 +60,7 @@ def test_after_a_takeover_the_bench_is_tripped_and_the_lines_lead_on(lab):
         *SPECIMEN,
         *SHORT,
     ]
-    with subprocess.Popen([*command, "-q"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+    with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         eventually(lambda: any("trial-begin" in path.read_text() for path in Path("runs").glob("*/events.jsonl")), 60.0)
         run.send_signal(signal.SIGSTOP)
         time.sleep(1.5)
