@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
+from pmabench.bench.channels import NAME
 from pmabench.files.document import Document, Location, read_document
 
 OPEN = "??"
@@ -19,8 +20,10 @@ def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
     channels = documents[0].data.get("channels")
     for channel in channels.values() if isinstance(channels, dict) else ():
         name = channel.get("calibration") if isinstance(channel, dict) else None
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            continue  # reported with all that is wrong with the bench
         path = bench.parent / "calibrations" / f"{name}.yaml"
-        if isinstance(name, str) and path.is_file():
+        if path.is_file():
             try:
                 found += _open_places(read_document(path))
             except InvalidFile:
