@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 import shlex
 from itertools import pairwise
 from pathlib import Path
@@ -12,12 +11,11 @@ from click.testing import CliRunner
 
 from pmabench.cli.main import main
 from pmabench.store.reader import open_run
+from tests.pages import FILE, ROOT, Command, commands, execute, write_files
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "plants.md").read_text()
-FILES = dict(re.findall(r"```yaml\n# (\S+\.yaml)\n(.*?)```", PAGE, re.DOTALL))
-COMMANDS = (
-    re.search(r"```\n(pmabench model simulate muscle.*?)```", PAGE, re.DOTALL)[1].replace("\\\n", " ").splitlines()
-)
+PAGE = ROOT / "docs" / "plants.md"
+FILES = dict(FILE.findall(PAGE.read_text("utf-8")))
+COMMANDS = [command.line for command in commands(PAGE)]
 FORCE = [(60, 0), (100, 30), (200, 101), (300, 170), (400, 235), (500, 295)]
 """The page's muscle, written out here: kPa, N; N/mm; N.s/mm."""
 
@@ -39,18 +37,13 @@ TRUTH = {
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    for name, text in FILES.items():
-        (tmp_path / name).write_text(text)
+    write_files(PAGE, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def call(line, *more):
-    words = shlex.split(line)
-    given = [part for word in words[1:] for part in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
-    result = CliRunner().invoke(main, [*given, *more])
-    assert result.exit_code == 0, f"{line}\n{result.output}"
-    return result.stdout
+    return execute(Command("docs/plants.md", shlex.join([*shlex.split(line), *more]), "", {}))
 
 
 def command(word):

@@ -19,11 +19,13 @@ from pmabench.bench.driver_options import checked
 from pmabench.bench.files import BenchFile, DeviceFile, SpecimenFile
 from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
 from pmabench.bench.lacks import lacks
+from pmabench.bench.mistaken import mistaken
 from pmabench.bench.outputs import outputs, valves
 from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.safe_state import interlocks, proof, safe_state, setup_pressure, stop_rate
 from pmabench.bench.session import Session, lacks_session, session
 from pmabench.bench.trips import trips
+from pmabench.bench.unfilled import unfilled
 from pmabench.files.document import Document, read_document
 
 
@@ -39,6 +41,8 @@ class Mounted:
     lacks: tuple[str, ...]
     session: Session | None = None
     """What the bench file asks for before the first run."""
+    doubts: tuple[str, ...] = ()
+    """What may be a mistake, a line each."""
     in_session: Mapping[str, Any] | None = None
     """The session whose zeros the bench carries, as manifests name it."""
 
@@ -64,6 +68,7 @@ def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
             documents.append(read_document(path))
         except InvalidFile as error:
             problems.extend(error.problems)
+    problems += unfilled(paths[0], documents) if len(documents) == len(paths) else []
     if problems:
         raise InvalidFile(problems)
     today = today or datetime.date.today()
@@ -104,7 +109,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         proof=proof_test,
         path=str(path.resolve()),
     )
-    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before)
+    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, tuple(mistaken(c, measured, devices)))
 
 
 def _devices(

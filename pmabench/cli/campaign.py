@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, common, say, session_options
+from pmabench.cli.next_steps import tell_next
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -26,11 +28,8 @@ def command(
 ) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
     from pmabench.cli.run import outcome_json
-    from pmabench.files.shipped import find_file
 
-    outcomes = run_campaign(
-        ui, find_file("campaign", file), out, operator_name=operator, yes=yes, resume=resume, session=session
-    )
+    outcomes = run_campaign(ui, file, out, operator_name=operator, yes=yes, resume=resume, session=session)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     ui.result(data, lambda: click.echo("".join(f"{outcome.folder}\n" for outcome in outcomes), nl=False))
     return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
@@ -47,7 +46,7 @@ def severity(code: int) -> int:
 
 def run_campaign(
     ui: Ui,
-    file: Path,
+    file: str,
     out: Path,
     *,
     operator_name: str = "",
@@ -56,12 +55,13 @@ def run_campaign(
     resume: bool = False,
     session: dict[str, Any] | None = None,
 ) -> list[Outcome]:
-    """Run the campaign; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds of it."""
+    """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds."""
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
+    from pmabench.files.shipped import find_file
     from pmabench.protocol.campaign import plan_campaign
 
-    name, planned = plan_campaign(file)
+    name, planned = plan_campaign(find_file("campaign", file))
     outcomes: list[Outcome] = []
     for number, run in enumerate(planned):
         mounted = run.mounted if seed is None else seeded(run.mounted, seed + number)
@@ -78,7 +78,7 @@ def run_campaign(
             title += f", going on after {folder.name}"
             continues = continue_run(folder, run.plan, mounted, run.protocol_text)
         ui.note(title)
-        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower)
+        prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
         outcome = execute(
             ui,
@@ -93,6 +93,9 @@ def run_campaign(
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")
+            tell_next(ui, outcome, mounted.bench, trials=False)
+            words = shlex.join(["pmabench", "campaign", file, "--out", str(out), "--resume"])
+            say(f"the rest of the campaign:  {words}")
             break
     return outcomes
 

@@ -18,11 +18,10 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
     from pmabench.cli.process import analyse, load_runs, print_analyses, write
-    from pmabench.files.shipped import find_file
     from pmabench.report.document.html import write_report
 
     started = time.monotonic()
-    outcomes = run_campaign(ui, find_file("campaign", "demo"), out / "runs", operator_name="demo", yes=True, seed=seed)
+    outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
     worst = max((outcome.exit_code for outcome in outcomes), key=severity)
     if worst:
         say("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))

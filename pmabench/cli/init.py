@@ -1,11 +1,15 @@
-"""`pmabench init`: a lab folder to begin with, of shipped files that belong together; what it writes passes `check`."""
+"""`pmabench init`: a lab folder to begin with, of shipped files that belong together.
+
+Of a simulated bench it passes `check`. Of a bench with devices, what is true at one lab only (calibrations, the muscle)
+is written as `??`, and `check` refuses each until it is filled in.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +20,30 @@ if TYPE_CHECKING:
 
 SCHEMAS = "schemas"
 ROLES = ("protocol", "bench", "specimen")
+SPECIMEN = """\
+# yaml-language-server: $schema=schemas/specimen.schema.json
+# `check` refuses this file until every ?? is what is true of your muscle.
+schema: pmabench.specimen/1
+make: ??
+type: ??                                       # as on its label
+serial: ??
+nominal_length: ??                             # between the fittings, as ordered: 250 mm
+inner_diameter: ??                             # 20 mm
+mounted: {date: "??", length: "??", at: {load: 0 kg, pressure: 0 kPa}}  # in the rig, with that load
+limits: {pressure: {command: "??", never_above: "??"}, contraction: "??", source: "??"}   # by the maker's data sheet
+"""
+CALIBRATION = """\
+# yaml-language-server: $schema=../schemas/calibration.schema.json
+# `check` refuses this file until every ?? is filled in: by the sensor's certificate or data sheet at first, later by
+# `pmabench calibrate`, which compares the sensor with a reference at the bench and writes a file like this one.
+schema: pmabench.calibration/1
+id: {id}
+quantity: {quantity}
+reference: ??                                  # what the sensor was compared with, with its serial or certificate
+date: ??                                       # 2026-11-23
+points: ??                                     # readings, true values: [[0 V, 0 N], [10 V, 500 N]]
+expanded_uncertainty: ??                       # k = 2, with a unit
+"""
 
 
 @click.command(name="init")
@@ -45,18 +73,36 @@ def command(ui: Ui, folder: Path, bench: str, specimen: str, protocol: str) -> i
 def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
     """Path in the lab folder and text of each file."""
     from pmabench.cli.schema import schema_text
+    from pmabench.files.document import Document
 
     paths = {role: Path(prepared.sources[role]) for role in ROLES}
+    own = not _simulated(prepared)
     for role, path in paths.items():
+        if own and role == "specimen" and _shipped(role, path):
+            yield f"{role}.yaml", SPECIMEN
+            continue
         yield f"{role}.yaml", _text(path)
         yield from _included(path)
     beside = paths["bench"].parent
     for name in prepared.mounted.documents:
-        if "/" in name:
+        if own and name.startswith("calibrations/") and _shipped("bench", paths["bench"]):
+            yield name, _calibration(name, Document(name, _text(beside / name)).data)
+        elif "/" in name:
             yield name, _text(beside / name, depth=name.count("/"))
     for kind in (*ROLES, "calibration"):
         yield f"{SCHEMAS}/{kind}.schema.json", schema_text(kind)
     yield "README.md", _readme(prepared, paths["bench"].stem)
+
+
+def _shipped(role: str, path: Path) -> bool:
+    from pmabench.files.shipped import shipped_folder
+
+    return shipped_folder(role).resolve() in path.resolve().parents
+
+
+def _calibration(name: str, shipped: dict[str, Any]) -> str:
+    """A calibration that is to be filled in; one that was made for another sensor says nothing of this one."""
+    return CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
 
 
 def _included(path: Path) -> Iterator[tuple[str, str]]:
@@ -97,7 +143,7 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
         protocol, bench, specimen = (str(folder / f"{role}.yaml") for role in ROLES)
-        prepare(protocol, bench, specimen)
+        _refuse_faulty(lambda: prepare(protocol, bench, specimen))
     except BaseException as error:
         with suppress(OSError):
             for name in {Path(name).parts[0] for name in files}:  # it was empty before
@@ -107,6 +153,18 @@ def _write(folder: Path, files: dict[str, str]) -> None:
         if isinstance(error, OSError):
             raise RecordError(f"{folder}: no lab folder can be written here: {error.strerror or error}") from error
         raise
+
+
+def _refuse_faulty(prepare: Callable[[], object]) -> None:
+    """Raise what is wrong with the files, apart from what is to be filled in."""
+    from pmabench.base.errors import InvalidFile
+    from pmabench.bench.unfilled import OPEN
+
+    try:
+        prepare()
+    except InvalidFile as error:
+        if not all(f"({OPEN})" in problem.message for problem in error.problems):
+            raise
 
 
 def _check() -> str:
@@ -119,21 +177,28 @@ def _simulated(prepared: Prepared) -> bool:
 
 def _next(folder: Path, prepared: Prepared) -> str:
     told = "simulated" if _simulated(prepared) else "devices at the addresses in bench.yaml"
-    return f"{folder}: bench ({told}), specimen, protocol, README.md\nnext: cd {folder} && pmabench check {_check()}"
+    fill = (
+        ""
+        if _simulated(prepared)
+        else "\nto be filled in where ?? is written: specimen.yaml and calibrations/; check names each place"
+    )
+    first = f"{folder}: bench ({told}), specimen, protocol, README.md{fill}"
+    return f"{first}\nnext: cd {folder} && pmabench check {_check()}"
 
 
 def _readme(prepared: Prepared, bench: str) -> str:
     mounted, plan = prepared.mounted, prepared.plan
     kind = "A simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
+    muscle = f": {mounted.specimen_file.type}" if _simulated(prepared) else ""
     if not _simulated(prepared):
-        kind = "Addresses, ranges, limits and calibrations are examples: put in yours"
+        kind = "Addresses, ranges and limits are examples: put in yours"
     return f"""# Lab folder
 
 | file | what |
 | --- | --- |
 | `bench.yaml` | what is wired where, limits, safe state; the shipped bench `{bench}`. {kind} |
-| `calibrations/` | of the bench's channels; `pmabench calibrate CHANNEL --bench bench.yaml ...` writes new ones |
-| `specimen.yaml` | the muscle: {mounted.specimen_file.type}. Put in type, serial, lengths and limits of yours |
+| `calibrations/` | of the bench's channels; fill in what is `??`. `pmabench calibrate CHANNEL ...` writes new ones |
+| `specimen.yaml` | the muscle{muscle}. Put in type, serial, lengths and limits of yours |
 | `protocol.yaml` | what is tested: {plan.name} (kind {plan.kind}) |
 | `schemas/` | for editors, which complete and check the files with them |
 

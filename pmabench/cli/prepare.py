@@ -13,6 +13,7 @@ from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
 from pmabench.protocol.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan
+from pmabench.protocol.sweep import long_ranges
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,13 @@ class Prepared:
     """Which files it was made from, as absolute paths, and what was `set`: for going on later."""
     slower: tuple[str, ...] = ()
     """Devices that cannot sample at the plan's rate, a line each."""
+    doubts: tuple[str, ...] = ()
+    """What the files say that may be a mistake, a line each."""
 
     def warnings(self) -> list[str]:
         """What people must know before anything moves, a line each."""
         hazards = [f"HAZARD: {hazard}" for hazard in self.plan.hazards]
-        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks), *self.slower]
+        return [*hazards, *(f"this bench has {lack}" for lack in self.mounted.lacks), *self.slower, *self.doubts]
 
 
 def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[str, str]] = ()) -> Prepared:
@@ -59,11 +62,12 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
         raise InvalidFile(problems)
     document, model = read
     plan = compile_protocol(document, model, mounted)
+    doubts = (*long_ranges(getattr(model, "sweep", None), document), *mounted.doubts)
     text = document_text(document)
     sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in paths.items()}
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
-    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted))
+    return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted), doubts)
 
 
 def seeded(mounted: Mounted, seed: int) -> Mounted:

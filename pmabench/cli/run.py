@@ -14,6 +14,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
+from pmabench.cli.next_steps import tell_next
 from pmabench.cli.progress import progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -82,6 +83,7 @@ def command(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
     tell_outcome(ui, outcome)
+    tell_next(ui, outcome, prepared.mounted.bench, trials=True)
     return outcome.exit_code
 
 
@@ -103,7 +105,7 @@ def execute(
     from pmabench.cli.devices import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
-    from pmabench.session.session import ensure
+    from pmabench.session.session import SessionFailed, ensure
 
     steps = prepared.plan.steps if continues is None else continues.steps
     if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
@@ -129,6 +131,9 @@ def execute(
                     **shown,
                     **(session or {}),
                 )
+            except SessionFailed as error:
+                tell_next(ui, error.outcome, mounted.bench, trials=False)
+                raise
             finally:
                 for checks in tables if not (ui.quiet or ui.json) else ():
                     print_checks(ui, checks, err=True)

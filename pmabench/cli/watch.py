@@ -20,15 +20,19 @@ if TYPE_CHECKING:
 @click.option("--wait", is_flag=True, help="Wait for a run that is not there yet.")
 @common
 def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
-    """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone."""
+    """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone.
+
+    Of a folder, what follows is watched too: the run after a session, the next run of a campaign.
+    """
     folder = _find(ui, run, wait=wait)
+    several = folder != run
     from pmabench.display.console import watch
     from pmabench.display.plain import last_line
 
     try:
-        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet)
+        state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet, on=several)
         if ui.json or ui.quiet:
-            ui.result(_json(folder, state), lambda: click.echo(last_line(state)))
+            ui.result(_json(state.files.folder, state), lambda: click.echo(last_line(state)))
     except BrokenPipeError:
         return 0
     return None

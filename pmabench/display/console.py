@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import select
+import shlex
 import shutil
 import signal
 import sys
@@ -29,7 +30,9 @@ from pmabench.display.link import Link
 from pmabench.display.plain import first_line, last_line, plain_line
 from pmabench.display.quantities import prepare
 from pmabench.display.state import RunState
+from pmabench.display.succession import awaits_another, run_after
 from pmabench.display.view import Extra, Question, closing, screen
+from pmabench.display.wording import clean
 
 PERIOD = 0.25
 """A picture at most so often [s], but where a key was pressed."""
@@ -37,7 +40,13 @@ LONGEST_NOTE = 500
 ENTER_SCREEN = b"\x1b[?1049h\x1b[?25l\x1b[2J"
 LINKED = "r repeat this trial  p pause or go on  n note  v vent now  Ctrl-C stop and vent"  # fits 80 columns
 ALONE = "q quits; the run goes on"
-ORPHANED = "the program of this run died; the guard vents then, and how it ended says:"
+ORPHANED = (
+    "the program of this run died; the guard vents then and keeps the bench tripped. Look at the bench, then:",
+    "pmabench runs show {folder}",
+    "pmabench vent {bench} --reset --operator NAME --because TEXT",
+    "pmabench run --resume {folder}",
+)
+"""What is left to do; the last line where the run has trials."""
 PRESSED = {
     "r": "repeat this trial",
     "p": "pause at low pressure, or go on",
@@ -167,16 +176,27 @@ def _dots(character: str) -> str:
 
 
 class Console:
-    """Shows one run until it ends, until `q` where it is not linked, or until the link ends."""
+    """Shows one run until it ends, until `q` where it is not linked, or until the link ends.
+
+    With `on`, the run that comes after it in the same program is shown next.
+    """
 
     def __init__(
-        self, folder: Path, stream: TextIO, *, link: Link | None = None, color: bool = True, plain: bool = False
+        self,
+        folder: Path,
+        stream: TextIO,
+        *,
+        link: Link | None = None,
+        color: bool = True,
+        plain: bool = False,
+        on: bool = False,
     ) -> None:
         self.state = RunState(folder)
         self._stream = stream
         self._link = link
         self._color = color
         self._plain = plain
+        self._on = on
         self._keys: terminal.Keyboard | None = None
         self._parent = os.getppid()
         self._asked: dict[str, Any] | None = None
@@ -204,13 +224,13 @@ class Console:
         return self.state
 
     def _run_drawn(self, painter: Painter) -> None:
-        preparing: threading.Thread | None = None
+        prepared = ""
         while not self._over:
             started = time.monotonic()
             behind = self.state.poll()
-            if preparing is None and self.state.kind:
-                preparing = threading.Thread(target=prepare, args=(self.state.kind,))
-                preparing.start()
+            if self.state.kind != prepared:
+                prepared = self.state.kind
+                threading.Thread(target=prepare, args=(prepared,)).start()
             self._listen()
             size = painter.size()
             painter.draw(screen(self.state, *size, self._extra()), size)
@@ -221,12 +241,12 @@ class Console:
                     break
 
     def _run_plain(self) -> None:
-        begun = False
+        begun: RunState | None = None
         while not self._over:
             behind = self.state.poll()
             self._listen()
-            if self.state.files.there and not begun:
-                begun = True
+            if self.state.files.there and begun is not self.state:
+                begun = self.state
                 self._print(first_line(self.state))
             fresh, self.state.fresh = self.state.fresh, []
             for item in fresh:
@@ -248,16 +268,31 @@ class Console:
         if self._link is None:
             lines = [*lines, Text(last_line(self.state))]
         elif self._orphaned:
-            lines += [Text(text) for text in (ORPHANED, f"pmabench runs show {self.state.files.folder}")]
+            files = self.state.files
+            told = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
+            lines += [Text(clean(text.format(**told))) for text in ORPHANED[: None if self.state.trials else -1]]
         ascii_only = "utf" not in (self._stream.encoding or "").lower()
         for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
             self._print(line)
 
     def _look_for_end(self, behind: bool) -> None:
         if self._link is None:
-            self._over |= self.state.ended
+            self._over |= self.state.ended and not self._goes_on()
         elif self._link.closed or os.getppid() != self._parent:
             self._over = self._orphaned = not behind
+
+    def _goes_on(self) -> bool:
+        """Whether another run follows; shows it as soon as it is there."""
+        manifest = self.state.files.manifest
+        if not self._on:
+            return False
+        awaited = awaits_another(manifest, self.state.status)  # first: a program that began one may end at once
+        after = run_after(self.state.files.folder, manifest)
+        if after is not None:
+            if self._plain:
+                self._print(last_line(self.state))
+            self.state = RunState(after)
+        return awaited or after is not None
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
@@ -369,14 +404,16 @@ def _edited(text: str, key: str, longest: int) -> str:
     return (text + key)[:longest] if key.isprintable() else text
 
 
-def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> RunState:
+def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False, on: bool = False) -> RunState:
     """Watch a run until it ends; a picture on standard output where that is a terminal, else plain lines.
+
+    With `on` also the runs that come after it: the one behind a session, the next ones of a campaign.
 
     Raises Interrupted at a signal that ends it.
     """
     plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"
     try:
         with tidy_signals(child=False):
-            return Console(folder, raw(sys.stdout), color=color, plain=plain).run(quiet=quiet)
+            return Console(folder, raw(sys.stdout), color=color, plain=plain, on=on).run(quiet=quiet)
     except Terminate as end:
         raise Interrupted(str(end), 128 + end.number) from None

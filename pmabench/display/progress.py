@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -22,7 +22,7 @@ class Progress:
     steps that the pointer went over without doing them, because an earlier run has done them.
     """
 
-    def __init__(self, plan: Mapping[str, Any]) -> None:
+    def __init__(self, plan: Mapping[str, Any], before: Collection[int] = ()) -> None:
         self._steps: list[Step] = []
         with suppress(KeyError, TypeError, AttributeError):
             for item in plan.get("steps") or ():
@@ -43,6 +43,14 @@ class Progress:
         self._leapt = 0.0
         """Duration of what the pointer went over [s], less what it went back."""
         self._first: float | None = None
+        self._skip(before)
+
+    def _skip(self, before: Collection[int]) -> None:
+        """Begin at the first trial that is not among those that were finished `before` this run."""
+        if before:
+            left = (i for i, s in enumerate(self._steps) if _opens(s) and getattr(s, "trial", None) not in before)
+            self._at = next(left, len(self._steps))
+            self._leapt = self._until[self._at]
 
     @property
     def length(self) -> float:

@@ -130,7 +130,9 @@ class RunState:
     def live(self, values: Mapping[str, float], now: float | None = None) -> None:
         """Values [SI] that the run itself tells, while it records nothing."""
         known = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
-        self._live = (time.time() if now is None else now), known
+        when = time.time() if now is None else now
+        if self._live is None or when >= self._live[0]:
+            self._live = when, known
 
     def _begin(self) -> None:
         """The folder is there: limits and channels from the bench, the prediction from the specimen."""
@@ -151,7 +153,7 @@ class RunState:
                 if name in self.channels:
                     self.channels[name].command_low = _number(output.get("low"))
                     self.channels[name].command_high = _number(output.get("high"))
-        self.progress = Progress(self.files.plan)
+        self.progress = Progress(self.files.plan, self.before)
         self._verdicts = Verdicts(read_expected(self.files.folder))
 
     def _outputs(self) -> list[dict[str, Any]]:
@@ -186,6 +188,8 @@ class RunState:
         elif kind in ("pause", "goes-on"):
             self.paused = kind == "pause"
             self.wanted.discard("pause")
+        elif kind == "live" and isinstance(data.get("values"), dict):
+            self.live(data["values"], self.files.journal.written)
         if kind == "limit-reached" and self.trial is not None:
             self.trial.at_limit.append(str(data.get("reason", "limit reached")))
         if kind == "end":
@@ -244,7 +248,7 @@ class RunState:
             self._waiting.pop(0)
             line = self._line(trial)
             if line is not None:
-                self.lines = [*(before for before in self.lines if before.index != line.index), line]
+                self.lines = [*(before for before in self.lines if not line.replaces(before)), line]
                 self.fresh.append(line)
 
     def _complete(self, end: float) -> bool:
@@ -322,8 +326,15 @@ class RunState:
 
     @property
     def done(self) -> int:
-        """How many of them have their line."""
-        return len({line.index for line in self.lines if not line.again})
+        """How many of them came to their end, in this run and in those that it continues."""
+        return len(self.before | {line.index for line in self.lines if line.ended and not line.again})
+
+    @property
+    def before(self) -> frozenset[int]:
+        """Trials that were finished in the runs that this one continues."""
+        told = self.files.manifest.get("continues")
+        done = told.get("trials_done") if isinstance(told, dict) else None
+        return frozenset(index for index in done if isinstance(index, int)) if isinstance(done, list) else frozenset()
 
     @property
     def status(self) -> str:

@@ -128,15 +128,14 @@ def _doing(state: RunState) -> Text:
         return Text(" PAUSED: p goes on ", WARN)
     if state.held:
         return Text(f" HELD by {clean(', '.join(sorted(state.held)))} ", WARN)
-    wanted = [
-        words for key, words in (("pause", "will pause"), ("repeat", "will repeat this trial")) if key in state.wanted
-    ]
+    wanted = [words for key, words in WANTED if key in state.wanted]
     return Text.assemble((f" {', '.join(wanted)} ", WARN) if wanted else "", " ", (clean(state.phase), STRONG))
 
 
 def _done(state: RunState) -> str:
     doubtful = sum(not line.ok for line in state.lines)
-    told = f"{state.done} of {state.trials} trials done"
+    earlier = f" ({len(state.before)} before this run)" if state.before else ""
+    told = f"{state.done} of {state.trials} trials done{earlier}"
     return f"{told}, {doubtful} in doubt" if doubtful else told
 
 

@@ -81,7 +81,7 @@ def point_text(point: Mapping[str, float]) -> str:
     return ", ".join(shown)
 
 
-_ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key")
+_ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key", "live")
 """Events that are shown in another way than in the log."""
 _TOLD = {
     "armed": ("armed: ", "bench", "info"),

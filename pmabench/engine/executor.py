@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
@@ -67,6 +68,8 @@ class Bench(Commands, Protocol):
         ...
 
 
+LIVE_EVERY = 1.0
+"""In real time, while nothing is recorded, the newest values become an event so often [s]: `watch` has no others."""
 LONGEST_HOLD = 60.0
 """A limit that holds the bench for longer ends the run [s]."""
 
@@ -99,6 +102,7 @@ class Executor:
         self._trial_status = "finished"
         self._value: dict[str, float] = {}
         self._pause = self._repeat = False
+        self._live = -LIVE_EVERY
         self._load = LoadCheck(self.bench)
         self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
         self._act: dict[type[Step], Callable[[Any], None]] = {
@@ -155,6 +159,7 @@ class Executor:
 
         A repeat means the trial under way, or between trials the one before.
         """
+        self._tell_live()
         for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
                 self._event("note", text=text, trial=self._trial)
@@ -166,6 +171,18 @@ class Executor:
                 self._event("key", key="repeat", on=self._repeat, trial=self._trial)
             elif text == "v":
                 raise Interrupted("the operator (key v)", 130)
+
+    def _tell_live(self) -> None:
+        """Put the newest values into the record where their samples do not go there."""
+        if not self.bench.realtime or self.acquisition.recording:
+            return
+        now = self.clock.now()
+        if now - self._live < LIVE_EVERY:
+            return
+        self._live = now
+        values = {name: value for name, value in self.acquisition.latest.items() if isfinite(value)}
+        if values:
+            self._event("live", values=values)
 
     def _stay_at_low_pressure(self) -> None:
         """Between trials: the pressure at its safe value until the operator goes on."""

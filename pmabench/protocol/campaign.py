@@ -14,6 +14,7 @@ from pmabench.files.document import Document, Location, Strict, document_text, r
 from pmabench.files.shipped import find_file
 from pmabench.protocol.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan
+from pmabench.protocol.sweep import long_ranges
 
 
 class CampaignRun(Strict):
@@ -47,6 +48,8 @@ class PlannedRun:
     """Absolute paths of protocol, bench and specimen, and what was `set`."""
     slower: tuple[str, ...] = ()
     """Devices that cannot sample at the plan's rate, a line each."""
+    doubts: tuple[str, ...] = ()
+    """What the files say that may be a mistake, a line each."""
 
 
 def plan_campaign(path: Path) -> tuple[str, list[PlannedRun]]:
@@ -93,7 +96,8 @@ def _plan(
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
     late = slower(plan, protocol_document, mounted[bench])
-    return PlannedRun(plan, mounted[bench], text, deviations, sources, late)
+    doubts = (*long_ranges(getattr(protocol, "sweep", None), protocol_document), *mounted[bench].doubts)
+    return PlannedRun(plan, mounted[bench], text, deviations, sources, late, doubts)
 
 
 def _find(folder: Path, kind: str, name: str) -> Path:

@@ -73,6 +73,8 @@ class Compilation:
     problems: list[Problem] = field(default_factory=list)
     hazards: list[str] = field(default_factory=list)
     _on: tuple[float, float] | None = None
+    _beyond: dict[tuple[Location, str], tuple[set[float], Problem | None]] = field(default_factory=dict)
+    """Values beyond a limit, by the place in the file and the limit, with the problem that names them."""
 
     def fault(self, location: Location, message: str, *, key: bool = False) -> None:
         """Note a problem at a place of the protocol."""
@@ -86,13 +88,26 @@ class Compilation:
         if record is None:
             self.fault(location, f'needs the output "{output}", which the bench does not have')
             return
-        shown = show(value, record.quantity)
         if value > record.high * (1 + 1e-9) + 1e-12:
-            limit = show(record.high, record.quantity)
-            self.fault(location, f"{shown} is above the limit for commanded {output}, {limit} ({record.high_from})")
+            limit = f"above the limit for commanded {output}, {show(record.high, record.quantity)} ({record.high_from})"
+            self._outside(value, record.quantity, location, limit)
         if value < record.low - 1e-12 - 1e-9 * abs(record.low):
-            limit = show(record.low, record.quantity)
-            self.fault(location, f"{shown} is below the limit for commanded {output}, {limit} ({record.low_from})")
+            limit = f"below the limit for commanded {output}, {show(record.low, record.quantity)} ({record.low_from})"
+            self._outside(value, record.quantity, location, limit)
+
+    def _outside(self, value: float, quantity: str, location: Location, limit: str) -> None:
+        """Note a value beyond a limit; all values of one place, as those of a range, make one problem."""
+        values, before = self._beyond.get((location, limit), (set(), None))
+        values.add(value)
+        shown = f"{show(min(values), quantity)} is"
+        if len(values) > 1:
+            shown = f"{len(values)} values, {show(min(values), quantity)} to {show(max(values), quantity)}, are"
+        problem = self.document.problem(location, f"{shown} {limit}")
+        if before is not None:
+            self.problems[self.problems.index(before)] = problem
+        elif problem not in self.problems:
+            self.problems.append(problem)
+        self._beyond[location, limit] = values, problem
 
     def positive(self, value: float, location: Location) -> None:
         """Check a duration, rate or count that must be above zero."""

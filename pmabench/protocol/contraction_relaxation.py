@@ -230,9 +230,7 @@ class ContractionRelaxation(ProtocolHead):
             return []
         count = (pressure - relax.then) / relax.by
         if count > MOST_RELAXATIONS:
-            c.fault(
-                ("trial", "relax", "by"), f"makes {count:.0f} steps a trial; at most {MOST_RELAXATIONS} are allowed"
-            )
+            c.fault(("trial", "relax", "by"), f"makes more than {MOST_RELAXATIONS} steps a trial, the most allowed")
             return []
         return [pressure - step * relax.by for step in range(1, ceil(count - 1e-9))]
 

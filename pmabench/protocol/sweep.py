@@ -12,10 +12,13 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.quantities import show
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Frequency, Length, Pressure, Speed
 
 MOST_POINTS = 20_000
+USUAL_POINTS = 60
+"""A range of more values than this is looked at: it may be a step in the wrong unit."""
 
 Axes = TypeVar("Axes", bound=Strict)
 
@@ -84,6 +87,22 @@ class Point:
     values: dict[str, Any]
     places: dict[str, Location]
     repeat: int = 0
+
+
+def long_ranges(sweep: Any, document: Document, at: Location = ("sweep",)) -> Iterator[str]:
+    """A line for each range of so many values that its step may be mistaken, with its place."""
+    if not isinstance(sweep, Sweep):
+        return
+    for index, part in enumerate(sweep.concat or ()):
+        yield from long_ranges(part, document, (*at, "concat", index))
+    for form in ("matrix", "zip"):
+        for name, axis in getattr(sweep, form) or ():
+            if isinstance(axis, PressureRange) and (count := len(axis.values())) > USUAL_POINTS:
+                start, stop, step = (show(value, "pressure") for value in (axis.start, axis.stop, axis.step))
+                yield (
+                    f"{document.where((*at, form, name))}  {start} to {stop} by {step} makes {count} values; "
+                    "are the units of start, stop and step what you mean?"
+                )
 
 
 def expand(sweep: Sweep[Any], document: Document, at: Location = ("sweep",)) -> list[Point]:

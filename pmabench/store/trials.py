@@ -12,6 +12,8 @@ from pmabench.store.records import Array, Command, Event, Flags, TrialData
 
 ENDED = ("finished", "failed", "excluded")
 """Statuses of a trial that was carried through."""
+GOOD = ("finished", "excluded")
+"""Those without a verdict against it; a note that leaves a trial out does not bring back an earlier attempt."""
 _SLACK = 1e-6
 """Events and samples closer than this [s] are at the same time."""
 _COMMAND = ("output", "type", "value", "before", "phase", "trial")
@@ -71,8 +73,12 @@ def cut_trials(
 
 
 def supersede(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
-    """Of the attempts at one trial that came to an end the last stands; those before it are `superseded`."""
+    """Of the attempts at one trial the last good one counts, else the last that came to an end.
+
+    The others that came to an end are `superseded`: a repeat that failed takes nothing away.
+    """
     last = {trial.index: number for number, trial in enumerate(trials) if trial.status in ENDED}
+    last |= {trial.index: number for number, trial in enumerate(trials) if trial.status in GOOD}
     return tuple(
         replace(trial, status="superseded") if trial.status in ENDED and number != last[trial.index] else trial
         for number, trial in enumerate(trials)

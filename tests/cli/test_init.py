@@ -19,18 +19,60 @@ def call(*arguments: str, code: int = 0) -> str:
     return result.output
 
 
-@pytest.mark.parametrize("bench", ["mock-linear", "wires"])
-def test_what_it_writes_passes_check_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: str) -> None:
-    folder = tmp_path / "lab"
+def write_lab(folder: Path, bench: str) -> None:
     told = json.loads(call("init", str(folder), "--bench", bench, "--json"))
     assert told["files"] == sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     assert {"README.md", "bench.yaml", "specimen.yaml", "protocol.yaml"} < set(told["files"])
-    monkeypatch.chdir(folder)
+
+
+def test_a_simulated_lab_passes_check_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_lab(tmp_path / "lab", "mock-linear")
+    monkeypatch.chdir(tmp_path / "lab")
     assert "nothing was sent to a bench" in call(*CHECK)
     # nothing is taken from anywhere else: an own word in an own file is seen
     calibration = next(Path("calibrations").glob("*-P.yaml"))
     calibration.write_text("schema: pmabench.calibration/1\n")
     assert calibration.name in call(*CHECK, code=3)
+
+
+FILLED = {
+    "WIRES-P": ("2026-11-20", "[[0 kPa, 0 kPa], [1000 kPa, 1000 kPa]]", "1 kPa"),
+    "WIRES-X": ("2026-11-20", "[[0 mm, 0 mm], [90 mm, 90 mm]]", "20 um"),
+    "WIRES-F": ("2026-11-20", "[[0 N, 0 N], [1950 N, 1950 N]]", "1 N"),
+}
+"""What a lab writes into each calibration: date, points, uncertainty."""
+
+
+def test_a_lab_with_devices_is_refused_until_all_is_filled_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of the simulated muscle goes along: neither its calibrations nor its coefficients nor its serial."""
+    write_lab(tmp_path / "lab", "wires")
+    monkeypatch.chdir(tmp_path / "lab")
+    texts = "".join(path.read_text() for path in Path().rglob("*.yaml"))
+    for word in ("simulated plant", "MOCK-P0", "F_ce:", "simulated muscle"):
+        assert word not in texts, word
+    told = call(*CHECK, code=3)
+    for place in ("specimen.yaml:4:", "calibrations/WIRES-F.yaml:7:"):
+        assert place in told
+    assert told.count("not filled in yet (??): write here what is true at your bench") == 11 + 3 * 4
+    for name, values in FILLED.items():
+        path = Path("calibrations") / f"{name}.yaml"
+        text = path.read_text()
+        for key, value in zip(
+            ("reference", "date", "points", "expanded_uncertainty"), ("gauge 4711", *values), strict=True
+        ):
+            text = text.replace(f"\n{key}: ??", f"\n{key}: {value}")
+        path.write_text(text)
+    assert "calibrations" not in call(*CHECK, code=3)
+    shipped = Path(__file__).resolve().parents[2] / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
+    Path("specimen.yaml").write_text(shipped.read_text())
+    assert "nothing was sent to a bench" in call(*CHECK)
+
+
+def test_a_file_of_ones_own_is_copied_as_it_is(tmp_path: Path) -> None:
+    shipped = Path(__file__).resolve().parents[2] / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
+    (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("MOCK-P0", "LAB-1"))
+    call("init", str(tmp_path / "lab"), "--bench", "wires", "--specimen", str(tmp_path / "mine.yaml"))
+    assert "serial: LAB-1" in (tmp_path / "lab" / "specimen.yaml").read_text()
 
 
 def test_editors_find_the_schemas_in_the_folder(tmp_path: Path) -> None:

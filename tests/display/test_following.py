@@ -7,7 +7,7 @@ import pytest
 from pmabench.display.state import RunState
 from pmabench.display.view import screen
 from pmabench.store.folder import files_of
-from tests.display.recorded import RATE, Recorded
+from tests.display.recorded import LENGTH, RATE, Recorded
 
 POINTS = [(58.86, 3e5), (107.91, 3e5)]
 
@@ -218,3 +218,33 @@ def test_events_are_told_with_a_sign(live, kind, data, sign, words):
     live.writer.event(kind, 61.0, **data)
     line = shown(read(live.folder)).splitlines()[-1]
     assert line.rstrip() == f"   1:01 {sign:<2} {words}"
+
+
+def test_while_nothing_is_recorded_the_newest_values_are_shown(tmp_path):
+    """As in the warm-up of a session: 300 kPa are commanded, and the last recorded sample is old."""
+    run = Recorded(tmp_path / "runs", POINTS)
+    run.trial(0)
+    run.writer.event(
+        "command", run.t, output="pressure", type="set", value=3e5, before=0.0, phase="warm-up", trial=None
+    )
+    run.writer.event("live", run.t + 1.0, values={"pressure": 298.7e3, "displacement": 0.0312})
+    state = read(run.folder)
+    assert state.channels["pressure"].value == 298.7e3
+    assert "298.7 kPa" in shown(state)
+    assert not any("live" in notice.text for notice in state.notices)
+    run.begin(1)
+    run.contract(1, until=-0.1)
+    assert read(run.folder).channels["pressure"].value == 0.0, "in a trial its samples are shown"
+
+
+def test_a_run_that_goes_on_shows_what_the_chain_has(tmp_path):
+    run = Recorded(
+        tmp_path / "runs", POINTS, continues={"run": "one", "sha256": "", "trials_done": [0]}, trials_planned=2
+    )
+    state = read(run.folder)
+    assert state.done == 1
+    assert "1 of 2 trials done (1 before this run)" in shown(state)
+    hands = 3.0  # before the first trial, and so behind the run
+    assert state.progress.done(0.0) == pytest.approx((hands + LENGTH) / (hands + 2 * LENGTH))
+    run.trial(1)
+    assert read(run.folder).done == 2

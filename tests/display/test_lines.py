@@ -1,9 +1,12 @@
 """The line of a trial says what was put in, and doubts what was made doubtful."""
 
+import numpy as np
 import pytest
 
 from pmabench.display.state import RunState
-from pmabench.store.records import Flag
+from pmabench.display.verdicts import Verdicts
+from pmabench.store.reader import open_run
+from pmabench.store.records import Flag, RunData, TrialData
 from tests.display.recorded import TAU, F_ce, K, Recorded
 
 LIGHT, HEAVY, P = 58.86, 107.91, 3e5
@@ -142,3 +145,77 @@ def test_a_long_run_that_is_read_piece_by_piece_gets_the_same_lines(tmp_path, mo
     monkeypatch.setattr("pmabench.display.follow.MOST_BYTES", 3000)
     monkeypatch.setattr("pmabench.display.follow.MOST_ROWS", 700)
     assert lines_of(folder) == at_once
+
+
+def test_a_repeat_that_does_not_finish_takes_nothing_away(tmp_path):
+    """`r`, and then a trip or a failed search: the good trial before it is still shown, counted and compared with."""
+    run = Recorded(tmp_path, [(LIGHT, P), (HEAVY, P)])
+    run.trial(0)
+    run.trial(0, status="interrupted")
+    run.trial(1)
+    run.trial(1, status="failed")
+    folder = run.close("tripped", "pressure above its limit")
+    state = RunState(folder)
+    while state.poll():
+        pass
+    assert [(line.number, line.status) for line in state.lines] == [
+        (1, "finished"),
+        (1, "interrupted"),
+        (2, "finished"),
+        (2, "failed"),
+    ]
+    assert state.done == 2
+    assert numbers(state.lines[2])["K"].value == pytest.approx(K(P), rel=1e-3), "both loads are in it"
+    assert [trial.status for trial in open_run(folder).trials] == ["finished", "interrupted", "finished", "superseded"]
+
+
+def test_a_trial_that_was_cut_short_is_not_done(tmp_path):
+    run = Recorded(tmp_path, [(LIGHT, P)])
+    run.trial(0, status="interrupted")
+    state = RunState(run.close("tripped"))
+    while state.poll():
+        pass
+    assert state.done == 0
+
+
+def test_nothing_moved_is_doubted_unless_the_specimen_says_so(tmp_path):
+    """Under a load that F_ce does not lift by the specimen file nothing is expected to move, below it something is."""
+    heavy = F_ce(P) + 10.0
+    run = Recorded(tmp_path, [(LIGHT, P), (heavy, P)])
+    run.trial(0, factor=0.0)
+    run.trial(1, factor=0.0)
+    light, held = lines_of(run.close())
+    assert "displacement changed by less than its noise: nothing moved" in light.doubts
+    assert held.ok
+
+
+@pytest.mark.parametrize(
+    ("kind", "channel", "point"),
+    [
+        ("free-contraction", "displacement", {"pressure": 2e5}),
+        ("sinusoidal-displacement", "displacement", {"pressure": 0.0, "frequency": 1.0}),
+        ("positioning", "displacement", {"setpoint": 0.02}),
+        ("isometric-pressurisation", "force", {"contraction": 0.01}),
+        ("arm-angle", "angle", {"tip_mass": 0.1}),
+        ("contraction-relaxation", "displacement", {"from": 0.0, "pressure": 2e5}),
+    ],
+)
+def test_of_every_kind_what_should_move_is_looked_at(kind, channel, point):
+    noise = np.random.default_rng(1).normal(0.0, 1.0, 2000)
+    t = np.arange(2000) / 500.0
+    still, step = 1e-4 * noise, 1e-4 * noise + np.where(t > 2.0, 2e-3, 0.0)
+    doubts = []
+    for y in (still, step):
+        flags = np.ones(2000, np.uint16) * int(Flag.OK)
+        trial = TrialData("run", 0, point, 0, False, "finished", t, {channel: y}, flags, (), {})
+        doubts.append(Verdicts().judge(run_of(kind, trial), trial).doubts)
+    assert f"{channel} changed by less than its noise: nothing moved" in doubts[0]
+    assert not any("nothing moved" in doubt for doubt in doubts[1])
+    trial = TrialData("run", 0, {"pressure": 0.0}, 0, False, "finished", t, {"displacement": still}, flags, (), {})
+    assert not any(
+        "nothing moved" in doubt for doubt in Verdicts().judge(run_of("free-contraction", trial), trial).doubts
+    )
+
+
+def run_of(kind, trial):
+    return RunData("run", "run", kind, "running", True, {}, {}, (), {}, 500.0, (trial,))

@@ -1,8 +1,10 @@
 """Sweeps are expanded statically, in the order that is written, and bounded before they are built."""
 
 import pytest
+from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
 from pmabench.files.document import Document, Strict, validate
 from pmabench.protocol.contraction_relaxation import ContractionAxes
 from pmabench.protocol.sweep import Sweep, expand
@@ -85,3 +87,25 @@ def test_zip_and_concat():
 def test_sweeps_that_cannot_be_run(text, says):
     with pytest.raises(InvalidFile, match=says):
         points(text)
+
+
+def checked(*settings):
+    words = [part for setting in settings for part in ("--set", setting)]
+    bench = ["--bench", "mock", "--specimen", "mas-20-250-paper0", "-q"]
+    return CliRunner().invoke(main, ["check", "contraction-relaxation", *bench, *words])
+
+
+def test_a_range_in_the_wrong_unit_is_a_line_for_each_limit_not_for_each_value():
+    """2 bar to 400 bar where 400 kPa was meant: 797 values, of which nine lie inside the limit of 600 kPa."""
+    told = checked("sweep.matrix.pressure={start: 2 bar, stop: 400 bar, step: 50 kPa}")
+    assert told.exit_code == 3
+    assert "788 values, 650 kPa to 40000 kPa, are above the limit for commanded pressure, 600 kPa" in told.output
+    assert len(told.output.splitlines()) < 8, told.output
+
+
+def test_a_long_range_inside_the_limits_is_asked_about():
+    told = checked("sweep.matrix.pressure={start: 2 bar, stop: 4 bar, step: 2 kPa}", "sweep.matrix.load=[6 kg]")
+    assert told.exit_code == 0, told.output
+    assert "200 kPa to 400 kPa by 2 kPa makes 101 values; are the units" in told.output
+    assert "--set sweep.matrix.pressure:1:" in told.output
+    assert "makes" not in checked("sweep.matrix.pressure={start: 2 bar, stop: 4 bar, step: 50 kPa}").output

@@ -1,0 +1,98 @@
+"""After a run that did not come to its end, the terminal says what to type; the lines can be typed as they are."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from tests.realtime import eventually, free_port
+
+SHIPPED = Path(__file__).resolve().parents[2] / "fixtures" / "benches"
+SPECIMEN = ["--specimen", "mas-20-250-paper0", "--yes"]
+SHORT = [
+    "--set",
+    "prepare.precondition.cycles=1",
+    "--set",
+    "sweep.repeat.count=1",
+    "--set",
+    "sweep.matrix.load=[6 kg]",
+    "--set",
+    "sweep.matrix.pressure=[300 kPa]",
+]
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """A bench of one's own in real time, without a session and on a port of its own, and a state folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
+    bench = f"include: {SHIPPED / 'mock-realtime.yaml'}\n".replace(str(SHIPPED), os.path.relpath(SHIPPED, tmp_path))
+    device = f"devices: {{plant: {{address: '127.0.0.1:{free_port()}', options: {{idle: 3}}}}}}\n"
+    (tmp_path / "rig.yaml").write_text(f"{bench}schema: pmabench.bench/1\nname: a rig\nsession: null\n{device}")
+    return tmp_path
+
+
+def pmabench(*words, within=60.0):
+    return subprocess.run(
+        [sys.executable, "-m", "pmabench", *words], capture_output=True, text=True, timeout=within, check=False
+    )
+
+
+@pytest.mark.realtime
+def test_after_a_takeover_the_bench_is_tripped_and_the_lines_lead_on(lab):
+    """The program is stopped until the guard has taken over; what it says then is typed, and the run is finished."""
+    command = [
+        sys.executable,
+        "-m",
+        "pmabench",
+        "run",
+        "contraction-relaxation",
+        "--bench",
+        "rig.yaml",
+        *SPECIMEN,
+        *SHORT,
+    ]
+    with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        eventually(lambda: any("trial-begin" in path.read_text() for path in Path("runs").glob("*/events.jsonl")), 60.0)
+        run.send_signal(signal.SIGSTOP)
+        time.sleep(1.5)
+        run.send_signal(signal.SIGCONT)
+        _, told = run.communicate(timeout=60)
+    assert run.returncode in {4, 5}, told
+    (folder,) = Path("runs").iterdir()
+    assert "the bench is now tripped" in told
+    reset = next(line for line in told.splitlines() if "--reset" in line).partition("pmabench ")[2]
+    resume = next(line for line in told.splitlines() if "--resume" in line).partition("pmabench ")[2]
+    assert reset == "vent rig.yaml --reset --operator NAME --because TEXT"
+    assert shlex.split(resume) == ["run", "--resume", str(folder)]
+    refused = pmabench(*shlex.split(resume), "--yes", "-q")
+    assert refused.returncode == 5
+    assert "tripped" in refused.stderr
+    assert pmabench(*shlex.split(reset)).returncode == 0
+    done = pmabench(*shlex.split(resume), "--yes", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["status"] == "finished"
+    assert "--resume" not in done.stderr
+
+
+def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
+    """In virtual time: the operator's terminal ends at the first prompt; no bench is tripped by that."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pmabench.cli.run._somebody", lambda _mounted: True)
+    words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN[:2], *SHORT]
+    told = CliRunner().invoke(main, words, input="")
+    (folder,) = Path("runs").iterdir()
+    assert told.exit_code == 130
+    assert f"pmabench run --resume {folder}" in told.stderr
+    assert "--reset" not in told.stderr
+    again = CliRunner().invoke(main, ["run", "--resume", str(folder), "--yes"])
+    assert again.exit_code == 0, again.output
+    assert "--resume" not in again.output
