@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from pmabench.bench.compile import Mounted
 from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN
-from pmabench.session.self_test import LEAK, REST
+from pmabench.session.self_test import LEAK
+from pmabench.session.stepping import REST
 from pmabench.session.zeros import STEADY, STEADY_WITHIN
 
 
