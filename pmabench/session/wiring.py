@@ -62,6 +62,8 @@ class Stage:
     """When a channel passed half of its way to this stage [s, bench time]."""
     settled: bool = True
     """False: a limit ended the hold."""
+    opened: str = ""
+    """The valve that was opened under this pressure."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,9 @@ class Wiring:
         found: list[Claim] = []
         rest = stages[0]
         for number, stage in enumerate(stages):
-            if stage.pressure > 0:
+            if stage.opened:
+                found += [replace(claim, stage=number - 1) for claim in self._opened(stage, stages[number - 1], rest)]
+            elif stage.pressure > 0:
                 found += [replace(claim, stage=number) for claim in self._under_pressure(stage, rest)]
             elif stage.settled:
                 rest = stage
@@ -196,12 +200,10 @@ class Wiring:
             return
         value = f"rises by {show(rise, 'pressure', 4)}"
         kind = STILL if abs(rise) < max(0.3 * asked, noise) else SCALE
-        if not stage.settled:
-            yield Claim(row, (PRESSURE, OUT), rise <= asked + most, value, limit, SCALE)
-            return
         held = (self.dump.name,) if self.dump is not None and kind == STILL else ()
         also = (AIR, *held) if rise < asked else ()
-        yield Claim(row, (PRESSURE, OUT, *also), abs(rise - asked) <= most, value, limit, kind, exact=True)
+        if stage.settled or rise > asked + most:
+            yield Claim(row, (PRESSURE, OUT, *also), abs(rise - asked) <= most, value, limit, kind, exact=True)
         if back is None:
             return
         told = f"reads back {show(back, 'pressure', 4)} for {show(asked, 'pressure', 4)}"
@@ -209,6 +211,8 @@ class Wiring:
         back_kind = FLIPPED if back < -most else STILL if back < 0.1 * asked else SCALE
         within = f"within {show(most, 'pressure', 3)}"
         yield Claim("read-back of the set-point", (SET, OUT), off <= most, told, within, back_kind, exact=True)
+        if not stage.settled:
+            return
         also = (AIR, *held) if rise < back else ()
         told = f"{show(rise, 'pressure', 4)} measured, {show(back, 'pressure', 4)} read back"
         agree = abs(rise - back) <= 2 * most
@@ -218,6 +222,20 @@ class Wiring:
             lead = stage.halves[SET] - stage.halves[PRESSURE]
             value = f"half way {1e3 * -lead:+.0f} ms after the read-back"
             yield Claim(LEAD, (PRESSURE, SET), lead <= LEADS, value, "after it", WRONG)
+
+    def _opened(self, stage: Stage, before: Stage, rest: Stage) -> Iterator[Claim]:
+        """An open dump valve takes the pressure away; where none came before, it does not bring it."""
+        if PRESSURE not in before.means:
+            return
+        came = abs(before.means[PRESSURE] - rest.means[PRESSURE]) > 0.3 * stage.pressure
+        change = stage.means[PRESSURE] - before.means[PRESSURE]
+        least = max(0.1 * stage.pressure, SIGNIFICANT * self.noise.get(PRESSURE, 0.0))
+        value = f"the pressure {'rises' if change > 0 else 'falls'} by {show(abs(change), 'pressure', 3)}"
+        row, limit = f"{stage.opened}, opened", f"falls by more than {show(least, 'pressure', 3)}"
+        if came:
+            yield Claim(row, (stage.opened, PRESSURE), change < -least, value, limit, STILL)
+        elif change > least:
+            yield Claim(row, (stage.opened,), False, value, limit, FLIPPED)
 
     def _signs(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
         """Force and contraction do not fall under pressure; at the highest one of them rises."""
