@@ -63,7 +63,10 @@ REFERENCES = {
         ("contraction as expected", "displacement driven"),
         "no drive moves the free end, and nothing is expected of the specimen",
     ),
-    "set-point or pressure channel": (("read-back of the set-point",), "no channel reads the set-point back"),
+    "output or scale of pressure": (
+        ("read-back of the set-point",),
+        "no channel reads the set-point back, so which of them were wrong could not be decided",
+    ),
 }
 """What is looked at -> rows of which one must have been tried, and why else there is no reference."""
 
@@ -77,9 +80,9 @@ class Cause:
     kind: str
 
 
-def cause_of(wiring: Wiring, stages: Sequence[Stage], also: Sequence[Claim] = ()) -> Cause | None:
-    """What explains the broken claims of the stages, and `also` of others; None where none is broken."""
-    claims = [*wiring.claims(stages), *also]
+def cause_of(wiring: Wiring, stages: Sequence[Stage]) -> Cause | None:
+    """What explains the broken claims of the stages; None where none is broken."""
+    claims = wiring.claims(stages)
     broken = [claim for claim in claims if not claim.good]
     if not broken:
         return None
@@ -89,11 +92,8 @@ def cause_of(wiring: Wiring, stages: Sequence[Stage], also: Sequence[Claim] = ()
     where = {claim.stage for claim in broken}
     cleared = {wire for claim in claims if claim.good and claim.exact and claim.stage in where for wire in claim.wires}
     wires = tuple(wire for wire in shared if wire not in cleared) or tuple(shared)
-    swaps: dict[tuple[str, str], bool] = {}
-    if not any(claim for claim in also if not claim.good):
-        for pair in _pairs(wiring):
-            if (sure := _swapped(wiring, stages, broken, pair)) is not None:
-                swaps[pair] = sure
+    found = {pair: _swapped(wiring, stages, broken, pair) for pair in _pairs(wiring)}
+    swaps = {pair: sure for pair, sure in found.items() if sure is not None}
     certain = tuple(pair for pair, sure in swaps.items() if sure)
     if certain:
         return Cause((), certain, WRONG)
@@ -133,7 +133,7 @@ def words(wiring: Wiring, cause: Cause) -> str:
         if cause.wires[0] in WORDS:
             return f"look for {named[0]}"
         if wiring.dump is not None and cause.wires[0] == wiring.dump.name:
-            return f"{named[0]} does not what it should: look at its wire, and at its `energised` in the bench file"
+            return f"{named[0]} has no effect, or the opposite one: look at its wire, and at its `energised`"
         return KINDS[cause.kind].format(named[0])
     if not swaps and not named:
         return "no single wire explains all that is wrong"
@@ -153,13 +153,13 @@ def _named(wiring: Wiring, wire: str) -> str:
     return f"the {wire} ({wiring.input(wire)})"
 
 
-def table(wiring: Wiring, stages: Sequence[Stage], also: Sequence[Claim] = ()) -> list[Check]:
+def table(wiring: Wiring, stages: Sequence[Stage]) -> list[Check]:
     """A line of each row of claims: broken first, or seen last; the first broken one has the cause."""
     rows: dict[str, Claim] = {}
-    for claim in (*wiring.claims(stages), *also):
+    for claim in wiring.claims(stages):
         if claim.row not in rows or rows[claim.row].good:
             rows[claim.row] = claim
-    cause = cause_of(wiring, stages, also)
+    cause = cause_of(wiring, stages)
     said = words(wiring, cause) if cause is not None else ""
     checks = []
     for row, claim in rows.items():
@@ -172,9 +172,14 @@ def table(wiring: Wiring, stages: Sequence[Stage], also: Sequence[Claim] = ()) -
     return checks
 
 
-def unchecked(checks: Sequence[Check]) -> Iterator[Check]:
-    """What the self-test had no independent reference for."""
-    tried = [check.name for check in checks]
+def unchecked(wiring: Wiring, stages: Sequence[Stage]) -> Iterator[Check]:
+    """What the self-test of a bench that keeps all claims had no independent reference for."""
+    tried = [claim.row for claim in wiring.claims(stages)]
     for name, (rows, why) in REFERENCES.items():
-        if not any(row.startswith(rows) for row in tried):
+        if name.split()[-1] in wiring.channels and not any(row.startswith(rows) for row in tried):
             yield Check(name, "", "", NOT_CHECKED, f"no independent reference: {why}")
+    for one, other in _pairs(wiring):
+        crossed = wiring.claims(stages, (one, other)) if {one, other} <= set(stages[0].means) else []
+        if crossed and all(claim.good for claim in crossed):
+            why = "no independent reference: exchanged they would read the same"
+            yield Check(f"plugs of {one} and {other}", "", "", NOT_CHECKED, why)

@@ -70,9 +70,10 @@ class SelfTesting:
     def run(self, executor: Executor) -> None:
         """Unloaded at rest, then under pressure; then a weight that hangs."""
         with self._ending(executor, last=True):
-            self._run(executor, self._stepping or Stepping(executor, self._mounted, self._test))
+            stepping = self._stepping = self._stepping or Stepping(executor, self._mounted, self._test)
+            self._run(executor, stepping)
             refuse(self.checks)
-            self._others += unchecked(self.checks)
+            self._others += unchecked(stepping.wiring, stepping.stages)
 
     @contextmanager
     def _ending(self, executor: Executor, *, last: bool) -> Iterator[None]:

@@ -62,6 +62,8 @@ class Stage:
     """When a channel passed half of its way to this stage [s, bench time]."""
     settled: bool = True
     """False: a limit ended the hold."""
+    drift: float = 0.0
+    """What the pressure changed by in the last fifth of the hold [Pa]."""
     opened: str = ""
     """The valve that was opened under this pressure."""
 
@@ -143,7 +145,7 @@ class Wiring:
                 means[here] = float(scales[here].to_si(scales[there].to_raw(stage.means[there])))
             if there in stage.halves:
                 halves[here] = stage.halves[there]
-        return replace(stage, means=means, halves=halves)
+        return replace(stage, means=means, halves=halves, drift=0.0 if PRESSURE in (one, other) else stage.drift)
 
     def _rest(self, stage: Stage) -> Iterator[Claim]:
         """Vented: gauge pressure and set-point are zero, an unloaded cell too, the free end is where muscles rest."""
@@ -204,6 +206,9 @@ class Wiring:
         also = (AIR, *held) if rise < asked else ()
         if stage.settled or rise > asked + most:
             yield Claim(row, (PRESSURE, OUT, *also), abs(rise - asked) <= most, value, limit, kind, exact=True)
+        if stage.settled and abs(rise - asked) > most and abs(stage.drift) > max(0.05 * asked, noise):
+            value = f"still changes, by {show(stage.drift, 'pressure', 3)} in a fifth of the hold"
+            yield Claim("pressure comes to rest", (AIR,), False, value, "at rest at the end of the hold", STILL)
         if back is None:
             return
         told = f"reads back {show(back, 'pressure', 4)} for {show(asked, 'pressure', 4)}"
