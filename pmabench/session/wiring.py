@@ -22,7 +22,7 @@ RESTS = (-4e-3, 8e-3)
 """Where an unpressurised free end may be [m]: friction keeps a muscle up to 5 mm short; the rest is for the zero."""
 MOVED = 0.5e-3
 """Displacement that counts as a motion [m]."""
-LIFTED = 4 * MOVED
+LIFTED = 2 * MOVED
 """Displacement from which on a load counts as hanging [m]."""
 FRICTION = 5.0
 """Force of guides and pulley that a load at rest may add [N]."""
@@ -125,14 +125,14 @@ class Wiring:
         if not stages:
             return []
         found: list[Claim] = []
-        rest = stages[0]
+        rest, place = stages[0], stages[0].means.get(DISPLACEMENT, 0.0)
         for number, stage in enumerate(stages):
             if stage.opened:
                 found += [replace(claim, stage=number - 1) for claim in self._opened(stage, stages[number - 1], rest)]
             elif stage.pressure > 0:
-                found += [replace(claim, stage=number) for claim in self._under_pressure(stage, rest)]
+                found += [replace(claim, stage=number) for claim in self._under_pressure(stage, rest, place)]
             elif stage.settled:
-                rest = stage
+                rest, place = stage, min(place, stage.means.get(DISPLACEMENT, 0.0), key=abs)
                 found += [replace(claim, stage=number) for claim in self._rest(stage)]
         found += self._drive([stage for stage in stages if stage.place is not None and stage.pressure == 0])
         return found
@@ -177,7 +177,7 @@ class Wiring:
         within = f"within {show(limit, quantity, 4)} of 0, {state}"
         return Claim(row, (name,), abs(value) <= limit, show(value, quantity, 4), within, WRONG)
 
-    def _under_pressure(self, stage: Stage, rest: Stage) -> Iterator[Claim]:
+    def _under_pressure(self, stage: Stage, rest: Stage, place: float) -> Iterator[Claim]:
         rises = {name: value - rest.means[name] for name, value in stage.means.items() if name in rest.means}
         yield from self._followed(stage, rises)
         if not stage.settled:
@@ -186,7 +186,7 @@ class Wiring:
         if stage.load is not None and FORCE in rises:
             yield from self._weighed(stage, rises)
         if stage.pressure >= self.top * (1 - 1e-9) and (stage.load is not None or self.driven):
-            yield from self._as_expected(stage, rises)
+            yield from self._as_expected(stage, rises, place)
 
     def _followed(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
         """Commanded, read back, measured: three that agree two by two."""
@@ -206,7 +206,7 @@ class Wiring:
         also = (AIR, *held) if rise < asked else ()
         if stage.settled or rise > asked + most:
             yield Claim(row, (PRESSURE, OUT, *also), abs(rise - asked) <= most, value, limit, kind, exact=True)
-        if stage.settled and abs(rise - asked) > most and abs(stage.drift) > max(0.05 * asked, noise):
+        if stage.settled and abs(rise - asked) > most and abs(stage.drift) > max(0.05 * asked, 2 * noise / SIGNIFICANT):
             value = f"still changes, by {show(stage.drift, 'pressure', 3)} in a fifth of the hold"
             yield Claim("pressure comes to rest", (AIR,), False, value, "at rest at the end of the hold", STILL)
         if back is None:
@@ -291,25 +291,24 @@ class Wiring:
             at_most = f"at most {show(most, 'force', 3)}"
             yield Claim("force of a load on its support", (FORCE, *held), rise <= most, value, at_most)
 
-    def _as_expected(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
-        """What the specimen file expects, within a rough factor: of contraction under a load, of a blocked force."""
+    def _as_expected(self, stage: Stage, rises: Mapping[str, float], rest: float) -> Iterator[Claim]:
+        """What the specimen file expects, within a rough factor: of contraction under a load, of a blocked force.
+
+        `rest` [m] is the reading nearest to zero without pressure: a support or a zero, which the muscle leaves behind.
+        """
         expected = self.mounted.specimen_file.expected
         if expected is None or not _covers(expected, stage.pressure):
             return
         muscle = believed(expected, stage.pressure)
         pull, stiffness, friction, load = muscle.F_ce, muscle.K, muscle.F_c, stage.load or 0.0
-        x, low, high = (
-            stage.means.get(DISPLACEMENT, 0.0),
-            (pull - load - friction) / stiffness,
-            (pull - load) / stiffness,
-        )
-        if stage.load is not None and DISPLACEMENT in rises and low > 2 * LIFTED:
-            near = any(low / ROUGH <= value <= high * ROUGH for value in (x, rises[DISPLACEMENT]))
-            value = show(rises[DISPLACEMENT], "length", 3)
-            limit = f"{show(low / ROUGH, 'length', 3)} to {show(high * ROUGH, 'length', 3)}, by the specimen file"
-            yield Claim("contraction as expected", (DISPLACEMENT, EXPECTED), near, value, limit)
+        x, way = stage.means.get(DISPLACEMENT, 0.0), (pull - load - friction) / stiffness
+        if stage.load is not None and DISPLACEMENT in rises and way > 2 * MOVED * ROUGH:
+            low, high = way / ROUGH + min(rest, 0.0), way * ROUGH + max(rest, 0.0)
+            limit = f"{show(low, 'length', 3)} to {show(high, 'length', 3)}, by the specimen file"
+            value = show(x, "length", 3)
+            yield Claim("contraction as expected", (DISPLACEMENT, EXPECTED), low <= x <= high, value, limit)
         blocked = min(pull, load) if stage.load is not None else pull - stiffness * x
-        still = stage.load is None or high < LIFTED
+        still = stage.load is None or (pull - load) / stiffness < LIFTED
         if FORCE in rises and still and blocked > max(5 * friction, 20.0):
             near = blocked / ROUGH - friction <= rises[FORCE] <= blocked * ROUGH + friction
             limit = f"{show(blocked / ROUGH - friction, 'force', 3)} to {show(blocked * ROUGH + friction, 'force', 3)}"

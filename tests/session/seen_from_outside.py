@@ -40,7 +40,7 @@ class Bench:
     def __init__(self, right, wrong, outside):
         self.right, self.wrong, self.outside = right.bench, wrong.bench, outside
         self.bench, self.unloaded, self.rng = wrong.bench, False, np.random.default_rng(outside.seed)
-        self.t, self.place, self.load, self.x = 0.0, 0.0, outside.load, outside.rest
+        self.t, self.place, self.load, self.x = 0.0, 0.0, outside.load, 0.0 if outside.load > 20.0 else outside.rest
         self.target, self.since, self.origin, self.lag = 0.0, 0.0, 0.0, LAG
         self.set_point, self.energised, self.highest = 0.0, {}, 0.0
         self.driven = right.bench.free_end == "actuator"
@@ -70,7 +70,7 @@ class Bench:
         self._send("pressure", 0.0)
         self.pass_time(1.0)
         self.load, _ = step.load
-        self.x = min(self.x, self.outside.rest)
+        self.x = self._resting()
         self.pass_time(HANDS_OUT)
 
     def _send(self, name, value):
@@ -110,6 +110,10 @@ class Bench:
         gone = np.maximum(t - self.since - DEAD, 0.0) / self.lag
         return self.target + (self.origin - self.target) * np.exp(-gone)
 
+    def _resting(self):
+        """Friction keeps a free end up to 5 mm short, which a load pulls out."""
+        return 0.0 if self.load > 20.0 else self.outside.rest
+
     def _muscle(self, P):
         """Contraction [m] and force at the cell [N] along a course of pressures; quasi-static, with dry friction."""
         pull = self.outside.strength * np.maximum(0.0, 1.08e-3 * P - 49.0)
@@ -122,9 +126,9 @@ class Bench:
             if drive > breaks:
                 self.x = (f - self.load - slides) / K
             elif drive < -breaks:
-                self.x = max((f - self.load + slides) / K, self.outside.rest)
+                self.x = max((f - self.load + slides) / K, self._resting())
             x[i] = self.x
-            F[i] = self.load if self.x > self.outside.rest else min(f, self.load)
+            F[i] = self.load if self.x > self._resting() else min(f, self.load)
         return x, F
 
     def pass_time(self, seconds, keep=lambda _block: None):
