@@ -16,12 +16,12 @@ from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Set
 from pmabench.session.at_rest import at_rest
-from pmabench.session.cause import unchecked
+from pmabench.session.cause import table, unchecked
 from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, judged, refuse
 from pmabench.session.guided import guided_plan
 from pmabench.session.listening import listen
 from pmabench.session.stepping import PHASE, Stepping
-from pmabench.session.wiring import MOVED
+from pmabench.session.wiring import MOVED, Stage, Wiring
 from pmabench.session.words import load_text, moving_mass
 
 LEAK = 10.0
@@ -87,6 +87,13 @@ class SelfTesting:
             raise
         if last:
             self._tell(executor)
+
+    def ended(self, outcome: Outcome) -> None:
+        """Report what the channels read where a limit has ended the run before anything was looked at."""
+        if outcome.exit_code and self._stepping is None and outcome.extremes:
+            means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
+            self._others = table(Wiring(self._mounted), [Stage(means)])
+            self._told(self.checks)
 
     def _tell(self, executor: Executor) -> None:
         checks = [asdict(check) for check in self.checks]
@@ -163,7 +170,7 @@ def run_self_test(
         executor.acquisition.record(on=True)
         test.run(executor)
 
-    return run_plan(
+    outcome = run_plan(
         guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}"),
         mounted,
         operator,
@@ -173,6 +180,8 @@ def run_self_test(
         before_proof=test.before_proof,
         procedure=procedure,
     )
+    test.ended(outcome)
+    return outcome
 
 
 def refuse_backwards(executor: Executor, stood: float) -> None:

@@ -173,7 +173,7 @@ class Stepping:
         """The least load at the highest pressure, where the one before did not hang: the known weight of the cell."""
         weights, acquisition = self._mounted.bench_file.weights, self._executor.acquisition
         tried = {claim.row: claim.good for claim in self.wiring.claims(self.stages)}
-        if weights is None or FORCE not in acquisition.latest or tried.get("load cell"):
+        if weights is None or not weights.hanger or FORCE not in acquisition.latest or tried.get("load cell"):
             return None
         top = max(self.stages, key=lambda stage: stage.pressure)
         load = weights.hanger * weights.g

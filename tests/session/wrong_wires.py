@@ -21,7 +21,10 @@ SPECIMEN = "mas-20-250-paper0"
 LONGEST = 180.0
 """Longest that a self-test takes on a machine that has much else to do [s]."""
 HANDS_LINE = "hands: {below: 20 kPa}\n"
-NAMED, FOUND, REFUSED, NOT_CHECKED, MISSED = "named", "found, wire not named", "refused", "not checked", "missed"
+NAMED, FOUND, NOT_CHECKED, MISSED = "named", "found, wire not named", "not checked", "missed"
+INVALID_FILE = 3
+"""Exit code of a file that `check` refuses."""
+REFUSED, BY_DRIVER = "refused by check", "refused by the device's driver"
 
 
 class Rig:
@@ -39,12 +42,15 @@ class Rig:
         self.count += 1
         code, said = self.probe(fault.wrong_file(self.path, self.folder / f"wrong-{self.count}"), load)
         if code == 0:
-            quantity = fault.name.split(":")[0]
-            told = any("not checked" in line and quantity in line for line in said.splitlines())
+            what = fault.name.split(":")[0].removesuffix(" exchanged")
+            told = any(what in line and line.rstrip().endswith(NOT_CHECKED) for line in said.splitlines())
             return (NOT_CHECKED if told else MISSED), said
         if any(terminal in said for terminal in fault.terminals):
             return NAMED, said
-        return (REFUSED if code == 3 or ".yaml:" in said else FOUND), said
+        if code == INVALID_FILE:
+            return REFUSED, said
+        devices = {terminal.split(".")[0] for terminal in fault.terminals}
+        return (BY_DRIVER if any(said.startswith(f"{device}.") for device in devices) else FOUND), said
 
     def probe(self, path, load=0.0):
         """`pmabench devices probe --self-test` of a file: exit code and all that it said; `load` [N] is on before.
