@@ -8,9 +8,10 @@ from dataclasses import asdict
 from math import sqrt
 from pathlib import Path
 
-from pmabench.base.errors import LimitTripped, UsageError
+from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.engine.acquire import Tripped
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
@@ -26,6 +27,8 @@ from pmabench.session.words import load_text, moving_mass
 
 LEAK = 10.0
 """How long the pressure is watched with the isolation valve shut [s]."""
+VALUES = ("range", "rate", "off-range")
+"""Limits that a wrong value crosses; others are about silence or time."""
 NORMAL = 1.96
 """Half width of 95 % of a normal distribution, in standard deviations."""
 
@@ -81,8 +84,9 @@ class SelfTesting:
         try:
             yield
         except BaseException as error:
-            if isinstance(error, LimitTripped) and self._stepping is not None:
-                self._stepping.tripped()
+            if isinstance(error, Tripped) and error.trip.limit.kind in VALUES and self._stepping is not None:
+                name = error.trip.limit.channel
+                self._stepping.ended({name: executor.acquisition.latest[name]}, name)
             self._tell(executor)
             raise
         if last:

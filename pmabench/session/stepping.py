@@ -56,11 +56,9 @@ class Stepping:
         self._now = Stage({})
         self._supply = np.inf
 
-    def tripped(self) -> None:
-        """A limit has ended a hold: what was read last is the last stage."""
-        self.stages.append(
-            Stage(dict(self._executor.acquisition.latest), self._now.pressure, self._now.load, settled=False)
-        )
+    def ended(self, means: Mapping[str, float], tripped: str = "") -> None:
+        """A hold that was ended before its time, with what was read then [SI]; `tripped`: by a channel's limit."""
+        self.stages.append(replace(self._now, means=means, settled=False, tripped=tripped))
 
     def table(self) -> list[Check]:
         """Every claim so far, and what explains the broken ones."""
@@ -118,7 +116,7 @@ class Stepping:
         series = listen(self._executor.acquisition, self._test.settle, too_high)
         if (series[PRESSURE].y > most).any():
             self._executor.acquisition.pass_time(READ_BACK)
-            self.tripped()
+            self.ended(dict(self._executor.acquisition.latest))
             self._refuse()
         self._keep(series)
         self._open_dump(pressure)

@@ -61,7 +61,9 @@ class Stage:
     halves: Mapping[str, float] = field(default_factory=dict)
     """When a channel passed half of its way to this stage [s, bench time]."""
     settled: bool = True
-    """False: a limit ended the hold."""
+    """False: the hold was ended before its time."""
+    tripped: str = ""
+    """The channel whose limit ended it."""
     drift: float = 0.0
     """What the pressure changed by in the last fifth of the hold [Pa]."""
     opened: str = ""
@@ -127,6 +129,8 @@ class Wiring:
         found: list[Claim] = []
         rest, place = stages[0], stages[0].means.get(DISPLACEMENT, 0.0)
         for number, stage in enumerate(stages):
+            if stage.tripped in stage.means:
+                found.append(replace(self._tripped(stage), stage=number))
             if stage.opened:
                 found += [replace(claim, stage=number - 1) for claim in self._opened(stage, stages[number - 1], rest)]
             elif stage.pressure > 0:
@@ -171,6 +175,12 @@ class Wiring:
             apart = means[DISPLACEMENT] - means[PLACE]
             claim = self._near("displacement and drive at rest", DISPLACEMENT, apart, RESTS[1], "apart")
             yield replace(claim, wires=(DISPLACEMENT, PLACE))
+
+    def _tripped(self, stage: Stage) -> Claim:
+        """No limit is crossed at the small pressures of a self-test."""
+        name = stage.tripped
+        value = show(stage.means[name], self.channels[name].quantity, 4)
+        return Claim(f"limit of {name}", (name, OUT) if name == PRESSURE else (name,), False, value, "not crossed")
 
     def _near(self, row: str, name: str, value: float, limit: float, state: str) -> Claim:
         quantity = self.channels[name].quantity
