@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pmabench.engine.acquire import Samples
+from pmabench.engine.acquire import Samples, Tripped
 from pmabench.protocol.plan import HANDS_OUT
 from pmabench.session.checks import SelfTestFailed
 from pmabench.session.self_test import SelfTesting
@@ -137,6 +137,8 @@ class Bench:
         x, F = self._muscle(P)
         there = {"pressure": P, "force": F, "displacement": x, "displacement_command": np.full(t.shape, self.place)}
         there |= {"pressure_command": np.full(t.shape, self.set_point)}
+        if self.t > self.ends[0]:
+            raise self.ends[1]
         values = {}
         inputs = {(c.device, c.input): c for c in self.right.channels}
         for channel in self.wrong.channels:
@@ -158,13 +160,17 @@ class Bench:
         self.latest = {name: float(column[-1]) for name, column in values.items()}
 
 
-def self_tested(right, wrong, outside):
-    """What the self-test of the bench file `wrong` says at a bench that is as `right` says: checks, failure or ""."""
+def self_tested(right, wrong, outside, ends=(np.inf, None)):
+    """What the self-test of the bench file `wrong` says at a bench that is as `right` says: checks, failure or "", bench.
+
+    `ends`: when [s] which trip ends it.
+    """
     bench = Bench(right, wrong, outside)
+    bench.ends = ends
     test = SelfTesting(wrong, lambda _checks: None)
     try:
         test.before_proof(bench)
         test.run(bench)
-    except SelfTestFailed as failure:
+    except (SelfTestFailed, Tripped) as failure:
         return test.checks, str(failure), bench
     return test.checks, "", bench

@@ -5,6 +5,9 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
+from pmabench.bench.interface import TripRecord
+from pmabench.engine.acquire import Tripped
+from pmabench.engine.watch import Trip
 from pmabench.session.cause import cause_of, words
 from pmabench.session.checks import FAILED
 from pmabench.session.wiring import Stage, Wiring
@@ -163,6 +166,20 @@ def test_what_runs_away_in_the_first_step_is_the_pressure_where_the_read_back_cl
     assert said(wiring, rest(), away).startswith("the scale of the pressure (t7.AIN0) is wrong")
     both = Stage(rest(pressure=120e3, command=250e3).means, 25e3, settled=False)
     assert said(wiring, rest(), both).startswith("the scale of the output pressure (t7.DAC0) is wrong")
+
+
+def test_a_limit_on_another_channel_names_that_channel(wiring):
+    """A scale of ten times too much crosses the limit of the contraction before the hold is over."""
+    tripped = Stage({"displacement": 71e-3}, 100e3, load=10.79, settled=False, tripped="displacement")
+    assert said(wiring, rest(), tripped).startswith("the scale of the displacement (t7.AIN1) is wrong")
+
+
+def test_a_channel_that_falls_silent_accuses_no_wire(rig):
+    """What was read last before the silence is old, and no evidence."""
+    silent = Trip(TripRecord("pressure", None, None, 0.3, "vent", kind="stale"), 0, 3.0, 0.3)
+    checks, failure, _ = self_tested(rig[2], rig[2], Outside(), ends=(3.0, Tripped(silent)))
+    assert "no sample" in failure
+    assert not [check for check in checks if check.verdict == FAILED]
 
 
 def test_the_table_has_one_line_a_claim_and_the_cause_once(wiring):

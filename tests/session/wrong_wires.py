@@ -59,7 +59,7 @@ class Rig:
         """
         for _ in range(TRIES):
             code, said = self._once(path, load)
-            if code == 0 or not any(word in said for word in BUSY):
+            if code == 0 or not any(word in said for word in (*BUSY, "did not answer")):
                 break
         return code, said
 
