@@ -110,7 +110,7 @@ def _pairs(wiring: Wiring) -> Iterator[tuple[str, str]]:
 
 
 def _swapped(wiring: Wiring, stages: Sequence[Stage], broken: Sequence[Claim], pair: tuple[str, str]) -> bool | None:
-    """Whether exchanging two readings mends all: True by evidence from both, False if that is weak, else None."""
+    """Whether exchanging two readings keeps all: True by evidence from both, False if that is weak, else None."""
     concerned = [name for name in pair if any(name in claim.wires for claim in broken)]
     crossed = wiring.claims(stages, pair)
     if not concerned or not all(claim.good for claim in crossed):

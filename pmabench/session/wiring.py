@@ -135,7 +135,7 @@ class Wiring:
                 found += [replace(claim, stage=number - 1) for claim in self._opened(stage, stages[number - 1], rest)]
             elif stage.pressure > 0:
                 found += [replace(claim, stage=number) for claim in self._under_pressure(stage, rest, place)]
-            elif stage.settled:
+            elif stage.settled and (number == 0 or stages[number - 1].pressure == 0):  # else it has just been vented
                 rest, place = stage, min(place, stage.means.get(DISPLACEMENT, 0.0), key=abs)
                 found += [replace(claim, stage=number) for claim in self._rest(stage)]
         found += self._drive([stage for stage in stages if stage.place is not None and stage.pressure == 0])
@@ -221,17 +221,17 @@ class Wiring:
             yield Claim("pressure comes to rest", (AIR,), False, value, "at rest at the end of the hold", STILL)
         if back is None:
             return
-        told = f"reads back {show(back, 'pressure', 4)} for {show(asked, 'pressure', 4)}"
+        seen = f"reads back {show(back, 'pressure', 4)} for {show(asked, 'pressure', 4)}"
         off = abs(back - asked)
         back_kind = FLIPPED if back < -most else STILL if back < 0.1 * asked else SCALE
         within = f"within {show(most, 'pressure', 3)}"
-        yield Claim("read-back of the set-point", (SET, OUT), off <= most, told, within, back_kind, exact=True)
+        yield Claim("read-back of the set-point", (SET, OUT), off <= most, seen, within, back_kind, exact=True)
         if not stage.settled:
             return
         also = (AIR, *held) if rise < back else ()
-        told = f"{show(rise, 'pressure', 4)} measured, {show(back, 'pressure', 4)} read back"
+        seen = f"{show(rise, 'pressure', 4)} measured, {show(back, 'pressure', 4)} read back"
         agree = abs(rise - back) <= 2 * most
-        yield Claim("pressure against read-back", (PRESSURE, SET, *also), agree, told, within, kind)
+        yield Claim("pressure against read-back", (PRESSURE, SET, *also), agree, seen, within, kind)
         alike = self.channels[SET].device == self.channels[PRESSURE].device
         if alike and PRESSURE in stage.halves and SET in stage.halves and off <= most and abs(rise - asked) <= most:
             lead = stage.halves[SET] - stage.halves[PRESSURE]
@@ -340,11 +340,11 @@ class Wiring:
             pairs.append((DISPLACEMENT, PLACE, gone[DISPLACEMENT], gone[PLACE]))
         for name, other, value, reference in pairs if way > 0 else ():
             against = "read-back of the drive" if other == PLACE else show(way, "length", 3)
-            told = f"{show(value, 'length', 3)} for {show(reference, 'length', 3)}"
+            gone_for = f"{show(value, 'length', 3)} for {show(reference, 'length', 3)}"
             kind = FLIPPED if value < -most else STILL if abs(value) < most else SCALE
             off = abs(value - reference) <= most
             row = f"{name} driven, against {against}"
-            yield Claim(row, (name, other), off, told, limit, kind, exact=True)
+            yield Claim(row, (name, other), off, gone_for, limit, kind, exact=True)
         for name in seen:
             apart = first.means[name] - (first.place or 0.0)
             allowed = RESTS[1] if name == DISPLACEMENT else 2 * most

@@ -22,13 +22,15 @@ NOISE = {"pressure": 500.0, "force": 0.3, "displacement": 2e-6}
 
 @dataclass
 class Outside:
-    """A right bench as it is, told by nobody: residual rest position, errors of zeros and gains within their limits."""
+    """A right bench as it is: residual rest position, errors of zeros and gains within their limits."""
 
     rest: float = 0.0
     """Where the free end rests without pressure [m]."""
     load: float = 0.0
     """What hangs on it before anybody asks [N]."""
     strength: float = 1.0
+    exhaust: float = LAG
+    """Lag of the regulator when it vents [s]."""
     zeros: dict = field(default_factory=dict)
     gains: dict = field(default_factory=dict)
     seed: int = 0
@@ -99,7 +101,9 @@ class Bench:
         )
 
     def _regulate(self):
-        target, lag = (0.0, DUMP_LAG) if self._open() else (self.set_point, LAG)
+        falls = self.set_point < self._pressure(np.array([self.t]))[0]
+        lag = DUMP_LAG if self._open() else self.outside.exhaust if falls else LAG
+        target = 0.0 if self._open() else self.set_point
         if (target, lag) != (self.target, self.lag):
             self.origin = float(self._pressure(np.array([self.t]))[0])
             self.since, self.target, self.lag = self.t, target, lag

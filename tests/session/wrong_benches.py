@@ -22,7 +22,7 @@ ELSEWHERE = {
     "can": {"pressure": "o1", "dump_valve": "v1"},
     "ni": {"pressure": "ao1"},
 }
-"""Terminals beside the right ones, for outputs."""
+"""Other terminals for outputs."""
 OFFSETS = {"pressure": 60e3, "force": 110.0, "displacement": 11e-3, "displacement_command": 11e-3}
 """Just above 5 % of the range of pressure or force, above 10 mm [SI]."""
 UNITS = {"pressure": ("kPa", 1e3), "force": ("N", 1.0), "displacement": ("mm", 1e-3)}
@@ -39,8 +39,8 @@ class Fault:
     def wrong_file(self, right, folder):
         """A copy of the bench file `right` with the fault, in `folder`, with calibrations of its own."""
         folder.mkdir(parents=True)
-        for beside in ("calibrations", "registers"):
-            shutil.copytree(shipped_folder("bench") / beside, folder / beside)
+        for folder_name in ("calibrations", "registers"):
+            shutil.copytree(shipped_folder("bench") / folder_name, folder / folder_name)
         bench = plain(right)
         self.damage(bench, folder)
         write(folder / right.name, bench)
@@ -148,8 +148,8 @@ def right_file(rig, folder):
     bench = plain(shipped_folder("bench") / f"{rig}.yaml")
     bench.setdefault("session", SESSION)
     folder.mkdir(parents=True, exist_ok=True)
-    for beside in ("calibrations", "registers"):
-        if not (folder / beside).exists():
-            (folder / beside).symlink_to(shipped_folder("bench") / beside)
+    for folder_name in ("calibrations", "registers"):
+        if not (folder / folder_name).exists():
+            (folder / folder_name).symlink_to(shipped_folder("bench") / folder_name)
     write(folder / f"{rig}.yaml", bench)
     return folder / f"{rig}.yaml"

@@ -43,8 +43,8 @@ class Rig:
         code, said = self.probe(fault.wrong_file(self.path, self.folder / f"wrong-{self.count}"), load)
         if code == 0:
             what = fault.name.split(":")[0].removesuffix(" exchanged")
-            told = any(what in line and line.rstrip().endswith(NOT_CHECKED) for line in said.splitlines())
-            return (NOT_CHECKED if told else MISSED), said
+            said_so = any(what in line and line.rstrip().endswith(NOT_CHECKED) for line in said.splitlines())
+            return (NOT_CHECKED if said_so else MISSED), said
         if any(terminal in said for terminal in fault.terminals):
             return NAMED, said
         if code == INVALID_FILE:
