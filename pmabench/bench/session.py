@@ -9,6 +9,7 @@ from pmabench.base.quantities import in_words, show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.session import SelfTestFile, SessionFile
 from pmabench.bench.interface import ChannelRecord, OutputRecord
+from pmabench.bench.loads import Stack
 from pmabench.files.document import Location
 
 WARM_UP = 600.0
@@ -114,6 +115,8 @@ def _mass(c: Compilation, load: tuple[str, float] | None, at: Location) -> float
     mass = value if kind == "mass" else value / c.bench.weights.g
     if not mass > 0:
         c.fault(at, "a load above zero is expected")
+    elif why := Stack(c.bench.weights.hanger, c.bench.weights.plates).why_not(mass):
+        c.fault(at, why)
     return mass
 
 

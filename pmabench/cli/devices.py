@@ -253,7 +253,7 @@ def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
         return
     console = ui.console(err=err)
     heads = ["check", "value", "limit", "verdict"]
-    rows = [[c.name, c.value or (c.hint if c.verdict == "not measured" else ""), c.limit, c.verdict] for c in checks]
+    rows = [[c.name, c.value or (c.hint if c.verdict.startswith("not ") else ""), c.limit, c.verdict] for c in checks]
     print_grid(console, heads, rows, heads)
     for check in checks:
         if check.verdict == "failed":

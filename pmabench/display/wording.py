@@ -144,7 +144,7 @@ def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
     checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
     counts = Counter(str(check.get("verdict")) for check in checks)
     told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-    wrong = [check for check in checks if check.get("verdict") not in ("ok", "not measured")]
+    wrong = [check for check in checks if check.get("verdict") not in ("ok", "not measured", "not checked")]
     told += "".join(f"; {check.get('name')}: {check.get('value')}, {check.get('hint')}" for check in wrong)
     return clean(f"self-test: {told}"), "fault" if wrong else "info"
 

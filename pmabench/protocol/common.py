@@ -12,11 +12,11 @@ from pydantic import Field
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.bench.loads import Stack
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Frequency, Pressure, Time
 from pmabench.protocol import accept
 from pmabench.protocol.accept import Acceptance
-from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
 
 ChannelName = Literal["pressure", "displacement", "force", "angle", "pressure_command", "displacement_command"]
@@ -142,12 +142,8 @@ class Compilation:
                 f"{shown(mass)} weighs {weight:.6g} N, not below the trip limit for measured force, "
                 f"{show(trip, 'force')} ({source}); take a smaller load",
             )
-        elif self._stack is not None and not self._stack.can_make(mass):
-            near = " or ".join(shown(load) for load in self._stack.around(mass))
-            self.fault(
-                location,
-                f'{shown(mass)} cannot be made with the weights of "{bench.name}" ({self._stack}); nearest: {near}',
-            )
+        elif self._stack is not None and (why := self._stack.why_not(mass, shown)):
+            self.fault(location, why)
 
     @cached_property
     def _stack(self) -> Stack | None:

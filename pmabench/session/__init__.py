@@ -3,8 +3,8 @@
 - `session`: before the first run, again when it has run out: self-test, warm-up, zeros; `ensure` is its face, `state`
   keeps it beside the bench, `zeros` takes and applies zeros
 - `length`: how long a session takes, for `check`
-- `self_test`: the start check; made of `at_rest` (channels without pressure), `stepping` (pressure in steps), `checks`
-  (one line of the table)
+- `self_test`: the start check; made of `at_rest` (noise, supply), `stepping` (small steps), `wiring` (what
+  readings of a right bench satisfy), `cause` (which wire explains what they do not), `checks` (one line of the table)
 - `calibration`: guided calibration of a channel or of the regulator; `fit` is its arithmetic, `calibration_file` its
   file
 - `jog`: pressure and actuator by hand, inside the set-up pressure

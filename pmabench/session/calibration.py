@@ -15,11 +15,11 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, OutputRecord
+from pmabench.bench.loads import Stack
 from pmabench.bench.trips import EXTRAPOLATED
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
-from pmabench.protocol.loads import Stack
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.fit import DOWN, UP, Fit, Point, fit
 from pmabench.session.guided import guided_plan

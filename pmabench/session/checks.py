@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pmabench.base.errors import VerdictFailed
 
-OK, FAILED, NOT_MEASURED = "ok", "failed", "not measured"
+OK, FAILED, NOT_MEASURED, NOT_CHECKED = "ok", "failed", "not measured", "not checked"
 
 
 @dataclass(frozen=True)

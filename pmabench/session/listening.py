@@ -9,7 +9,7 @@ import numpy as np
 
 from pmabench.base.errors import VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
-from pmabench.engine.acquire import Acquisition, Array, Samples
+from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 
 OTHER_CLOCK = 0.5
 """A stream whose samples seem to come this much [s] before or after now has a clock of its own."""
@@ -48,15 +48,16 @@ class Reading:
     count: int
 
 
-def listen(acquisition: Acquisition, seconds: float) -> Mapping[str, Series]:
-    """What every channel gives over the next `seconds` [s]; channels without a sample are left out."""
+def listen(acquisition: Acquisition, seconds: float, until: Stop = lambda _block: None) -> Mapping[str, Series]:
+    """What every channel gives over the next `seconds` [s], or until a block ends it; silent channels are left out."""
     kept: dict[str, list[tuple[Array, Array]]] = {}
 
-    def keep(block: Samples) -> None:
+    def keep(block: Samples) -> int | None:
         late = acquisition.clock.now() - float(block.t[-1])
         t = block.t + (late if abs(late) > OTHER_CLOCK + 1.5 / acquisition.rate else 0.0)
         for name, values in block.values.items():
             kept.setdefault(name, []).append((t, values))
+        return until(block)
 
     acquisition.pass_time(seconds, keep)
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from math import sqrt
 from pathlib import Path
@@ -10,24 +11,26 @@ from pathlib import Path
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.engine.acquire import Tripped
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Set
 from pmabench.session.at_rest import at_rest
-from pmabench.session.checks import FAILED, NOT_MEASURED, Check, SelfTestFailed, judged, refuse
+from pmabench.session.cause import table, unchecked
+from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, judged, refuse
 from pmabench.session.guided import guided_plan
 from pmabench.session.listening import listen
-from pmabench.session.stepping import MOVED, Stepping
+from pmabench.session.stepping import PHASE, Stepping
+from pmabench.session.wiring import MOVED, Stage, Wiring
 from pmabench.session.words import load_text, moving_mass
 
-PHASE = "self-test"
 LEAK = 10.0
 """How long the pressure is watched with the isolation valve shut [s]."""
+VALUES = ("range", "rate", "off-range")
+"""Limits that a wrong value crosses; others are about silence or time."""
 NORMAL = 1.96
 """Half width of 95 % of a normal distribution, in standard deviations."""
-REST = 1.0
-"""How long channels at rest are listened to [s]."""
 
 
 class SelfTesting:
@@ -43,46 +46,83 @@ class SelfTesting:
             name = mounted.bench.name
             raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
         self._mounted, self._test, self._told = mounted, test, told
-        self.checks = [*_interlocks(mounted), _relief(mounted)]
+        self._before = [*_interlocks(mounted), _relief(mounted)]
+        self._others: list[Check] = []
         self._leaks: dict[str, float] | None = None
+        self._stepping: Stepping | None = None
+        self._pressurises = any(output.name == "pressure" for output in mounted.bench.outputs)
+
+    @property
+    def checks(self) -> list[Check]:
+        """The table as far as it came; what had no reference is in it where all was tried."""
+        claims = self._stepping.table() if self._stepping is not None else []
+        return [*self._before, *claims, *self._others]
 
     def before_proof(self, executor: Executor) -> None:
-        """Channels at rest, with whatever load is on: nothing was commanded yet, hands were not asked for anything."""
-        found = at_rest(self._mounted, listen(executor.acquisition, REST), self._test.noise, unloaded=False)
-        if any(check.verdict == FAILED for check in found):
-            self.checks += found
-            self._tell(executor)
-            refuse(found)
+        """With whatever load is on: channels at rest, and the first small pressure, on which the proof relies."""
+        with self._ending(executor, last=False):
+            stepping = self._stepping = Stepping(executor, self._mounted, self._test)
+            self._others = at_rest(self._mounted, stepping.rest(None), self._test.noise)
+            refuse(self._others)
+            broken = [claim for claim in stepping.wiring.claims(stepping.stages) if not claim.good]
+            if any(name.startswith("pressure") for claim in broken for name in claim.wires):
+                refuse(self.checks)
+            if self._pressurises:
+                stepping.first()
 
     def run(self, executor: Executor) -> None:
-        """Unloaded at rest, then under pressure."""
+        """Unloaded at rest, then under pressure; then a weight that hangs."""
+        with self._ending(executor, last=True):
+            stepping = self._stepping = self._stepping or Stepping(executor, self._mounted, self._test)
+            self._run(executor, stepping)
+            refuse(self.checks)
+            self._others += unchecked(stepping.wiring, stepping.stages)
+
+    @contextmanager
+    def _ending(self, executor: Executor, *, last: bool) -> Iterator[None]:
+        """Report the table, also where a limit has ended it; of a part that is not the last one only if it failed."""
         try:
-            self._run(executor)
-        finally:
+            yield
+        except BaseException as error:
+            if isinstance(error, Tripped) and error.trip.limit.kind in VALUES and self._stepping is not None:
+                name = error.trip.limit.channel
+                self._stepping.ended({name: executor.acquisition.latest[name]}, name)
             self._tell(executor)
+            raise
+        if last:
+            self._tell(executor)
+
+    def ended(self, outcome: Outcome) -> None:
+        """Report what the channels read where a limit has ended the run before anything was looked at."""
+        if outcome.exit_code and self._stepping is None and outcome.extremes:
+            means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
+            self._others = table(Wiring(self._mounted), [Stage(means)])
+            self._told(self.checks)
 
     def _tell(self, executor: Executor) -> None:
         checks = [asdict(check) for check in self.checks]
         executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks)
         self._told(self.checks)
 
-    def _run(self, executor: Executor) -> None:
-        mounted, test, acquisition = self._mounted, self._test, executor.acquisition
-        weights, load = mounted.bench_file.weights, 0.0
+    def _run(self, executor: Executor, stepping: Stepping) -> None:
+        mounted, test = self._mounted, self._test
+        weights = mounted.bench_file.weights
         if weights is not None:
             executor.do(Ask(PHASE, load_text(mounted, 0.0), "vented", (0.0, moving_mass(mounted, 0.0))))
-        series = listen(acquisition, REST)
-        self.checks += at_rest(mounted, series, test.noise, unloaded=weights is not None)
-        refuse(self.checks)
-        if not any(output.name == "pressure" for output in mounted.bench.outputs):
+            stepping.rest(0.0)
+        if not self._pressurises:
             return
-        if test.load is not None and weights is not None:
+        if weights is not None and test.load is not None:
             load = test.load * mounted.bench.gravity
             executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
-            series = listen(acquisition, REST)
-        Stepping(executor, mounted, test, series).run(self.checks, load)
-        self.checks.append(self._leak(executor))
+            stepping.rest(load)
+        stepping.drive()
+        stepping.run(self._others)
+        refuse(self._others)
+        hung = stepping.hanging()
+        self._others += [] if hung is None else [hung]
         refuse(self.checks)
+        self._others.append(self._leak(executor))
 
     def _leak(self, executor: Executor) -> Check:
         """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts.
@@ -134,7 +174,7 @@ def run_self_test(
         executor.acquisition.record(on=True)
         test.run(executor)
 
-    return run_plan(
+    outcome = run_plan(
         guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}"),
         mounted,
         operator,
@@ -144,6 +184,8 @@ def run_self_test(
         before_proof=test.before_proof,
         procedure=procedure,
     )
+    test.ended(outcome)
+    return outcome
 
 
 def refuse_backwards(executor: Executor, stood: float) -> None:

@@ -113,6 +113,8 @@ def _hold(
         before_proof=test.before_proof if test is not None else lambda _executor: None,
         procedure=procedure,
     )
+    if test is not None:
+        test.ended(outcome)
     if outcome.exit_code:
         raise SessionFailed(outcome)
     return {

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pmabench.bench.compile import Mounted
+from pmabench.bench.loads import Stack
 from pmabench.protocol.common import FORCE_MASS
-from pmabench.protocol.loads import Stack
 
 
 def load_text(mounted: Mounted, mass: float) -> str:

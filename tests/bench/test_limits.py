@@ -212,3 +212,27 @@ def test_a_measured_supply_must_stay_above_every_set_point(tmp_path):
     lower = specimen(tmp_path, "command: 600 kPa", "command: 400 kPa")
     trip = next(trip for trip in mount(rig(tmp_path), lower).bench.trips if trip.channel == "supply")
     assert trip.low == 450e3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("self_test: {}", "self_test: {load: 7 kg}", "nearest: 6.1 kg or 11.1 kg"),
+        ("at: free end on its support}", "at: its support, load: 0.5 kg}", "nearest: 0 kg or 1.1 kg"),
+    ],
+)
+def test_a_load_of_the_session_that_the_weights_cannot_make_is_refused_where_it_is(tmp_path, old, new, said):
+    """`check` says it, before a person looks for a plate that is not there."""
+    path = rig(tmp_path, old=old, new=new)
+    message = refused(path)
+    assert "cannot be made with the weights of this bench (hanger 1.1 kg and plates 10 x 5 kg)" in message
+    assert said in message
+    [(number, line)] = [
+        (n, line) for n, line in enumerate(path.read_text().split("\n"), 1) if " load: " in line or "{load: " in line
+    ]
+    assert f"rig.yaml:{number}:{line.index('load: ') + len('load: ') + 1}" in message
+
+
+def test_a_load_of_the_session_that_the_weights_make_is_taken(tmp_path):
+    session = mount(rig(tmp_path, old="self_test: {}", new="self_test: {load: 59.841 N}"), SPECIMEN).session
+    assert session.self_test.load == pytest.approx(6.1)

@@ -38,6 +38,7 @@ PARTS = (
     Part("resume", "R7", "run killed and gone on with until done", 200, ("tests/engine/test_killed_and_resumed.py",)),
     Part("branches", "all of S", "branches of the guard's code", 1, ("tests/guard/test_branches.py",)),
     Part("rigs", "S3, S4, S6, S7b", "each driver over its wire, whole runs, everything killed", 10_000, ("tests/drivers", "tests/session/test_realtime.py")),
+    Part("wrong-benches", "S16", "wrong bench files of five rigs: the self-test names the wire, right ones pass", 200, ("tests/session/test_wrong_benches.py", "tests/session/test_wrong_wires.py")),
     Part("hostile", "hostile input", "damaged answers to each driver, and every promise of a driver", 10_000, ("tests/conformance/test_drivers.py", "tests/conformance/test_suite.py")),
     Part("mutants", "S16", "one fault in a driver: the conformance suite finds it", 1, ("tests/conformance/test_mutants.py",)),
     Part("imports", "R5, hostile input", "damaged files of each format: no number changed in silence", 10_000, ("tests/store/test_import_fuzz.py",)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,6 +67,13 @@ class Stack:
         """Whether `mass` [kg] is one of the loads."""
         near = self.around(mass)
         return len(near) == 1 and abs(near[0] - mass) <= TOLERANCE
+
+    def why_not(self, mass: float, shown: Callable[[float], str] = "{:g} kg".format) -> str:
+        """Why a load cannot be made, with the nearest ones, as `shown` says masses [kg]; empty where it can."""
+        if self.can_make(mass):
+            return ""
+        near = " or ".join(shown(load) for load in self.around(mass))
+        return f"{shown(mass)} cannot be made with the weights of this bench ({self}); nearest: {near}"
 
     def text(self, mass: float) -> str:
         """What makes a load that can be made, for instance `hanger 1 kg + 1 x 5 kg + 1 x 2.5 kg = 8.5 kg`."""
