@@ -46,8 +46,10 @@ FULL_SCALE = 1000.0 / 10000
 WATCHDOG_COUNT = 0.010
 FILLS, EMPTIES = 0.08, 0.05
 """Time constants of the pressure: through the regulator, through the dump valve [s]."""
-LOAD = 78.48
-"""Dead load of 6 kg and carriage of 2 kg [N]."""
+LOAD = 58.86
+"""Weight of 6 kg [N]."""
+SUPPLY = 690.0
+"""Pressure in front of the regulator [kPa]."""
 FORCE_PER_KPA, STIFFNESS = 0.95, 6.8
 """The muscle: force without contraction [N/kPa], loss of force with contraction [N/mm]."""
 PRESSURISED = 20.0
@@ -56,12 +58,12 @@ STARVED = 0.05
 """A turn of the device's own loop that took longer is time in which the device did not live, not silence [s]."""
 IGNORED = {"ignore-set-points": {10}, "ignore-valve": {"coil"}, "ignore-all": {10, 20, 21, "coil"}}
 """Fault -> registers whose writes are acknowledged and not executed."""
-ONCE = {"reset", "restart", "restart-behind-gateway", "serial", "watchdog-off", "watchdog-time", "set-point",
+ONCE = {"reset", "restart", "restart-valve-kept", "serial", "watchdog-off", "watchdog-time", "set-point",
         "set-point-zero", "dump-valve", "watchdog-ends", "half-open"}  # fmt: skip
 """Faults that happen and are over; the others last until they are cleared."""
 LASTING = {*IGNORED, "echo", "silence", "slow", "drip", "truncated", "duplicate", "stale", "wrong-transaction",
-           "wrong-unit", "exception", "busy", "nan", "ffff", "negative", "frozen", "offset", "stuck", "supply", "e-stop",
-           "refuse-connections"}  # fmt: skip
+           "wrong-unit", "exception", "busy", "nan", "ffff", "negative", "frozen", "offset", "stuck", "supply", "runaway",
+           "e-stop", "refuse-connections"}  # fmt: skip
 
 
 class Log:
@@ -78,10 +80,13 @@ class Log:
 class Device:
     """Registers, watchdog and air; `faults` are those that last."""
 
-    def __init__(self, log: Log) -> None:
-        self.log = log
+    def __init__(self, log: Log, serial: int) -> None:
+        self.log, self.serial = log, serial
         self.faults: dict[str, float] = {}
-        self.serial, self.restarts, self.ended = 4711, 0, 0
+        self.restarts = self.ended = 0
+        self.asked = time.monotonic()
+        self.longest = 0.0
+        """When the input registers were read last, and the longest time between two readings [s]."""
         self.pressure = 0.0
         self.time = self.fed = time.monotonic()
         self._seen: dict[str, float] = {}
@@ -122,6 +127,8 @@ class Device:
             goal = before
         if "supply" in self.faults:
             goal = 0.0
+        if "runaway" in self.faults and self.closed:
+            goal = SUPPLY
         self.pressure = goal + (before - goal) * math.exp(-max(lasts, 0.0) / lag)
         if (before > PRESSURISED) != (self.pressure > PRESSURISED):
             at = self.time + lag * math.log((before - goal) / (PRESSURISED - goal))
@@ -171,7 +178,10 @@ class Device:
     def change(self, fault: str, value: float) -> None:
         """A fault that happens at once, in the registers or at the outputs."""
         if fault.startswith("restart"):
+            valve = self.coil, self.closed
             self.switch_on()
+            if fault == "restart-valve-kept":  # behind a gateway, and the valve on a block with a supply of its own
+                self.coil, self.closed = valve
         elif fault == "serial":
             self.serial += 1
         elif fault == "watchdog-off":
@@ -198,6 +208,7 @@ class Device:
             "serial": self.serial,
             "restarts": self.restarts,
             "ended": self.ended,
+            "longest": max(self.longest, time.monotonic() - self.asked),
         }
 
 
@@ -216,18 +227,19 @@ class Connection:
 class Server:
     """The two sockets: Modbus, and the one that faults come from."""
 
-    def __init__(self, device: Device, port: int, control: int) -> None:
-        self._device, self._port = device, port
+    def __init__(self, device: Device, ports: list[int], control: int) -> None:
+        self._device, self._ports = device, ports
         self._selector = selectors.DefaultSelector()
-        self._listener: socket.socket | None = None
+        self._listeners: list[socket.socket] = []
         self._connections: list[Connection] = []
         self._later: list[tuple[float, Connection, bytes]] = []
         self._listen()
         self._selector.register(socket.create_server(("127.0.0.1", control)), selectors.EVENT_READ, self._controlled)
 
     def _listen(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", self._port))
-        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        for port in self._ports:
+            self._listeners.append(socket.create_server(("127.0.0.1", port)))
+            self._selector.register(self._listeners[-1], selectors.EVENT_READ, self._accept)
 
     def serve(self) -> None:
         """For ever."""
@@ -276,9 +288,11 @@ class Server:
         device = self._device
         if "clear" in asked:
             device.faults.clear()
-            if self._listener is None:
+            if not self._listeners:
                 self._listen()
             device.log.line("clear")
+        if "mark" in asked:
+            device.longest, device.asked = 0.0, time.monotonic()
         if "fault" in asked:
             fault, value = str(asked["fault"]), float(asked.get("value") or 0.0)
             if fault not in ONCE | LASTING:
@@ -295,10 +309,10 @@ class Server:
             for connection in list(self._connections):
                 connection.link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                 self._close(connection)
-        if fault == "refuse-connections" and self._listener is not None:
-            self._selector.unregister(self._listener)
-            self._listener.close()
-            self._listener = None
+        while fault == "refuse-connections" and self._listeners:
+            listener = self._listeners.pop()
+            self._selector.unregister(listener)
+            listener.close()
         if fault == "half-open":
             for connection in self._connections:
                 connection.dead = True
@@ -347,6 +361,10 @@ class Server:
     def _reply(self, connection: Connection, transaction: int, request: bytes) -> None:
         faults, function = self._device.faults, request[0]
         refused = 4 if "exception" in faults else 6 if "busy" in faults else 0
+        if refused and function in {5, 6} and len(request) >= 5:
+            address, value = struct.unpack_from(">HH", request, 1)
+            register = "coil" if function == 5 else address
+            self._device.log.line("write", register=register, value=value, done=False, who=connection.who)
         answer = bytes([function | 0x80, refused]) if refused else self._execute(request, connection.who)
         if "stale" in faults:
             answer = connection.last.get(function, answer)
@@ -381,6 +399,9 @@ class Server:
                 return bytes([function, 1, int(bit)])
             if function in {3, 4}:
                 words = device.holding_words() if function == 3 else dict(enumerate(device.input_words()))
+                if function == 4:
+                    now = time.monotonic()
+                    device.longest, device.asked = max(device.longest, now - device.asked), now
                 found = [words[n] for n in range(address, address + count)]
                 return bytes([function, 2 * count]) + struct.pack(f">{count}H", *found)
             write: Callable[[int | str, int, str], int] = device.write
@@ -403,12 +424,13 @@ class Server:
 def main() -> None:
     """Serve until killed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--port", type=int, required=True)
+    parser.add_argument("--port", type=int, required=True, action="append", help="may be given again")
+    parser.add_argument("--serial", type=int, default=4711)
     parser.add_argument("--control", type=int, required=True)
     parser.add_argument("--log", required=True)
     given = parser.parse_args()
     log = Log(given.log)
-    server = Server(Device(log), given.port, given.control)
+    server = Server(Device(log, given.serial), given.port, given.control)
     log.line("serve", pid=os.getpid())
     server.serve()
 
