@@ -122,9 +122,8 @@ def _ended(result: Result, kind: Kind, device: Regulator, going: Run, moment: fl
         result.wrong.append(f"exit code {outcome['exit_code']}, status {outcome.get('status')}")
     if not re.search(kind.reason, result.why, re.IGNORECASE):
         result.wrong.append(f"the reason does not name it: {result.why}")
-    if kind.noticed <= 1.0 and kind.cause == "fault" and not kind.then_ended and kind.name in SUPERVISED:
-        if "regulator" not in result.why:
-            result.wrong.append(f"the reason does not name the device: {result.why}")
+    if kind.name in SUPERVISED and "regulator" not in result.why:
+        result.wrong.append(f"the reason does not name the device: {result.why}")
 
 
 SUPERVISED = {"restart", "restart-valve-kept", "watchdog-off", "watchdog-time", "set-point", "set-point-zero",
@@ -137,7 +136,9 @@ def _survived(result: Result, device: Regulator, going: Run) -> None:
     state = device.state()
     result.by, result.why = "alive", "the run went on"
     if state["watchdog"] != WATCHDOG or state["t"] - state["fed"] > WATCHDOG / 2:
-        result.wrong.append(f"goes on with a watchdog of {state['watchdog']} s, fed {state['t'] - state['fed']:.2f} s ago")
+        result.wrong.append(
+            f"goes on with a watchdog of {state['watchdog']} s, fed {state['t'] - state['fed']:.2f} s ago"
+        )
     moment = time.monotonic()
     going.process.send_signal(signal.SIGTERM)
     safe = eventually(lambda: safe_lines(device, moment), so="SIGTERM vents")
@@ -155,12 +156,7 @@ def _numbers(kind: Kind, each: int | None) -> list[int]:
 
 def campaign(each: int | None, names: set[str], workers: int, folder: Path) -> list[Result]:
     """Every kind, `each` times (None: as its row says), some side by side."""
-    jobs = [
-        (kind, number)
-        for kind in KINDS
-        if not names or kind.name in names
-        for number in _numbers(kind, each)
-    ]
+    jobs = [(kind, number) for kind in KINDS if not names or kind.name in names for number in _numbers(kind, each)]
 
     def one(job: tuple[int, tuple[Kind, int]]) -> Result:
         index, (kind, number) = job

@@ -94,7 +94,12 @@ def storm(port: int, seconds: float) -> None:
 def commands(port: int, seconds: float) -> None:
     """What a guard is asked for, without a token and with a wrong one."""
     until = time.monotonic() + seconds
-    asked = [{"do": "vent", "who": "me"}, {"do": "set", "name": "pressure", "value": 5e5}, {"do": "bye"}, {"do": "safe"}]
+    asked = [
+        {"do": "vent", "who": "me"},
+        {"do": "set", "name": "pressure", "value": 5e5},
+        {"do": "bye"},
+        {"do": "safe"},
+    ]
     while time.monotonic() < until:
         for message in asked:
             for token in ({}, {"token": ""}, {"token": "0" * 32}, {"token": None}, {"token": [1]}):
