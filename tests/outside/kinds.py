@@ -34,15 +34,15 @@ class Kind:
 
 KINDS = (
     # S11: the state of the device
-    Kind("restart", "restart|watchdog|set.?point|uptime|dump_valve", 1.0, each=50),
-    Kind("restart-valve-kept", "restart|watchdog|set.?point|uptime|dump_valve", 1.0, each=50),
+    Kind("restart", "restart|watchdog|set.?point|uptime|valve|connection", 1.0, each=50),
+    Kind("restart-valve-kept", "restart|watchdog|set.?point|uptime|valve", 1.0, each=50),
     Kind("watchdog-off", "watchdog", 1.0, each=50),
     Kind("watchdog-time", "watchdog", 1.0),
-    Kind("watchdog-ends", "watchdog|set.?point|dump_valve", 1.0),
+    Kind("watchdog-ends", "watchdog|set.?point|valve", 1.0),
     Kind("set-point", "set.?point|pressure", 1.0, value=4321, each=50),
     Kind("set-point-zero", "set.?point|pressure", 1.0),
-    Kind("dump-valve", "dump_valve", 1.0),
-    Kind("serial", "serial|another device", 1.0),
+    Kind("dump-valve", "valve", 1.0),
+    Kind("serial", "serial|another device|connection", 1.0),
     # S13: writes without effect
     Kind("ignore-set-points", "pressure|set.?point|dump_valve", 1.0, ("steps", "ramps"), cause="ignored", each=20),
     Kind("ignore-all", "pressure|set.?point", 1.0, ("steps", "ramps"), cause="ignored", each=20),

@@ -1,5 +1,6 @@
 """Strangers on the guard's port: no effect on a run, and no false word about a vent (S15)."""
 
+import re
 import threading
 import time
 
@@ -13,7 +14,7 @@ from tests.reliability.cases import cases
 pytestmark = pytest.mark.realtime
 LASTS = 2.5
 """How long each stranger is there [s]."""
-SAMPLES = 0.1
+SAMPLES = 0.15
 """Longest time between two samples that no limit of the bench minds [s]; an undisturbed run may have longer ones."""
 
 
@@ -98,7 +99,7 @@ def test_a_false_guard_confirms_nothing(way, tmp_path):
             for more in ([], reset):
                 done = pmabench(going.state, "vent", "outside", *more)
                 assert done.returncode != 0, done
-                assert "confirmed" not in done.stdout.replace("not confirmed", ""), done
+                assert not re.search(r"(?<!not )\bconfirmed\b", done.stdout), done
             device.clear()
         secrets = [value.encode() for value in guard.values() if isinstance(value, str) and len(value) >= 16]
         assert secrets
