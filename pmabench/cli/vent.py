@@ -18,7 +18,7 @@ import click
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
 from pmabench.guard.station import Station, stations
-from pmabench.guard.wire import Messages, encode
+from pmabench.guard.wire import Messages, encode, keys
 
 ANSWERS_WITHIN = 0.1
 """A guard that does not answer for so long [s] is gone round."""
@@ -52,6 +52,9 @@ def command(ui: Ui, bench: str | None, operator: str, because: str, *, reset: bo
     if reset and bench is None:
         raise UsageError("say which bench is to be reset")
     found = list(_find(bench))
+    if reset and len(found) > 1:
+        names = ", ".join(f'"{saved["name"]}"' for _, saved in found)
+        raise UsageError(f'several benches are called "{bench}": {names}; name the one that is to be reset')
     vented = _all_at_once(ui, found, began)
     worst = 0 if all(item.result == "confirmed" for item in vented) else 5
     if reset and worst == 0:
@@ -157,10 +160,12 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
 
 def _by_guard(ui: Ui, name: str, guard: dict[str, Any], began: float) -> Vented | None:
     """Ask the guard; None where it does not answer in time."""
-    messages, commanded = Messages(), 0.0
+    commanded = 0.0
     try:
+        asking, answering = keys(guard["token"])
+        messages = Messages(answering)
         with socket.create_connection(("127.0.0.1", guard["port"]), timeout=ANSWERS_WITHIN) as link:
-            link.sendall(encode({"do": "vent", "token": guard["token"], "who": _who()}))
+            link.sendall(encode({"do": "vent", "who": _who()}, asking))
             while True:
                 for answer, _ in messages.feed(link.recv(1 << 16) or _closed()):
                     if not commanded:

@@ -30,6 +30,7 @@ from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_ben
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
 from pmabench.guard.safe import AT_ONCE, SafeState, Vent
+from pmabench.guard.supervision import Supervision
 
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
@@ -77,6 +78,9 @@ class Guard:
         """For which run folder it is armed, and what began the safe state."""
         self._courses: dict[str, course.Course] = {}
         """Where each output was sent last [SI over s]."""
+        self._closed: dict[str, bool] = {}
+        """How each valve was switched last."""
+        self.supervision = Supervision(bench, self.links, clock, self._course, self._closed)
 
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
@@ -116,7 +120,8 @@ class Guard:
             self._write(output, output.safe)
             self.links.refuse_other_read_back(output)
         for valve in self._valves.values():
-            self.links.call(valve.device, self.links.switching(valve, closed=valve.safe == "open"))
+            self._switch(valve, closed=valve.safe == "open")
+        self.supervision.begin()
         self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
     def release(self) -> None:
@@ -168,7 +173,7 @@ class Guard:
         """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state: dump open for hands."""
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
-            self.links.call(valve.device, self.links.switching(valve, closed=closed == (valve.safe == "open")))
+            self._switch(valve, closed=closed == (valve.safe == "open"))
 
     def value_sent(self, name: str, value: float) -> float:
         """The value [SI] that the device would get for `value`, after scaling and rounding."""
@@ -203,8 +208,15 @@ class Guard:
         self._courses[output.name] = course.step(sent)
         return sent
 
+    def _switch(self, valve: ValveRecord, *, closed: bool) -> None:
+        self.links.call(valve.device, self.links.switching(valve, closed=closed))
+        self._closed[valve.name] = closed
+
+    def _course(self, output: OutputRecord) -> course.Course:
+        return self._courses.get(output.name, course.step(output.safe))
+
     def _stands(self, output: OutputRecord) -> float:
-        return self._courses.get(output.name, course.step(output.safe))(self.clock.now())
+        return self._course(output)(self.clock.now())
 
     def _ramping(self, output: OutputRecord, origin: float, target: float, rate: float) -> Act:
         ends = (to_device(output, origin), to_device(output, target))
@@ -219,7 +231,9 @@ class Guard:
         self._tripped = self._tripped or tripped or self.state is State.TRIPPED
         if self._safe is None:
             self.state = State.STOPPING
-            self._safe = SafeState(self.bench.safe_state, self._begin, self._rescue, self.clock.now(), self._floors)
+            self._safe = SafeState(
+                self.bench.safe_state, self._begin, self._rescue, self._look, self.clock.now(), self._floors
+            )
         elif self._safe.vent is not None:
             for action in self.bench.safe_state:
                 if action.do not in {"confirm", "hold"}:
@@ -229,7 +243,11 @@ class Guard:
 
     def step_safe(self, latest: Mapping[str, float]) -> Vent | None:
         """Advance the safe state with the latest measured values [SI]; its result when it is over."""
-        if self._safe is None or not self._safe.step(self.clock.now(), latest):
+        if self._safe is None:
+            return None
+        over = self._safe.step(self.clock.now(), latest)
+        self._give_up()
+        if not over:
             return None
         self.state = State.TRIPPED if self._tripped else State.SAFE
         return self._safe.vent
@@ -248,6 +266,21 @@ class Guard:
                 self.clock.wait_until(before + 0.1)
             vent = self.step_safe(latest)
         return vent
+
+    @property
+    def feeds(self) -> bool:
+        """Whether devices get a sign of life: not when their safe state has no effect (S13)."""
+        return self._safe is None or not self._safe.without_effect
+
+    def _give_up(self) -> None:
+        """Where the safe state has no effect, close the lines of devices with a watchdog: any question feeds some."""
+        assert self._safe is not None  # noqa: S101
+        for record in self.bench.devices:
+            targets = {output.name for output in record.outputs} | {valve.name for valve in record.valves}
+            without = bool(targets & self._safe.failed) or (bool(targets) and self._safe.unmoved)
+            if record.watchdog and without and self.links.hang_up(record):
+                self._safe.outcome.append(f"{record.name}: its line is closed, so that its watchdog takes over")
+        self.links.open_again()
 
     def _begin(self, action: SafeAction) -> Call:
         target = self._target(action)
@@ -287,6 +320,16 @@ class Guard:
         if isinstance(target, OutputRecord):
             return self.links.rescue(target, to_device(target, action.value))
         return self.links.rescue(target, float((action.do == "close") == (target.energised == "closed")))
+
+    def _look(self, action: SafeAction) -> Call | None:
+        """Ask whether the device holds what a safe action commanded; None for a stop, whose place nobody knows."""
+        if action.do == "set":
+            output = self._outputs[action.target]
+            return self.links.submit(output.device, self.supervision.output_differs(output))
+        valve = self._valves.get(action.target)
+        if valve is None:
+            return None
+        return self.links.submit(valve.device, self.supervision.valve_differs(valve, closed=action.do == "close"))
 
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from math import inf
 from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock
@@ -39,6 +40,9 @@ from pmabench.guard.owner import Call, Direct, Owner
 OPENS_WITHIN = 8.0
 """Longest time that a device may take to be opened [s]."""
 
+OPENS_AGAIN = 2.5
+"""A device that was not back after so long [s] is opened once more."""
+
 Act = Callable[[], Any]
 """A call of a device, ready to be made in the thread that owns it."""
 Capability = TypeVar("Capability")
@@ -68,8 +72,10 @@ class Links:
         self._fed: dict[str, Call] = {}
         self._able: dict[tuple[str, type[Any]], Any] = {}
         """What each device was found to be able to do: asking takes longer than most commands."""
-        self.sampling: set[str] = set()
-        """Which devices were told to sample."""
+        self.sampling: dict[str, float] = {}
+        """At what rate devices sample [Hz]."""
+        self._back: dict[str, float] = {}
+        """When a device whose line was closed is opened again [s, clock]."""
 
     def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
         """Open the devices side by side, and make the calls that `first` names as soon as each is open.
@@ -95,6 +101,8 @@ class Links:
     def _open(self, name: str, device: Device, first: Callable[[str], list[Act]]) -> None:
         self.identities[name] = device.open()
         self.devices[name] = device
+        if name in self.sampling and isinstance(device, Stream):
+            device.start(self.sampling[name])
         for act in first(name):
             with suppress(Exception):  # it is sent again, and counted, when the safe state runs
                 act()
@@ -107,6 +115,23 @@ class Links:
                     self.call(name, device.disarm_watchdog)
                 self.call(name, device.close)
         self.devices.clear()
+
+    def hang_up(self, record: DeviceRecord) -> bool:
+        """Close the line of a device once, so that its watchdog runs out; opened again when that has happened."""
+        if record.name in self._back or record.name not in self.devices:
+            return False
+        self.submit(record.name, self.devices.pop(record.name).close)
+        self._back[record.name] = self._clock.now() + 1.5 * record.watchdog + 0.2
+        return True
+
+    def open_again(self) -> None:
+        """Open the devices whose watchdog has had its time; what fails is tried again a little later."""
+        for record in self._bench.devices:
+            if self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices:
+                self._back[record.name] = self._clock.now() + OPENS_AGAIN
+                with suppress(DeviceError):
+                    device = load_driver(record, self._clock)
+                    self.submit(record.name, partial(self._open, record.name, device, lambda _name: []))
 
     def call(self, name: str, act: Act) -> Any:
         """Make a call of a device and wait for it."""
@@ -161,10 +186,18 @@ class Links:
 
     def refuse_other_read_back(self, output: OutputRecord) -> None:
         """Raise DeviceError where a device does not hold the safe value that was sent."""
-        device = self.need(output.device, SetPoint, "takes no set-points", output.output)
-        held = self.call(output.device, partial(device.read_back, output.output))
+        held = self.call(output.device, partial(self.read_back, output))
         if abs(held - to_device(output, output.safe)) > max(output.resolution, 1e-6 * abs(held)):
             raise DeviceError(output.device, f"holds {held:g} after {output.safe:g} was sent", output.output)
+
+    def read_back(self, output: OutputRecord) -> float:
+        """What a device holds [device units]; called from the thread that owns it."""
+        return self.need(output.device, SetPoint, "takes no set-points", output.output).read_back(output.output)
+
+    def is_closed(self, valve: ValveRecord) -> bool:
+        """Whether a device holds a valve closed; called from the thread that owns it."""
+        device = self.need(valve.device, Switch, "switches no valves", valve.output)
+        return device.is_on(valve.output) == (valve.energised == "closed")
 
     def arm_watchdogs(self) -> None:
         """Arm the watchdog of each device that the bench says has one, and hear from it that it is armed."""
@@ -205,7 +238,9 @@ class Links:
     def stream(self, name: str, rate: float) -> float:
         """Let a device sample at `rate` [Hz], or end it with 0; the rate that it really uses."""
         device = self.need(name, Stream, "takes no samples")
-        self.sampling = self.sampling | {name} if rate else self.sampling - {name}
+        self.sampling = {other: at for other, at in self.sampling.items() if other != name}
+        if rate:
+            self.sampling[name] = rate
         return float(self.call(name, partial(device.start, rate) if rate else device.stop) or 0.0)
 
     def collect(self, name: str) -> Block:

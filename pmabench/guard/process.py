@@ -1,7 +1,8 @@
 """The guard as a process of its own, in its own session: serves one engine over a loopback socket, and outlives it.
 
 The engine's requests are its heartbeat. When they stop, when the engine's end of the socket closes, when an interlock
-opens, when the computer slept, or when somebody asks for it, the guard runs the safe state by itself.
+opens, when a device has changed by itself, when the guard or the computer stood still, or when somebody asks for it,
+the guard runs the safe state by itself.
 Messages are those of `pmabench.guard.wire`; each request names what to `do`, each answer has `state` and what `ended`.
 """
 
@@ -9,18 +10,17 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 import selectors
 import signal
 import socket
 import sys
+import threading
 import time
 import traceback
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from select import select
 from types import FrameType
 from typing import Any
 
@@ -29,11 +29,15 @@ from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordErro
 from pmabench.bench.interface import Block, CompiledBench, Load, Stream
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station
-from pmabench.guard.wire import Messages, encode
+from pmabench.guard.station import Station, place
+from pmabench.guard.wire import Messages, encode, keys
 
 SILENCE = 0.25
 """The engine is lost when nothing was heard of it for so long while it commands [s]."""
+STOOD_STILL = 0.25
+"""A guard that lost so much time [s] does not know what happened meanwhile, and ends the run."""
+STRANGERS = 32
+"""Links that have not shown the key yet; of more than these the oldest is closed."""
 TICK = 0.005
 CONNECTS_WITHIN = 5.0
 """An engine that does not connect within so long [s] is not waited for."""
@@ -56,11 +60,34 @@ STALE = 0.5
 
 
 class _Peer:
-    def __init__(self, link: socket.socket) -> None:
+    def __init__(self, link: socket.socket, key: bytes) -> None:
         self.link = link
-        self.messages = Messages()
+        self.messages = Messages(key)
+        self.known = False
+        """Whether it has shown the key."""
         self.waits = False
         """Whether it waits for the end of the safe state."""
+
+
+class Pulse:
+    """Notices time that this process lost: stopped, starved, or asleep with the computer (S12)."""
+
+    def __init__(self) -> None:
+        self.lost = 0.0
+        """Longest time in which nobody looked [s]; a thread looks every few `TICK`."""
+        self.over = False
+        self._looked = _since_boot()
+        threading.Thread(target=self._look_on, name="pulse", daemon=True).start()
+
+    def look(self) -> None:
+        """Note how long ago somebody looked."""
+        before, self._looked = self._looked, _since_boot()
+        self.lost = max(self.lost, self._looked - before)
+
+    def _look_on(self) -> None:
+        while not self.over:
+            time.sleep(4 * TICK)
+            self.look()
 
 
 class Service:
@@ -68,16 +95,18 @@ class Service:
 
     def __init__(self, guard: Guard, station: Station, listener: socket.socket, token: str) -> None:
         self.guard, self.station = guard, station
-        self._token = token
+        self._asks, self._answers = keys(token)
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)
         self._listener = listener
         self._engine: _Peer | None = None
         self._peers: list[_Peer] = []
         self._heard = self._looked = self._collected = time.monotonic()
-        self._slept = _slept()
+        self._pulse = Pulse()
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
+        self._noticed: list[str] = []
+        """What devices did while the guard stood still."""
         self._kept: dict[str, list[Block]] = {}
         self._served = self._told_to_end = False
 
@@ -91,11 +120,14 @@ class Service:
             self._selector.unregister(key.fileobj)
             key.fileobj.close()  # type: ignore[union-attr]
         self._selector.close()
+        self._pulse.over = True
 
     def turn(self) -> None:
         """Hear who has something to say, then do what is due."""
         try:
-            for key, _events in self._selector.select(TICK):
+            heard = self._selector.select(TICK)
+            self._refuse_lost_time()  # before any message: what was sent before the pause is no sign of life
+            for key, _events in heard:
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
@@ -110,8 +142,11 @@ class Service:
         with suppress(OSError):
             link = self._listener.accept()[0]
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._peers.append(_Peer(link))
+            self._peers.append(_Peer(link, self._asks))
             self._selector.register(link, selectors.EVENT_READ, self._peers[-1])
+        strangers = [peer for peer in self._peers if not peer.known]
+        if len(strangers) > STRANGERS:
+            self._hang_up(strangers[0])
 
     def _over(self) -> bool:
         """Whether the bench is safe, and nobody is there any more who could command it."""
@@ -123,25 +158,30 @@ class Service:
         self._told_to_end = True
 
     def _hear(self, peer: _Peer) -> None:
+        if peer not in self._peers:
+            return  # closed in this turn already
         try:
             piece = peer.link.recv(1 << 16)
             for message, _payload in peer.messages.feed(piece) if piece else ():
+                peer.known = True
                 self._answer(peer, message)
         except (OSError, ValueError, RecursionError):  # a link that broke, or bytes that are no message of ours
-            _write_down()
+            if peer.known:
+                _write_down()
             piece = b""
         if not piece:
-            self._selector.unregister(peer.link)
-            self._peers.remove(peer)
-            peer.link.close()
-            if peer is self._engine:
-                self._engine = None
-                if self.guard.state in ACTIVE:
-                    self._end("lost", "the engine has gone")
+            self._hang_up(peer)
+
+    def _hang_up(self, peer: _Peer) -> None:
+        self._selector.unregister(peer.link)
+        self._peers.remove(peer)
+        peer.link.close()
+        if peer is self._engine:
+            self._engine = None
+            if self.guard.state in ACTIVE:
+                self._end("lost", "the engine has gone")
 
     def _answer(self, peer: _Peer, message: dict[str, Any]) -> None:
-        if message.pop("token", "") != self._token:
-            raise ValueError("a stranger")
         payload = b""
         try:
             answer = self._do(peer, message.pop("do", ""), message.pop("at", None), message)
@@ -176,7 +216,7 @@ class Service:
         vent = vars(self._vent) if self._vent is not None else None
         whole = {"state": self.guard.state.value, "ended": self._ended, "vent": vent, **answer}
         peer.link.settimeout(SILENCE)
-        peer.link.sendall(encode(whole, payload))
+        peer.link.sendall(encode(whole, self._answers, payload))
 
     # -- what can be asked for ----------------------------------------------------------------------------------
 
@@ -199,6 +239,9 @@ class Service:
         if latched:
             self._end("trip", latched)
             raise LimitRefused(told)
+        for identity in self.guard.identities.values():
+            if identity.serial and not identity.simulated:  # the same device behind another address
+                self.station.take_device(f"{identity.maker} {identity.model} serial {identity.serial}")
         return {"identities": self.guard.describe(), "streams": self._streams()}
 
     def _streams(self) -> list[str]:
@@ -209,6 +252,7 @@ class Service:
         if self.guard.state is State.DISARMED:
             self.station.note("armed", run=str(run), why="")
         self.guard.arm(str(run))
+        self._pulse.lost = 0.0
 
     def do_collect(self, peer: _Peer, device: str, seen: dict[str, float]) -> dict[str, Any]:
         """New samples, as they came; `seen` are newest values that the engine measured itself."""
@@ -256,31 +300,33 @@ class Service:
     def _tick(self) -> None:
         now = time.monotonic()
         if self.guard.state in ACTIVE:
-            if now - self._heard > SILENCE and not self._said():
+            if now - self._heard > SILENCE:
                 self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
             elif self._told_to_end:
                 self._end("lost", "the guard was told to end")
-            elif _slept() - self._slept > 1.0:
-                self._end("trip", "the computer slept")
             elif now - self._looked > LOOK:
                 self._looked = now
                 self._look()
         if self.guard.state is State.STOPPING:
             if now - self._looked > LOOK:
                 self._looked = now
-                with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
-                    self.guard.links.feed_watchdogs()
+                if self.guard.feeds:
+                    with suppress(PmaError):  # a watchdog must not end a ramp or a hold of the safe state
+                        self.guard.links.feed_watchdogs()
             self._step(now)
 
-    def _said(self) -> bool:
-        """Whether the engine has said something that was not read yet: no silence of the engine, but of the guard."""
-        assert self._engine is not None  # noqa: S101  (it armed the bench, and its going ends the run)
-        return bool(select([self._engine.link], [], [], 0.0)[0])
+    def _refuse_lost_time(self) -> None:
+        self._pulse.look()
+        if self._pulse.lost > STOOD_STILL and self.guard.state in ACTIVE:
+            lost = f"{self._pulse.lost:.2f} s"
+            self._end("trip", f"the guard stood still for {lost}: stopped, starved, or this computer slept")
+            self._noticed = self.guard.supervision.differences()
 
     def _look(self) -> None:
         try:
             self.guard.links.feed_watchdogs()
             self.guard.links.refuse_open_interlock()
+            self.guard.supervision.look(time.monotonic())
         except PmaError as error:
             self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
 
@@ -290,7 +336,7 @@ class Service:
             self._ended = {"how": how, "why": why}
             self.guard.latest.clear()
         self.guard.begin_safe(tripped=tripped, hurry=hurry)
-        for name in {*self._streams()} - self.guard.links.sampling:  # what confirms the vent must be measured
+        for name in {*self._streams()} - {*self.guard.links.sampling}:  # what confirms the vent must be measured
             with suppress(PmaError):
                 self.guard.links.stream(name, 1 / LOOK)
         self._step(time.monotonic())
@@ -304,17 +350,20 @@ class Service:
         vent = self.guard.step_safe(self.guard.latest)
         if vent is None or self._vent is not None:
             return
-        self._vent = vent
+        self._vent = vent = Vent(vent.result, (*vent.actions, *self._noticed))
         why = self._ended["why"] if vent.confirmed else f"{self._ended['why']}; safe state {vent.result}"
         latched = self.guard.state is State.TRIPPED or not vent.confirmed
         with suppress(RecordError):
             self.station.note("tripped" if latched else "safe", why=why, vent=vars(vent), run=self.guard.run)
         if self._engine is None and self.guard.run:
-            about = {"cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
-            with suppress(OSError, ValueError):
-                part = Path(self.guard.run, ".guard.json.part")
+            run = Path(self.guard.run)
+            about = {"run": run.name, "cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
+            with suppress(OSError, ValueError):  # beside the run: its folder may be sealed at any moment (R12)
+                late = run.with_name(f"{run.name}.late")
+                late.mkdir(exist_ok=True)
+                part = late / ".guard.json.part"
                 part.write_text(json.dumps(about), encoding="utf-8")
-                part.replace(Path(self.guard.run, "guard.json"))
+                part.replace(late / "guard.json")
         for peer in self._peers:
             if peer.waits:
                 with suppress(OSError):
@@ -327,10 +376,10 @@ def _write_down() -> None:
         traceback.print_exc()
 
 
-def _slept() -> float:
-    """How long the computer has slept since it was switched on [s], where the system tells."""
+def _since_boot() -> float:
+    """Time that passes while the computer sleeps too [s], where the system has such a clock."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.clock_gettime(clock) - time.monotonic() if clock is not None else 0.0
+    return time.clock_gettime(clock) if clock is not None else time.monotonic()
 
 
 def main() -> None:
@@ -340,11 +389,13 @@ def main() -> None:
     station = Station(bench.name)
     try:
         station.take()
+        for where in {place(device.address, device.options) for device in bench.devices} - {""}:
+            station.take_device(where)
     except PmaError as error:
         sys.stdout.write(json.dumps({"busy": str(error)}) + "\n")
         return
     listener = socket.create_server(("127.0.0.1", 0))
-    token = secrets.token_hex(16)
+    token = os.urandom(32).hex()
     here = {"port": listener.getsockname()[1], "token": token, "pid": os.getpid(), "user": given.get("user", "")}
     station.write("guard", {**here, "since": time.strftime("%H:%M:%S")})
     sys.stdout.write(json.dumps(here) + "\n")

@@ -12,7 +12,7 @@ import time
 from array import array
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import IO, Any
 
 from pmabench.base import errors
 from pmabench.base.clock import RealClock
@@ -23,11 +23,25 @@ from pmabench.guard.guard import Measure
 from pmabench.guard.limits import to_device
 from pmabench.guard.safe import Vent
 from pmabench.guard.station import Station
-from pmabench.guard.wire import exchange
+from pmabench.guard.wire import Message, Messages, encode, keys
 
 ANSWERS_WITHIN = 1.0
 """A guard that does not answer for so long [s] is lost."""
 OPENS_WITHIN = 10.0
+
+
+def exchange(link: socket.socket, message: Mapping[str, Any], token: str, within: float) -> Message:
+    """Send a message and wait for one answer; raises OSError (a time-out is one) or ValueError."""
+    link.settimeout(within)
+    asking, answering = keys(token)
+    link.sendall(encode(message, asking))
+    messages = Messages(answering)
+    while True:
+        piece = link.recv(1 << 20)
+        if not piece:
+            raise ConnectionResetError("the other side has gone")
+        for answer in messages.feed(piece):
+            return answer
 
 
 class RemoteStream:
@@ -76,7 +90,7 @@ class RemoteGuard:
         """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
         station = Station(self.bench.name)
         given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
-        with station.log() as log:
+        with _log(station) as log:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pmabench.guard"],
                 stdin=subprocess.PIPE,
@@ -108,8 +122,8 @@ class RemoteGuard:
             if self._link is None:
                 raise DeviceError("guard", "is not there any more")
             try:
-                message = {"do": do, "token": self._here["token"], "at": time.monotonic(), **data}
-                answer, payload = exchange(self._link, message, within)
+                message = {"do": do, "at": time.monotonic(), **data}
+                answer, payload = exchange(self._link, message, self._here["token"], within)
             except (OSError, ValueError) as error:
                 self._link.close()
                 self._link = None
@@ -199,6 +213,17 @@ class RemoteGuard:
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""
         return {name: vars(identity) for name, identity in self.identities.items()}
+
+
+def _log(station: Station) -> IO[bytes]:
+    """Where the guard writes what goes wrong in itself; makes the folder. Raises DeviceError where it cannot."""
+    try:
+        station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return (station.folder / "guard.log").open("ab")
+    except OSError as error:
+        raise DeviceError(
+            station.name, f"its state cannot be kept in {station.folder}: {error.strerror}; set PMABENCH_STATE"
+        ) from error
 
 
 def _user() -> str:

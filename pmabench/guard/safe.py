@@ -11,6 +11,8 @@ from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
 
 AT_ONCE = ("set", "stop", "open", "close")
+NO_EFFECT = 0.7
+"""A measured value that has not fallen by a fiftieth so long [s] after the last command shows no effect of it."""
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
 
@@ -34,14 +36,17 @@ class _Sent:
     call: Call
     since: float
     rescue: Call | None = None
+    look: Call | None = None
+    """Whether the device holds what it acknowledged: an empty text, or a sentence."""
 
 
 class SafeState:
     """One pass through the actions.
 
     `begin` starts an action (the result of a ramp is how long it takes [s]) and `rescue` tries it over a second way;
-    both return at once. Commands that follow each other go out together; `ramp`, `hold` and `confirm` are waited for
-    until they are done or their time is over. A value at or below its entry in `floors` [SI] confirms nothing.
+    `look` asks whether a command is held (None: it cannot be asked); all return at once. Commands that follow each
+    other go out together; `ramp`, `hold` and `confirm` are waited for until they are done or their time is over. A
+    value at or below its entry in `floors` [SI] confirms nothing.
     """
 
     def __init__(
@@ -49,21 +54,34 @@ class SafeState:
         actions: tuple[SafeAction, ...],
         begin: Callable[[SafeAction], Call],
         rescue: Callable[[SafeAction], Call | None],
+        look: Callable[[SafeAction], Call | None],
         now: float,
         floors: Mapping[str, float] | None = None,
     ) -> None:
         self._floors = floors or {}
         self._todo = list(actions)
-        self._begin, self._rescue = begin, rescue
+        self._begin, self._rescue, self._look = begin, rescue, look
         self._sent: list[_Sent] = []
         self._since = self._repeated = now
         self._ramp: Call | None = None
         self._confirms = sum(action.do == "confirm" for action in actions)
-        self._confirmed = self._failed = 0
-        self._outcome: list[str] = []
+        self._confirmed = 0
+        self._first: float | None = None
+        """First value that was measured for this confirmation."""
+        self._fallen = False
+        self.outcome: list[str] = []
+        self.failed: set[str] = set()
+        """Targets of commands that failed or were not carried out."""
+        self.unmoved = False
+        """Whether a measured value has not fallen after all commands."""
         self._commands = [action for action in actions if action.do in AT_ONCE]
         self.vent: Vent | None = None
         """What came of it, when it is over."""
+
+    @property
+    def without_effect(self) -> bool:
+        """Whether a command or the whole has no effect: no device gets a sign of life any more (S13)."""
+        return bool(self.failed) or self.unmoved
 
     def hurry(self) -> None:
         """Wait no longer: every command that is left goes out now; only confirmations are still waited for."""
@@ -77,12 +95,12 @@ class SafeState:
             self._todo.pop(0)
             self._gather(now)
             self._since = self._repeated = now
-            self._ramp = None
+            self._ramp, self._first, self._fallen = None, None, False
         if self.vent is None and not self._todo and not self._sent:
-            result = "failed" if self._failed else "commanded"
+            result = "failed" if self.failed else "commanded"
             if self._confirms and self._confirmed == self._confirms:
                 result = "confirmed"
-            self.vent = Vent(result, tuple(self._outcome))
+            self.vent = Vent(result, tuple(self.outcome))
         return self.vent is not None
 
     def _advance(self, action: SafeAction, now: float, latest: Mapping[str, float]) -> bool:
@@ -104,15 +122,19 @@ class SafeState:
         value = latest.get(action.target)
         if value is not None and self._floors.get(action.target, -inf) < value < action.value:
             self._confirmed += 1
-            self._outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
+            self.outcome.append(f"confirm {action.target}: {_shown(action, value)}, below {_shown(action)}")
             return True
         if now - self._since >= action.within:
             bound = f"below {_shown(action)} within {action.within:g} s"
             measured = "nothing measured" if value is None else _shown(action, value)
             if value is not None and value < action.value:
                 measured += ", which a broken wire reads"
-            self._outcome.append(f"confirm {action.target}: {measured}, not {bound}")
+            self.outcome.append(f"confirm {action.target}: {measured}, not {bound}")
             return True
+        if value is not None:
+            self._fallen = self._first is not None and value < 0.98 * self._first
+            self._first = value if self._first is None else self._first
+        self.unmoved = self.unmoved or (now - self._since >= NO_EFFECT and not self._fallen)
         if now - self._repeated >= REPEAT:
             self._repeated = now
             for command in self._commands:
@@ -120,24 +142,43 @@ class SafeState:
         return False
 
     def _gather(self, now: float) -> None:
-        """Note what came of the commands on their way; what fails or does not come back goes over the second way."""
-        waiting = []
-        for sent in self._sent:
-            way = sent.rescue or sent.call
-            name = f"{sent.action.do} {sent.action.target}"
-            if any(call.done.is_set() and call.error is None for call in (sent.call, way)):
-                self._outcome.append(f"{name}: sent" if sent.rescue is None else f"{name}: sent over the second way")
-                continue
-            late = way.done.is_set() or now - sent.since >= PATIENCE
-            second = self._rescue(sent.action) if sent.rescue is None and (late or sent.call.behind) else None
-            if second is not None:
-                waiting.append(_Sent(sent.action, sent.call, now, second))
-            elif not late:
-                waiting.append(sent)
-            else:
-                self._failed += 1
-                self._outcome.append(f"{name}: failed ({way.error or 'no answer'})")
-        self._sent = waiting
+        """Note what came of the commands under way; what fails or has no effect goes over the second way."""
+        self._sent = [again for sent in self._sent if (again := self._follow_up(sent, now)) is not None]
+
+    def _follow_up(self, sent: _Sent, now: float) -> _Sent | None:
+        """The command as it is waited for further, or None where it is settled."""
+        way = sent.rescue or sent.call
+        name = f"{sent.action.do} {sent.action.target}"
+        acknowledged = any(call.done.is_set() and call.error is None for call in (sent.call, way))
+        if acknowledged:
+            wrong = self._not_held(sent, now)
+            if wrong is None:
+                return sent
+            if not wrong:
+                self.outcome.append(f"{name}: sent" if sent.rescue is None else f"{name}: sent over the second way")
+                return None
+        else:
+            wrong = str(way.error or "no answer")
+        over = acknowledged or way.done.is_set() or now - sent.since >= PATIENCE
+        second = self._rescue(sent.action) if sent.rescue is None and (over or sent.call.behind) else None
+        if second is not None:
+            return _Sent(sent.action, second if acknowledged else sent.call, now, second)
+        if not over:
+            return sent
+        self.failed.add(sent.action.target)
+        self.outcome.append(f"{name}: failed ({wrong})")
+        return None
+
+    def _not_held(self, sent: _Sent, now: float) -> str | None:
+        """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""
+        if self._todo and self._todo[0].do in AT_ONCE:
+            return None  # first everything that is to be commanded now
+        sent.look = sent.look or self._look(sent.action)
+        if sent.look is None:
+            return ""
+        if not sent.look.done.is_set():
+            return None if now - sent.since < 2 * PATIENCE else ""
+        return sent.look.result or ""
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:

@@ -1,19 +1,22 @@
 """What outlives a process of a real bench: its lock, its latch, where its guard listens, and its compiled bench.
 
 One folder per bench, below `PMABENCH_STATE` or the user's state folder; standard library only, so that `vent` is fast.
+A device is locked as well as the bench: two bench files with one device are refused, whatever they are called (S14).
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
+import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from pmabench.base.errors import DeviceError, RecordError
 from pmabench.base.system import try_lock
@@ -35,36 +38,70 @@ def stations() -> Iterator[Station]:
     folder = root()
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.is_dir():
-            yield Station(path.name)
+            yield Station(path.name, path)
+
+
+def folder_name(name: str) -> str:
+    """A name for a folder: another one for each name, in any script, also where the system ignores case."""
+    plain = re.sub(r"[^a-z0-9._-]+", "-", name.lower())[:60].strip("-.")
+    if plain and plain == name:
+        return plain
+    return f"{plain}~{hashlib.sha256(name.encode('utf-8', 'surrogatepass')).hexdigest()[:16]}"
+
+
+def place(address: str, options: Mapping[str, Any]) -> str:
+    """Where a device is, in one spelling for all bench files; empty for a simulation without an address."""
+    if not address or address.startswith("/"):
+        return os.path.realpath(address) if address else ""  # what a link of /dev/serial/by-id leads to
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdigit() or "/" in host:
+        return " ".join(str(part) for part in (options.get("server", ""), address) if part)
+    with suppress(OSError):
+        host = socket.gethostbyname(host)
+    return f"{host}:{port} unit {options.get('unit_id') or dict(options.get('map') or {}).get('unit_id') or 1}"
 
 
 class Station:
     """The folder of one bench; the file of each method's name is written whole or not at all."""
 
-    def __init__(self, name: str) -> None:
-        self.folder = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "bench")
-        self._lock: int | None = None
-
-    def log(self) -> IO[bytes]:
-        """Where the guard writes what goes wrong in itself; makes the folder. Raises DeviceError where it cannot."""
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            return (self.folder / "guard.log").open("ab")
-        except OSError as error:
-            raise DeviceError(
-                self.folder.name, f"its state cannot be kept in {self.folder}: {error.strerror}; set PMABENCH_STATE"
-            ) from error
+    def __init__(self, name: str, folder: Path | None = None) -> None:
+        self.name = name
+        self.folder = folder or root() / folder_name(name)
+        self._devices: list[str] = []
+        """Places and serial numbers of the devices that are locked for this bench."""
 
     def take(self) -> None:
         """Be the only one who commands this bench until this process ends; raises DeviceError where another one is."""
+        before = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", self.name).strip("-.") or "bench")
+        if before.is_dir() and not self.folder.exists() and Station("", before).read("bench").get("name") == self.name:
+            before.rename(self.folder)  # its folder up to version 0.1, with its latch
         self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self._lock = try_lock(self.folder / "lock")
-        if self._lock is None:
+        if try_lock(self.folder / "lock") is None:
             owner = self.read("guard")
             who = f"process {owner['pid']} of {owner['user']} since {owner['since']}" if owner else "another program"
+            raise DeviceError(self.name, f"this bench is in use by {who}; one program commands a bench at a time")
+
+    def take_device(self, where: str) -> None:
+        """Be the only one who uses the device at a place, or with a serial number, until this process ends.
+
+        Raises DeviceError where another bench uses it now, or where one that has it is latched.
+        """
+        path = root() / f"{folder_name(where)}.device"
+        if try_lock(path) is None:
+            owner = path.read_text("utf-8").strip() or "another program"
             raise DeviceError(
-                self.folder.name, f"this bench is in use by {who}; one program commands a bench at a time"
+                self.name, f"its device at {where} is in use by {owner}; one program commands a device at a time"
             )
+        path.write_text(f'the bench "{self.name}", process {os.getpid()}\n', encoding="utf-8")
+        self._devices.append(where)
+        for other in stations():
+            if other.folder != self.folder and where in other.read("state").get("devices", ()) and other.latched():
+                name = other.read("bench").get("name", other.name)
+                raise DeviceError(
+                    self.name,
+                    f'its device at {where} belongs to the bench "{name}" too, which is tripped: {other.latched()}. '
+                    f'Look at it, then: pmabench vent "{name}" --reset --operator NAME --because TEXT',
+                )
 
     def write(self, file: str, data: Mapping[str, Any]) -> None:
         """Keep `data` in `file`.json: whole, synced, readable by this user only. Raises RecordError."""
@@ -95,7 +132,7 @@ class Station:
         """Add a line to the bench's journal, and make it the state of the bench; a latch keeps its first reason."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         before = self.read("state")
-        line = {"what": what, "at": now, **data}
+        line = {"what": what, "at": now, "devices": self._devices or before.get("devices", []), **data}
         first = (
             {"why": before.get("why"), "since": before.get("since")} if before.get("what") == what else {"since": now}
         )

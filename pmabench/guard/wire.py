@@ -1,37 +1,48 @@
-"""Messages between the guard and those who talk to it: a length, a JSON object, and bytes that are not looked at."""
+"""Messages between the guard and its clients: a key, two lengths, a JSON object, and bytes that are not looked at.
+
+Each bench that is in use has two keys of 16 bytes, which only its user can read (`guard.json` in the state folder): one
+opens every request, the other every answer. Whoever does not know them is refused before anything is parsed (S15).
+"""
 
 from __future__ import annotations
 
 import json
-import socket
 import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-_HEAD = struct.Struct("!II")
+_HEAD = struct.Struct("!16sII")
 LONGEST = 64 * 1024 * 1024
-"""Longest message that is believed [bytes]."""
+"""Longest message that is accepted [bytes]."""
 
 Message = tuple[dict[str, Any], bytes]
 
 
-def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
+def keys(token: str) -> tuple[bytes, bytes]:
+    """The key of requests and that of answers, from the token in `guard.json`; raises ValueError for another text."""
+    return bytes.fromhex(token)[:16], bytes.fromhex(token)[16:]
+
+
+def encode(message: Mapping[str, Any], key: bytes, payload: bytes = b"") -> bytes:
     """One message as bytes."""
     text = json.dumps(message, separators=(",", ":")).encode()
-    return _HEAD.pack(len(text), len(payload)) + text + payload
+    return _HEAD.pack(key, len(text), len(payload)) + text + payload
 
 
 class Messages:
-    """Whole messages out of a stream of bytes; raises ValueError for what is none."""
+    """Whole messages out of a stream of bytes; raises ValueError for anything else, or without the key."""
 
-    def __init__(self) -> None:
+    def __init__(self, key: bytes) -> None:
+        self._key = key
         self._bytes = bytearray()
 
     def feed(self, piece: bytes) -> Iterator[Message]:
         """Every message that is complete with `piece`."""
         self._bytes += piece
         while len(self._bytes) >= _HEAD.size:
-            text, payload = _HEAD.unpack_from(self._bytes)
+            key, text, payload = _HEAD.unpack_from(self._bytes)
+            if key != self._key:
+                raise ValueError("a stranger")
             end = _HEAD.size + text + payload
             if end > LONGEST:
                 raise ValueError("a message is longer than any that is sent")
@@ -41,18 +52,5 @@ class Messages:
             body = bytes(self._bytes[_HEAD.size + text : end])
             del self._bytes[:end]
             if not isinstance(message, dict):
-                raise ValueError("a message is no JSON object")
+                raise ValueError("a message must be a JSON object")
             yield message, body
-
-
-def exchange(link: socket.socket, message: Mapping[str, Any], within: float) -> Message:
-    """Send a message and wait for one answer; raises OSError (a time-out is one) or ValueError."""
-    link.settimeout(within)
-    link.sendall(encode(message))
-    messages = Messages()
-    while True:
-        piece = link.recv(1 << 20)
-        if not piece:
-            raise ConnectionResetError("the other side has gone")
-        for answer in messages.feed(piece):
-            return answer

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.guard.wire import Messages, encode
+from pmabench.guard.remote import exchange
 from tests.engine.benches import mounted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,11 +70,7 @@ def told(times):
 def asked_to_open(here):
     """What the guard answers when it is asked to open the devices."""
     with socket.create_connection(("127.0.0.1", here["port"])) as link:
-        link.sendall(encode({"do": "open", "token": here["token"]}))
-        messages = Messages()
-        while True:
-            for message, _payload in messages.feed(link.recv(1 << 16)):
-                return message
+        return exchange(link, {"do": "open"}, here["token"], 10.0)[0]
 
 
 def resident(pid):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from array import array
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 from pmabench.base.clock import RealClock, VirtualClock
@@ -33,7 +36,12 @@ class Rig:
     def __init__(self, device: DeviceRecord, clock: Any) -> None:
         self.device, self.clock = device, clock
         self.told: list[tuple[Any, ...]] = []
-        self.held: dict[str, float] = {}
+        self.at: dict[str, Callable[[float], float]] = {}
+        """What each output holds over bench time [device units]."""
+        self.on: dict[str, bool] = {}
+        self.reports: dict[str, float | str] = {"watchdog": 1.0, "uptime": 5.0, "serial": "1"}
+        self.ignores: bool | str = False
+        """Whether it acknowledges commands and carries none out; "both ways": nor those of the second way."""
         self.wrong: dict[str, Any] = dict(device.options.get("wrong", {}))
         self.reads: dict[str, float] = {channel.name: 0.0 for channel in device.channels}
         self.high = True
@@ -59,23 +67,33 @@ class Rig:
 
     def write(self, output: str, value: float) -> None:
         self._note("write", output, value)
-        self.held[output] = value
+        if not self.ignores:
+            self.at[output] = lambda _now: value
 
     def read_back(self, output: str) -> float:
         self._note("read_back", output)
-        return self.held[output]
+        return self.at[output](self.clock.now())
 
     def follow(self, output: str, segment: Any) -> None:
         self._note("follow", output, segment)
+        if not self.ignores:
+            self.at[output] = partial(followed, segment)
 
     def place(self, load: Any) -> None:
         self._note("place", load.force, load.mass)
 
     def switch(self, output: str, *, on: bool) -> None:
         self._note("switch", output, on)
+        if not self.ignores:
+            self.on[output] = on
 
     def is_on(self, output: str) -> bool:
-        return False
+        self._note("is_on", output)
+        return self.on[output]
+
+    def held(self) -> dict[str, float | str]:
+        self._note("held")
+        return dict(self.reports)
 
     def halt(self, output: str) -> None:
         self._note("halt", output)
@@ -96,6 +114,8 @@ class Rig:
 
     def rescue(self, output: str, value: float) -> None:
         self._note("rescue", output, value)
+        if self.ignores != "both ways":
+            self.at[output], self.on[output] = (lambda _now: value), bool(value)
 
     def start(self, rate: float) -> float:
         self._note("start", rate)
@@ -112,6 +132,23 @@ class Rig:
     def values(self, *kinds: str) -> list[tuple[Any, ...]]:
         """What it was told of some kinds."""
         return [told for told in self.told if told[0] in kinds]
+
+
+class Quiet(Rig):
+    """The same, reporting nothing of itself."""
+
+    held = None
+
+
+def followed(segment: Any, now: float) -> float:
+    """Where a segment is at a moment [device units], by its definition in the interface."""
+    t = max(now - segment.start, 0.0)
+    if segment.kind == "ramp":
+        way = segment.target - segment.origin
+        return segment.origin + math.copysign(min(segment.rate * t, abs(way)), way)
+    return segment.origin + segment.amplitude * math.sin(
+        2 * math.pi * segment.frequency * min(t, segment.cycles / segment.frequency)
+    )
 
 
 class Plain:

@@ -11,10 +11,11 @@ from pmabench.base.clock import RealClock
 from pmabench.bench.interface import CompiledBench
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.process import Service
-from pmabench.guard.wire import Messages, encode
+from pmabench.guard.wire import Messages, encode, keys
 from tests.guard.rig import BENCH, Rig
 
-TOKEN = "secret"
+TOKEN = bytes(range(32)).hex()
+ASKS, ANSWERS = keys(TOKEN)
 
 
 class Notes:
@@ -31,6 +32,9 @@ class Notes:
 
     def note(self, what: str, **data: Any) -> None:
         self.noted.append((what, data))
+
+    def take_device(self, where: str) -> None:
+        self.noted.append(("device", {"where": where}))
 
     def latched(self) -> str:
         return self.latch
@@ -53,6 +57,7 @@ class Serving:
         for link in [*self._links, *(peer.link for peer in self.service._peers), self.listener]:
             link.close()
         self.service._selector.close()
+        self.service._pulse.over = True
         self.guard.close()
 
     @property
@@ -61,17 +66,16 @@ class Serving:
 
     def link(self) -> socket.socket:
         """Another link to it."""
-        before = len(self.service._peers)
         link = socket.create_connection(self.listener.getsockname())
         link.settimeout(5.0)
         self._links.append(link)
-        while len(self.service._peers) == before:
+        while link.getsockname() not in {peer.link.getpeername() for peer in self.service._peers}:
             self.service.turn()
         return link
 
     def say(self, link: socket.socket, raw: bytes) -> dict[str, Any] | None:
         """Send bytes, let it take its turn; its answer, or None where it hung up."""
-        messages = Messages()
+        messages = Messages(ANSWERS)
         link.sendall(raw)
         link.settimeout(0.01)
         until = time.monotonic() + 5.0
@@ -91,7 +95,7 @@ class Serving:
 
     def ask(self, link: socket.socket, do: str, **data: Any) -> dict[str, Any] | None:
         """A request as an engine makes it."""
-        return self.say(link, encode({"do": do, "token": TOKEN, "at": time.monotonic(), **data}))
+        return self.say(link, encode({"do": do, "at": time.monotonic(), **data}, ASKS))
 
     def armed(self) -> socket.socket:
         """An engine's link to the bench that it has armed."""

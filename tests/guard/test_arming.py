@@ -87,7 +87,7 @@ def test_a_sound_bench_is_armed_in_order():
     guard.arm("run")
     assert rig.told[1:] == [
         ("arm_watchdog", 1.0), ("level", "in0"), ("write", "p", 0.0), ("read_back", "p"), ("write", "x", 0.0),
-        ("read_back", "x"), ("switch", "v", True),
+        ("read_back", "x"), ("switch", "v", True), ("held",),
     ]  # fmt: skip
     assert guard.state is State.RUNNING
     assert guard.run == "run"

@@ -28,7 +28,7 @@ class Recording:
 
     def __init__(self, device, clock):
         self.told: list[tuple[str, str, float]] = []
-        self.held: dict[str, float] = {}
+        self.holds: dict[str, float] = {}
 
     def open(self):
         return Identity("test", "recording", "1", "0", simulated=True)
@@ -40,10 +40,10 @@ class Recording:
         if output in self.broken:
             raise DeviceError("dac", "does not answer", output)
         self.told.append(("write", output, value))
-        self.held[output] = value
+        self.holds[output] = value
 
     def read_back(self, output):
-        return self.held[output]
+        return self.holds[output]
 
     def follow(self, output, segment):
         ends = [segment.origin - abs(segment.amplitude), segment.origin + abs(segment.amplitude)]

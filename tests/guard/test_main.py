@@ -12,9 +12,9 @@ from types import SimpleNamespace
 import pytest
 
 from pmabench.guard import process
+from pmabench.guard.remote import exchange
 from pmabench.guard.station import Station
-from pmabench.guard.wire import exchange
-from tests.guard.rig import BENCH, Rig
+from tests.guard.rig import BENCH, DEVICE, Rig
 from tests.realtime import eventually
 
 
@@ -30,7 +30,13 @@ def program(monkeypatch):
     """Standard input and output of the program; its signal handlers are given back."""
     before = [(number, signal.getsignal(number)) for number in (signal.SIGTERM, signal.SIGINT)]
     said = Said()
-    given = {"bench": json.loads(replace(BENCH, name="program").to_json()), "start": time.monotonic(), "user": "ann"}
+    given = {
+        "bench": json.loads(
+            replace(BENCH, name="program", devices=(replace(DEVICE, address="127.0.0.1:9"),)).to_json()
+        ),
+        "start": time.monotonic(),
+        "user": "ann",
+    }
     streams = SimpleNamespace(stdin=io.StringIO(json.dumps(given) + "\n"), stdout=said)
     monkeypatch.setattr(process, "sys", streams)
     yield said
@@ -46,8 +52,8 @@ def engine(problems, *requests):
             here = eventually(lambda: Station("program").read("guard"))
             with socket.create_connection(("127.0.0.1", here["port"])) as link:
                 for do, data in requests:
-                    message = {"do": do, "token": here["token"], "at": time.monotonic(), **data}
-                    problems.append(exchange(link, message, 5.0)[0].get("error"))
+                    message = {"do": do, "at": time.monotonic(), **data}
+                    problems.append(exchange(link, message, here["token"], 5.0)[0].get("error"))
         except Exception as error:
             problems.append(error)
 
@@ -66,6 +72,7 @@ def test_it_serves_an_engine_vents_when_it_is_gone_and_leaves_nothing_behind(pro
     assert (here["user"], Station("program").read("guard")) == ("ann", {})
     assert Station("program").read("state")["what"] == "tripped"
     assert Station("program").read("bench")["name"] == "program"
+    assert Station("program").read("state")["devices"] == ["127.0.0.1:9 unit 1"]
     rig = Rig.made["dac"]
     assert [told for told in rig.values("write") if told[1] == "p"][-1] == ("write", "p", 0.0)
     assert rig.told[-1] == ("close",)

@@ -30,7 +30,8 @@ def test_actions_go_out_in_the_declared_order_and_the_outcome_says_each():
     guard.set("pressure", 300e3)
     rig.told.clear()
     vent = guard.safe_state(lambda: LOW, why="test")
-    assert rig.told == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert rig.told[:3] == [("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    assert rig.told[3:] == [("read_back", "p"), ("is_on", "v")], "nothing is asked before all was commanded"
     assert vent.actions == ("stop displacement: sent", "set pressure: sent", "open dump_valve: sent",
                             "confirm pressure: 5 kPa, below 20 kPa")  # fmt: skip
     assert (vent.result, guard.state, guard.why) == ("confirmed", State.SAFE, "test")
@@ -101,7 +102,8 @@ def test_hurry_leaves_out_waits_and_nothing_else():
     rig.told.clear()
     guard.begin_safe(hurry=True)
     guard.step_safe({})
-    assert rig.told == [("write", "p", 0.0), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
+    commands = rig.values("write", "halt", "switch")
+    assert commands == [("write", "p", 0.0), ("halt", "x"), ("write", "p", 0.0), ("switch", "v", False)]
     assert advance(guard, 0.1, LOW).confirmed
 
 
@@ -482,3 +484,121 @@ def test_a_safe_state_of_unknown_outputs_is_no_hindrance_where_nobody_answers():
 def test_a_channel_whose_name_tells_no_unit_is_shown_in_si():
     guard, _ = armed(bench(safe_state=(SafeAction("confirm", "unheard_of", 2.0, 1.0),)))
     assert guard.safe_state(lambda: {"unheard_of": 1.5}).actions[0].startswith("confirm unheard_of: 1.5")
+
+
+# -- a safe state without effect (S13) --------------------------------------------------------------------------------
+
+HIGH = {"pressure": 3e5}
+
+
+def until_over(guard, seconds, latest):
+    deadline = guard.clock.now() + 60.0
+    while (vent := advance(guard, seconds, latest)) is None:
+        assert guard.clock.now() < deadline
+    return vent
+
+
+def test_what_is_acknowledged_and_not_carried_out_goes_over_the_second_way():
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    rig.ignores = True
+    assert guard.feeds
+    guard.begin_safe()
+    vent = until_over(guard, 0.01, LOW)
+    assert rig.values("rescue") == [("rescue", "p", 0.0), ("rescue", "v", 0.0)]
+    assert {"set pressure: sent over the second way", "open dump_valve: sent over the second way"} < {*vent.actions}
+    assert guard.feeds
+    assert not rig.values("close")
+
+
+def test_a_device_that_carries_out_nothing_is_left_to_its_watchdog_and_asked_again_later():
+    guard, rig = armed(bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 10.0))))
+    guard.links.stream("dac", 20.0)
+    guard.set("pressure", 300e3)
+    rig.ignores = "both ways"
+    guard.begin_safe()
+    assert guard.feeds
+    advance(guard, 0.01, HIGH)
+    advance(guard, 0.01, HIGH)
+    assert not guard.feeds
+    assert rig.told[-1] == ("close",)
+    gone = guard.clock.now()
+    while Rig.made["dac"] is rig:
+        assert advance(guard, 0.05, HIGH) is None
+    assert 1.5 <= guard.clock.now() - gone < 2.5, "its watchdog of 1 s had its time"
+    again = Rig.made["dac"]
+    assert again.told == [("open",), ("start", 20.0)]
+    vent = until_over(guard, 0.5, LOW)
+    assert ("write", "p", 0.0) in again.told or vent.confirmed
+    assert 'set pressure: failed ("pressure" was commanded to 0 kPa and the device holds 300 kPa' in "".join(
+        vent.actions
+    )
+    assert "dac: its line is closed, so that its watchdog takes over" in vent.actions
+
+
+def test_a_device_that_cannot_be_opened_again_is_tried_again():
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    rig.ignores = "both ways"
+    guard.begin_safe()
+    advance(guard, 0.01, HIGH)
+    advance(guard, 0.01, HIGH)
+    guard.links._bench = replace(guard.bench, devices=(replace(DEVICE, driver="nothing:There"),))
+    for _ in range(40):
+        guard.links._clock.wait_until(guard.clock.now() + 0.1)
+        guard.links.open_again()
+    assert "dac" not in guard.links.devices
+    guard.links._bench = guard.bench
+    for _ in range(40):
+        guard.links._clock.wait_until(guard.clock.now() + 0.1)
+        guard.links.open_again()
+    assert "dac" in guard.links.devices
+
+
+def test_a_pressure_that_does_not_fall_is_no_effect_and_one_that_falls_is():
+    slow = bench(safe_state=(*SAFE[:3], SafeAction("confirm", "pressure", 20e3, 10.0)))
+    guard, rig = armed(slow)
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    for _ in range(6):
+        advance(guard, 0.1, HIGH)
+    assert guard.feeds
+    for _ in range(3):
+        advance(guard, 0.1, HIGH)
+    assert not guard.feeds
+    assert rig.told[-1] == ("close",)
+    guard, rig = armed(slow)
+    guard.begin_safe()
+    for step in range(60):
+        advance(guard, 0.1, {"pressure": 3e5 * 0.99**step})
+        assert guard.feeds, step
+
+
+def test_a_device_without_a_watchdog_keeps_its_line_and_gets_the_commands_again():
+    guard, rig = armed(bench(replace(DEVICE, watchdog=0.0)))
+    guard.set("pressure", 300e3)
+    rig.ignores = "both ways"
+    guard.begin_safe()
+    vent = until_over(guard, 0.1, HIGH)
+    assert len([told for told in rig.values("write") if told[1] == "p"]) >= 2
+    assert not rig.values("close")
+    assert vent.result == "failed"
+
+
+def test_a_ramp_and_a_hold_that_go_on_are_fed():
+    guard, _ = armed(bench(safe_state=(RAMP, SafeAction("hold", "", 0.0, 2.0), *SAFE)))
+    guard.set("pressure", 300e3)
+    guard.begin_safe()
+    for _ in range(45):
+        advance(guard, 0.1, HIGH)
+        assert guard.feeds
+
+
+def test_what_a_hung_line_cannot_say_is_not_held_against_the_second_way():
+    guard, rig = armed(threads=True)
+    guard.set("pressure", 300e3)
+    rig.wrong["write"] = hangs = threading.Event()
+    guard.begin_safe()
+    vent = until_over(guard, 0.02, LOW)
+    hangs.set()
+    assert "set pressure: sent over the second way" in vent.actions

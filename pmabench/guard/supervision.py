@@ -1,0 +1,144 @@
+"""Whether devices still hold what the guard left them with: restarts, lost watchdogs, commands from elsewhere (S11).
+
+Decides nothing: `look` raises with the first difference. A device is asked from the thread that owns it, one question
+at a time, so that a command waits for at most one of them.
+"""
+# mypy: disable-error-code="type-abstract"
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, LimitRefused
+from pmabench.base.quantities import show
+from pmabench.bench.interface import CompiledBench, DeviceRecord, OutputRecord, Supervised, ValveRecord
+from pmabench.guard.course import Course
+from pmabench.guard.links import Act, Links
+from pmabench.guard.owner import Call
+
+EVERY = 0.3
+"""All questions to a device are asked once in so long [s]."""
+WITHIN = 1.0
+"""A device that has answered no question for so long [s] is lost; one lost answer is no lost device."""
+AGAIN = 0.03
+"""A difference counts when it is still there so much later [s]: some devices show a new value only then."""
+LAG = 0.3
+"""A device that follows a ramp or a sine may be so much behind [s]."""
+ELSEWHERE = "it restarted, or something else commands it"
+
+
+class Supervision:
+    """Of the devices of one bench. `course` and `closed` hold what outputs and valves were commanded to last."""
+
+    def __init__(
+        self,
+        bench: CompiledBench,
+        links: Links,
+        clock: Clock,
+        course: Callable[[OutputRecord], Course],
+        closed: Mapping[str, bool],
+    ) -> None:
+        self._bench, self._links, self._clock = bench, links, clock
+        self._course, self._closed = course, closed
+        self._held: dict[str, dict[str, float | str]] = {}
+        """What each device reported when the bench was armed."""
+        self._asked: dict[str, Call] = {}
+        self._count: dict[str, int] = {}
+        self._since: dict[str, float] = {}
+        """When each device was asked last, and below when it answered last [s]."""
+        self._answered: dict[str, float] = {}
+
+    def begin(self) -> None:
+        """Keep what each device reports now: the bench has just been armed."""
+        for name, device in list(self._links.devices.items()):
+            if isinstance(device, Supervised):
+                self._held[name] = dict(self._links.call(name, device.held))
+
+    def look(self, now: float) -> None:
+        """Ask on, at `now` [s]; raises LimitRefused for what changed, DeviceError for a device that does not answer."""
+        for record in self._bench.devices:
+            name = record.name
+            questions = self._questions(record) if name in self._links.devices else []
+            if not questions:
+                continue
+            call = self._asked.get(name)
+            if call is not None and call.done.is_set() and call.error is None:
+                if call.result:
+                    raise LimitRefused(f"{name}: {call.result}")
+                self._answered[name] = now
+            if now - self._answered.setdefault(name, now) > WITHIN:
+                why = f"has not answered for {WITHIN:g} s whether it holds what was commanded"
+                raise DeviceError(name, f"{why} ({call.error})" if call is not None and call.error else why)
+            free = call is None or call.done.is_set()
+            if free and now - self._since.get(name, -EVERY) >= EVERY / len(questions):
+                self._since[name], self._count[name] = now, self._count.get(name, -1) + 1
+                self._asked[name] = self._links.submit(name, questions[self._count[name] % len(questions)])
+
+    def differences(self) -> list[str]:
+        """What devices report that is not as it was when the bench was armed; those that do not answer are left out."""
+        found = []
+        for name in self._held:
+            with suppress(DeviceError):
+                found.append(f"{name}: {self._links.call(name, partial(self._held_differs, name))}")
+        return [text for text in found if not text.endswith(": ")]
+
+    def _questions(self, record: DeviceRecord) -> list[Act]:
+        held = [partial(self._twice, partial(self._held_differs, record.name))] if record.name in self._held else []
+        valves = (self.valve_differs(valve, closed=self._closed[valve.name]) for valve in record.valves)
+        return [*held, *(self.output_differs(output) for output in record.outputs), *valves]
+
+    # -- questions: each is answered by an empty text, or a sentence --------------------------------------------------
+
+    def _twice(self, look: Callable[[], str]) -> str:
+        if not look():
+            return ""
+        self._clock.wait_until(self._clock.now() + AGAIN)
+        return look()
+
+    def _held_differs(self, name: str) -> str:
+        device = self._links.need(name, Supervised, "reports nothing of itself")
+        now, before = device.held(), self._held[name]
+        for key, was in before.items():
+            value = now.get(key, "not reported")
+            if key == "uptime" and not isinstance(value, str) and not isinstance(was, str):
+                if value < was:
+                    return f"it restarted: its uptime fell from {was:g} to {value:g}"
+                before[key] = value
+            elif value != was:
+                return f"its {key} was {_shown(was)} when the bench was armed and is {_shown(value)} now: {ELSEWHERE}"
+        return ""
+
+    def output_differs(self, output: OutputRecord) -> Act:
+        """Whether an output holds what it is commanded to when it is asked."""
+        course = self._course(output)
+
+        def look() -> str:
+            since = self._clock.now()
+            held = self._links.read_back(output)
+            moments = [*(since - LAG * part / 8 for part in range(9)), self._clock.now()]
+            ends = [float(output.scale.to_raw(course(moment))) for moment in moments]
+            slack = output.resolution + 1e-6 * max(map(abs, (*ends, output.scale.to_raw(output.high))))
+            if min(ends) - slack <= held <= max(ends) + slack:
+                return ""
+            sent, value = (show(si, output.quantity) for si in (course(moments[-1]), output.scale.to_si(held)))
+            return f'"{output.name}" was commanded to {sent} and the device holds {value}: {ELSEWHERE}'
+
+        return partial(self._twice, look)
+
+    def valve_differs(self, valve: ValveRecord, *, closed: bool) -> Act:
+        """Whether a valve is as it was commanded."""
+
+        def look() -> str:
+            if self._links.is_closed(valve) == closed:
+                return ""
+            words = ("closed", "open") if closed else ("open", "closed")
+            return f'"{valve.name}" was commanded {words[0]} and the device holds it {words[1]}: {ELSEWHERE}'
+
+        return partial(self._twice, look)
+
+
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
