@@ -15,10 +15,11 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tests.outside.harness import Regulator, Run, eventually, random_instant, regulator, run
+from tests.outside.harness import Regulator, Run, eventually, once_begun, random_instant, regulator, run
 from tests.outside.kinds import KINDS, WATCHDOG, Kind
 
 EMPTY_WITHIN = 1.0
@@ -161,7 +162,8 @@ def campaign(each: int | None, names: set[str], workers: int, folder: Path) -> l
     def one(job: tuple[int, tuple[Kind, int]]) -> Result:
         index, (kind, number) = job
         try:
-            return try_once(kind, number, folder / f"{index:04}-{kind.name}")
+            found: Result = once_begun(partial(try_once, kind, number), folder / f"{index:04}-{kind.name}")
+            return found
         except Exception as error:
             return Result(kind.name, kind.protocols[0], wrong=[f"{type(error).__name__}: {error}"])
 

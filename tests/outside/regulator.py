@@ -152,7 +152,7 @@ class Device:
 
     def holding_words(self) -> dict[int, int]:
         """Every holding register."""
-        model = struct.unpack(">12H", b"emulated outside regulator".ljust(24, b"\0")[:24])
+        model = struct.unpack(">12H", b"PR-10".ljust(24, b"\0")[:24])
         fixed = struct.unpack(">HHHH", struct.pack(">II", self.serial, 0x00112233))
         return {**self.holding, **dict(zip(range(100, 116), (*model, *fixed), strict=True))}
 
@@ -430,6 +430,8 @@ def main() -> None:
     parser.add_argument("--log", required=True)
     given = parser.parse_args()
     log = Log(given.log)
+    with suppress(OSError, AttributeError):  # a device has a processor of its own
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(10))
     server = Server(Device(log, given.serial), given.port, given.control)
     log.line("serve", pid=os.getpid())
     server.serve()

@@ -7,6 +7,7 @@ import pytest
 
 from tests.outside.campaign import table
 from tests.outside.freezes import LENGTHS, freeze, kill_both, seal
+from tests.outside.harness import once_begun
 from tests.reliability.cases import cases
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(3600)]
@@ -18,7 +19,7 @@ def tried(what, per_commit, folder, record_property):
     """Each case in a folder of its own, some side by side; nothing may be wrong with any."""
     count = min(cases(per_commit), MOST)
     with ThreadPoolExecutor(2) as pool:
-        results = list(pool.map(lambda number: what(number, folder / str(number)), range(count)))
+        results = list(pool.map(lambda number: once_begun(partial(what, number), folder / str(number)), range(count)))
     print(f"\n{table(results)}")
     record_property("cases", count)
     record_property("failures", sum(bool(result.wrong) for result in results))
