@@ -7,6 +7,7 @@ vented, median and longest time from the cause to the safe command and to a musc
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import signal
 import statistics
@@ -123,6 +124,9 @@ def _ended(result: Result, kind: Kind, device: Regulator, going: Run, moment: fl
         result.wrong.append(f"exit code {outcome['exit_code']}, status {outcome.get('status')}")
     if not re.search(kind.reason, result.why, re.IGNORECASE):
         result.wrong.append(f"the reason does not name it: {result.why}")
+    latch = json.loads(next(going.state.glob("*/state.json")).read_text())
+    if kind.latches and latch["what"] != "tripped":
+        result.wrong.append(f"an action of the vent failed, and the bench is {latch['what']}, not tripped")
     if kind.name in SUPERVISED and "regulator" not in result.why:
         result.wrong.append(f"the reason does not name the device: {result.why}")
 

@@ -26,6 +26,8 @@ class Kind:
     """Whether the run may go on, if it still has the bench in its hand."""
     cause: str = "fault"
     """From what the time counts: the `fault`, or the first write that was `ignored`."""
+    latches: bool = False
+    """Whether the bench must be refused afterwards until somebody has reset it: an action of the vent failed (S7)."""
     watched: bool = False
     """Whether it can be seen in the measured pressure only: the bench then watches for it."""
     each: int = 10
@@ -47,7 +49,7 @@ KINDS = (
     Kind("ignore-set-points", "pressure|set.?point|dump_valve", 1.0, ("steps", "ramps"), cause="ignored", each=20),
     Kind("ignore-all", "pressure|set.?point", 1.0, ("steps", "ramps"), cause="ignored", each=20),
     Kind("ignore-all", "SIGTERM|terminat|operat", 1.0, ("holds",), then_ended=True, cause="ignored", each=20),
-    Kind("ignore-valve", "SIGTERM|terminat|operat", 1.0, then_ended=True, each=10),
+    Kind("ignore-valve", "SIGTERM|terminat|operat", 1.0, then_ended=True, latches=True),
     Kind("echo", "pressure", 2.0, ("steps", "ramps"), cause="ignored", each=20, watched=True),
     Kind("echo", "SIGTERM|terminat|operat", 1.0, ("holds",), then_ended=True, cause="ignored", each=20, watched=True),
     # S2, S3: what is measured

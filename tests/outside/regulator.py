@@ -390,6 +390,8 @@ class Server:
     def _execute(self, request: bytes, who: str) -> bytes:
         """The answer to a request, after it was done."""
         function, device = request[0], self._device
+        if function not in {1, 2, 3, 4, 5, 6, 15, 16}:
+            return bytes([function | 0x80, 1])
         try:
             address, count = struct.unpack_from(">HH", request, 1)
             if function in {1, 2}:
@@ -411,11 +413,9 @@ class Server:
                 code = write(address, count, who)
             elif function == 15:
                 code = write("coil", request[6] & 1, who) if (address, count) == (0, 1) else 2
-            elif function == 16:
+            else:
                 values = struct.unpack_from(f">{count}H", request, 6)
                 code = max(write(address + n, value, who) for n, value in enumerate(values))
-            else:
-                code = 1
         except (KeyError, struct.error, IndexError, ValueError):
             code = 2
         return bytes([function | 0x80, code]) if code else request[:5]
