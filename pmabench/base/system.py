@@ -1,10 +1,38 @@
-"""What only one kind of operating system has: file locks that the kernel frees, limits of a process."""
+"""What only one kind of operating system has: file locks that the kernel frees, limits and priority of a process."""
 
 from __future__ import annotations
 
 import os
 import sys
 from pathlib import Path
+
+GUARD, ENGINE = 20, 10
+"""Real-time priorities: the guard goes before the engine, and both before every ordinary program."""
+
+
+def real_time(priority: int) -> str:
+    """Let this thread, and what it starts from now on, go before all ordinary programs; why not, or an empty text."""
+    if not hasattr(os, "sched_setscheduler"):
+        return "this system has no real-time priority"
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    except OSError as error:
+        return f"real-time priority is not allowed for this user ({error.strerror})"
+    return ""
+
+
+def ordinary() -> None:
+    """Give this thread, and what it starts from now on, the priority of every other program."""
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def keep_in_memory() -> None:
+    """Let nothing that is in memory now be swapped out, where that is allowed; what comes later may be."""
+    if sys.platform != "win32":
+        import ctypes
+
+        ctypes.CDLL(None).mlockall(1)  # MCL_CURRENT; with MCL_FUTURE a limit on locked memory would end the process
 
 
 def try_lock(path: Path) -> int | None:

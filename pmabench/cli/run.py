@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.system import ENGINE, real_time
 from pmabench.cli.common import Ui, common, plan_options, say, session_options
 from pmabench.cli.progress import CLEAR, progress_line
 from pmabench.cli.space import needed, too_little
@@ -109,6 +110,8 @@ def execute(
         raise UsageError("this run needs hands, and there is no terminal; with --yes prompts count as answered")
     for warning in prepared.warnings():
         ui.note(warning)
+    if prepared.mounted.bench.realtime and (why := real_time(ENGINE)):
+        ui.note(f"{why}: a busy computer may end this run early; docs/when-it-goes-wrong.md says how to allow it")
     if lack := too_little(needed(prepared.plan, None if continues is None else continues.steps), out):
         raise RecordError(lack)
     mounted = prepared.mounted

@@ -159,7 +159,7 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
 
 
 def _by_guard(ui: Ui, name: str, guard: dict[str, Any], began: float) -> Vented | None:
-    """Ask the guard; None where it does not answer in time."""
+    """Ask the guard; None where it does not answer in time, or not to the end."""
     commanded = 0.0
     try:
         asking, answering = keys(guard["token"])
@@ -174,9 +174,7 @@ def _by_guard(ui: Ui, name: str, guard: dict[str, Any], began: float) -> Vented 
                         link.settimeout(CONFIRMS_WITHIN)
                     if (vent := answer.get("vent")) is not None:
                         return Vented(name, "its guard", vent["result"], tuple(vent["actions"]), commanded)
-    except (OSError, ValueError, KeyError):
-        if commanded:
-            return Vented(name, "its guard", "commanded", ("the guard has gone before it told the result",), commanded)
+    except (OSError, ValueError, KeyError):  # no guard, a stranger on its port, or one that went before it was over
         return None
 
 

@@ -9,6 +9,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from pmabench.base.system import ordinary
 from pmabench.display.console import Console, Terminate, tidy_signals
 from pmabench.display.link import Link
 
@@ -20,6 +21,7 @@ def main() -> int:
     parser.add_argument("--link", type=int, required=True, metavar="FD", help="an inherited socket")
     parser.add_argument("--no-color", action="store_true")
     given = parser.parse_args()
+    ordinary()
     with suppress(OSError):
         os.nice(5)  # the bench goes first
     link = Link(socket.socket(fileno=given.link))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
+from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench
 from pmabench.engine.acquire import Acquisition, Tripped
@@ -120,6 +121,7 @@ def run_plan(
     guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
     own = OwnDevices(bench, clock) if bench.realtime else None
     try:
+        why = real_time(ENGINE) if bench.realtime else ""
         guard.open()
         if own is not None:
             own.open()
@@ -132,6 +134,8 @@ def run_plan(
         if out is not None:
             told: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
             told["drivers"] = as_data(bench)
+            if bench.realtime:
+                told["priority"] = why or "real time"
             told |= {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
             if continues is not None:
                 told["continues"] = dict(continues.manifest)
@@ -151,6 +155,8 @@ def run_plan(
         guard.close()
         if own is not None:
             own.close()
+        if bench.realtime:
+            ordinary()
 
 
 @contextmanager

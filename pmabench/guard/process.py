@@ -26,6 +26,7 @@ from typing import Any
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, LimitRefused, PmaError, RecordError
+from pmabench.base.system import GUARD, keep_in_memory, real_time
 from pmabench.bench.interface import Block, CompiledBench, Load, Stream
 from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
@@ -400,6 +401,8 @@ def main() -> None:
     station.write("guard", {**here, "since": time.strftime("%H:%M:%S")})
     sys.stdout.write(json.dumps(here) + "\n")
     sys.stdout.close()
+    real_time(GUARD)
+    keep_in_memory()
     guard = Guard(bench, RealClock(given["start"]), threads=True)
     try:
         Service(guard, station, listener, token).serve()

@@ -38,6 +38,7 @@ FIRST = 0.4
 """How long an answer may take while the port is opened [s]."""
 LARGEST = 1e6
 MOST_LINES = 100
+SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
 _ABOUT = re.compile(r"\S\s+M(?P<number>\d\d) (?P<text>.*)")
 _LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
@@ -66,6 +67,7 @@ class AsciiLink:
         """Till then the answer to what clears the line may come late [s, monotonic]."""
         self._asked_since = False
         """Whether anything was asked since."""
+        self._tells_source = False
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -157,6 +159,18 @@ class AsciiLink:
                 self._clear(deadline)
             return self._reading("", deadline).set_point
 
+    def reported(self, deadline: float) -> dict[str, float | str]:
+        """Where its set-point comes from, where the firmware tells."""
+        if not self._tells_source:
+            return {}
+        with self._turn(deadline):
+            if not self._clean:
+                self._clear(deadline)
+            words = self._ask("LSS", deadline).decode("ascii", "replace").upper().split()
+        if len(words) != 2 or words[1] not in SOURCES:
+            raise DeviceError(self._device, f'answers "{" ".join(words)[:40]}" to where its set-point comes from')
+        return {"source of the set-point": SOURCES[words[1]]}
+
     def _found(self, lost: DeviceError, value: float, deadline: float) -> Reading:
         """What the device holds after a command whose answer is lost or uncertain."""
         try:
@@ -223,8 +237,9 @@ class AsciiLink:
     def _refuse_other_source(self, deadline: float) -> None:
         """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
         words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
-        if len(words) == 2 and words[1] in {"A", "U"}:
-            source = {"A": "its analogue input", "U": "its knob"}[words[1]]
+        self._tells_source = len(words) == 2 and words[1] in SOURCES
+        if self._tells_source and words[1] != "S":
+            source = SOURCES[words[1]]
             message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
             raise DeviceError(self._device, message, OUTPUT)
 

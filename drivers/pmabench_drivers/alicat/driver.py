@@ -7,7 +7,7 @@ sines; calls and polls take turns on the one line.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 from typing import Protocol
 
@@ -54,6 +54,9 @@ class Link(Protocol):
 
     def held(self, deadline: float) -> float:
         """The set-point that the device holds."""
+
+    def reported(self, deadline: float) -> Mapping[str, float | str]:
+        """What else it holds and reports in one short answer."""
 
 
 class AlicatController:
@@ -201,6 +204,13 @@ class AlicatController:
         """The set-point that the device holds."""
         self._output(output)
         return self._opened().held(monotonic() + CALL)
+
+    def held(self) -> Mapping[str, float | str]:
+        """Where its set-point comes from, as it says itself over ASCII from firmware 10v05 on; else nothing.
+
+        It has no watchdog and reports no uptime: a restart shows in its set-point, which `read_back` asks for.
+        """
+        return self._opened().reported(monotonic() + CALL)
 
     def follow(self, output: str, segment: Segment) -> None:
         """Step along the segment at the poll rate, from its start on, or from now on if that has passed."""

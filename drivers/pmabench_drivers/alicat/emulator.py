@@ -12,7 +12,18 @@ from collections.abc import Mapping
 
 from pmabench.bench.interface import EMULATED, DeviceRecord
 from pmabench_drivers.alicat.options import ASCII, UNITS, Options, read_options
-from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, STATUS, STUCK, Faults, Outgoing
+from pmabench_drivers.emulator.faults import (
+    IGNORE,
+    LINK,
+    MODBUS,
+    OVER,
+    RESTART,
+    SETPOINT,
+    STATUS,
+    STUCK,
+    Faults,
+    Outgoing,
+)
 from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import RtuDevice
@@ -40,7 +51,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevic
         return AsciiDevice(controller, options.letter, log)
     cells = ModbusCells(controller)
     served = RtuDevice(cells, options.number, log, device.address)
-    served.faults = Faults(LINK, STUCK, MODBUS, OVER, STATUS)
+    served.faults = Faults(LINK, STUCK, MODBUS, OVER, STATUS, RESTART, SETPOINT)
     cells.faults = served.faults
     return served
 
@@ -79,6 +90,18 @@ class Controller:
                 self.set_point = si / self._pascal
                 self._regulate()
 
+    def restart(self) -> None:
+        """As after power-on: set-point 0, no hold, commands over the line."""
+        with self._lock:
+            self.set_point, self.source, self.valves = 0.0, "S", ""
+            self._regulate()
+
+    def change_set_point(self, value: float) -> None:
+        """Another set-point, entered at its display."""
+        with self._lock:
+            self.set_point = value
+            self._regulate()
+
     def set_valves(self, setting: str) -> None:
         """`EXH`, `HLD`, `closed` (also a hold), or nothing for what the set-point says."""
         with self._lock:
@@ -98,7 +121,10 @@ class AsciiDevice:
 
     def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
         self.controller, self._letter = controller, letter
-        self.address, self.faults = controller.device.address, Faults(LINK, STUCK, IGNORE, OVER, STATUS)
+        self.address, self.faults = (
+            controller.device.address,
+            Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT),
+        )
         self._terminal, self._outgoing = Terminal(self.address, log.tap(controller.device.name)), Outgoing()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=f"emulated {controller.device.name}", daemon=True)
@@ -106,6 +132,14 @@ class AsciiDevice:
     def start(self) -> None:
         """Begin to serve."""
         self._thread.start()
+
+    def restart(self) -> None:
+        """As after power-on; the line stays."""
+        self.controller.restart()
+
+    def change_set_point(self, value: float) -> None:
+        """Another set-point, entered at its display."""
+        self.controller.change_set_point(value)
 
     def close(self) -> None:
         """Hang up."""
@@ -215,6 +249,16 @@ class ModbusCells:
 
     def look_at_watchdog(self) -> None:
         """It has none: silence changes nothing."""
+
+    def restart(self) -> None:
+        """As after power-on; the line stays."""
+        self._command = (0, 0)
+        self.controller.restart()
+
+    def change_set_point(self, value: float) -> bool:
+        """Another set-point, entered at its display."""
+        self.controller.change_set_point(value)
+        return True
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the device says no."""

@@ -138,6 +138,10 @@ class ModbusLink:
         with self._turn(deadline):
             return self._get(SET_POINT, deadline)
 
+    def reported(self, deadline: float) -> dict[str, float | str]:
+        """Nothing: there is no register for the source of its set-point or how long it is on."""
+        return {}
+
     # -- registers ------------------------------------------------------------------------------------------------
 
     @contextmanager

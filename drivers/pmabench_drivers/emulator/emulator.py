@@ -10,7 +10,7 @@ from typing import Any, Protocol, cast
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.control import Control
-from pmabench_drivers.emulator.faults import Faults, Kind
+from pmabench_drivers.emulator.faults import EVENTS, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
@@ -24,8 +24,8 @@ def server_of(driver: str) -> str:
     """The module that the driver's class names as its `emulator`; empty: it has none.
 
     Its `serve(device, plant, log)` makes the device that the driver talks to. That writes what it exchanges to
-    `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by `ports.listen`. What has a watchdog
-    has `expire_watchdog()`, which says whether it was armed.
+    `log.tap(device.name)`, names its faults as `Faults(LINK, ...)` and listens by `ports.listen`. For each event of
+    `faults.EVENTS` among its faults it has that method.
     """
     module, _, name = driver.partition(":")
     try:
@@ -111,6 +111,13 @@ class Emulator:
             raise ValueError(f'no device "{device}"{did_you_mean(device, self.devices)}')
         return Kind("ends what went wrong") if fault == "clear" else self.devices[device].faults.known(fault)
 
+    def _happen(self, name: str, event: str, value: float) -> None:
+        """What happens to a device once; ValueError where it cannot."""
+        takes = bool(self.kind(name, event).takes)
+        if getattr(self.devices[name], EVENTS[event])(*([value] if takes else [])) is False:
+            missing = "has no set-point" if event == "setpoint" else "has no armed watchdog"
+            raise ValueError(f'"{event}" cannot happen now: {name} {missing}')
+
     def act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
         """What the control socket takes, in SI; ValueError for what cannot be done."""
         if "load" in wanted:
@@ -127,10 +134,10 @@ class Emulator:
             name, fault = str(wanted.get("device")), str(wanted["fault"])
             value, count = wanted.get("value"), int(wanted.get("count", -1))
             value = self.kind(name, fault).usual if value is None else float(value)
-            if fault != "watchdog":
+            if hasattr(self.devices[name], EVENTS.get(fault, " ")):
+                self._happen(name, fault, value)
+            else:
                 self.devices[name].faults.set(fault, value, count)
-            elif not getattr(self.devices[name], "expire_watchdog", bool)():
-                raise ValueError(f"the watchdog of {name} is not armed")
             self.log.note("fault", name, fault=fault, value=value, count=count)
         elif "log" in wanted:
             return {"entries": self.log.of(str(wanted["log"]))}

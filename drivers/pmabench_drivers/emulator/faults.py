@@ -40,6 +40,9 @@ LINK = {
 STUCK = {"stuck": Kind("measured values stay as they were when it began")}
 SKEW = {"skew": Kind("the device's clock runs so much too fast (below 0: too slow)", "ratio", 1e-3)}
 EXPIRY = {"watchdog": Kind("the armed watchdog expires now, once")}
+WATCHDOG_OFF = {"watchdog-off": Kind("the watchdog is switched off from outside, once")}
+RESTART = {"restart": Kind("the device restarts, once: outputs as after power-on, uptime from 0; its link stays")}
+SETPOINT = {"setpoint": Kind("the set-point is changed from outside, once, to this in the device's unit", "level")}
 EXCEPTION = {"exception": Kind("the answer is this exception, or error, code", "number", 4.0)}
 IGNORE = {"ignore": Kind("what is written is acknowledged and not carried out")}
 MODBUS = {**EXCEPTION, **IGNORE, "wrong": Kind("registers that are read are so much too high", "number", 1.0)}
@@ -51,7 +54,28 @@ STATUS = {
     "sensor": Kind("the status says that the pressure sensor has failed"),
     "limit": Kind("the status says that it is over its pressure limit"),
 }
-KINDS = {**LINK, **STUCK, **SKEW, **EXPIRY, **MODBUS, **NOISE, **OVER, **UNIT, **STATUS}
+KINDS = {
+    **LINK,
+    **STUCK,
+    **SKEW,
+    **EXPIRY,
+    **WATCHDOG_OFF,
+    **RESTART,
+    **SETPOINT,
+    **MODBUS,
+    **NOISE,
+    **OVER,
+    **UNIT,
+    **STATUS,
+}
+EVENTS = {
+    "watchdog": "expire_watchdog",
+    "watchdog-off": "switch_off_watchdog",
+    "restart": "restart",
+    "setpoint": "change_set_point",
+}
+"""What happens once, and the method of an emulated device that does it: it takes the value where there is one, and
+returns False where the device is not in a state in which it can happen."""
 GARBAGE = b"\x00\xff\x13"
 
 

@@ -6,13 +6,26 @@ import contextlib
 import socket
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from typing import Protocol
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import frames
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, MODBUS, STUCK, Fault, Faults, Outgoing
+from pmabench_drivers.emulator.faults import (
+    EVENTS,
+    EXPIRY,
+    LINK,
+    MODBUS,
+    RESTART,
+    SETPOINT,
+    STUCK,
+    WATCHDOG_OFF,
+    Fault,
+    Faults,
+    Kind,
+    Outgoing,
+)
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal, bracketed, host_of, listen
@@ -39,6 +52,13 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice 
     return TcpDevice(registers, options.map.unit_id, log, int(device.address.rpartition(":")[2]))
 
 
+def events(registers: object) -> Iterator[dict[str, Kind]]:
+    """The events that can happen to what stands behind a wire."""
+    for kinds in (EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT):
+        if all(hasattr(registers, EVENTS[name]) for name in kinds):
+            yield kinds
+
+
 class Answering(Protocol):
     """What stands behind a wire: the registers of one device."""
 
@@ -56,7 +76,7 @@ class _Device:
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
         self.registers, self.log, self.unit_id = registers, log, unit_id
-        self.faults = Faults(*KINDS, *((EXPIRY,) if hasattr(registers, "expire_watchdog") else ()))
+        self.faults = Faults(*KINDS, *events(registers))
         self._connections = count(1)
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=self._watch, name="emulated watchdog", daemon=True)]
@@ -72,8 +92,22 @@ class _Device:
 
     def expire_watchdog(self) -> bool:
         """Let the watchdog expire; whether it was armed."""
-        expire = getattr(self.registers, "expire_watchdog", None)
-        return expire is not None and bool(expire())
+        return bool(self._of_registers("expire_watchdog"))
+
+    def switch_off_watchdog(self) -> bool:
+        """Switch the watchdog off from outside; whether it was armed."""
+        return bool(self._of_registers("switch_off_watchdog"))
+
+    def restart(self) -> None:
+        """Begin as after power-on; connections stay."""
+        self._of_registers("restart")
+
+    def change_set_point(self, value: float) -> bool:
+        """Command a set-point from outside [register]; whether there is one."""
+        return bool(self._of_registers("change_set_point", value))
+
+    def _of_registers(self, event: str, *values: float) -> object:
+        return getattr(self.registers, event)(*values)
 
     def answer(self, pdu: bytes, connection: int, send: Send) -> None:
         """Carry out a request and send its answer as the fault of the moment lets it."""

@@ -29,18 +29,21 @@ class Registers:
         self._levels: dict[str, bool] = {}
         self._outputs = {output.output: output for output in device.outputs}
         self._valves = {valve.output: valve for valve in device.valves}
-        self._heard, self._bitten = monotonic(), False
         watchdog = self._map.watchdog
         own = [r for r in (watchdog.timeout, watchdog.trigger, watchdog.heartbeat) if r] if watchdog else []
         self._written = [*self._map.outputs.values(), *own]
-        for register in self._written:
-            self._store(register, [0] * register.count)
         for item in self._map.identity.values():
             if isinstance(item, Register):
                 self._store(item, self._identity(item))
-        for output in device.outputs:
-            register = self._map.outputs[output.output]
-            self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
+        self._power_on()
+
+    def _power_on(self) -> None:
+        """Every register that is written as after power-on: outputs safe, watchdog off."""
+        self._started = self._heard = monotonic()
+        self._bitten = False
+        for register in self._written:
+            self._store(register, [0] * register.count)
+        self._vent()
 
     # -- requests -------------------------------------------------------------------------------------------------
 
@@ -57,6 +60,9 @@ class Registers:
 
     def _read(self, request: Request) -> list[int]:
         cells = dict(self._held)
+        if (uptime := self._map.uptime) is not None:
+            seconds = int(monotonic() - self._started) % (1 << 16 * uptime.count)
+            cells |= {(uptime.table, uptime.address + i): word for i, word in enumerate(encode(uptime, seconds))}
         quantities = self._plant.quantities()
         for register in self._map.inputs.values():
             if (register.table, register.address) in self._held:
@@ -149,7 +155,7 @@ class Registers:
             timeout = self._value(watchdog.timeout) * watchdog.resolution
             silent = monotonic() - self._heard
             if silent > timeout and self._armed(watchdog):
-                self._bite(silent)
+                self._bite(watchdog, silent)
 
     def expire_watchdog(self) -> bool:
         """Vent by itself now; whether the watchdog was armed."""
@@ -158,15 +164,53 @@ class Registers:
             return False
         with self._lock:
             if armed := self._armed(watchdog):
-                self._bite(monotonic() - self._heard)
+                self._bite(watchdog, monotonic() - self._heard)
             return armed
+
+    def switch_off_watchdog(self) -> bool:
+        """Off, as by another program; whether it was armed."""
+        watchdog = self._map.watchdog
+        if watchdog is None:
+            return False
+        with self._lock:
+            if armed := self._armed(watchdog):
+                self._store_off(watchdog)
+            return armed
+
+    def _store_off(self, watchdog: WatchdogRegisters) -> None:
+        """The registers of a watchdog that is not running."""
+        if watchdog.trigger is None:
+            self._store(watchdog.timeout, [0] * watchdog.timeout.count)
+        else:
+            self._store(watchdog.trigger, encode(watchdog.trigger, watchdog.off))
+
+    # -- what happens to it from outside --------------------------------------------------------------------------
+
+    def restart(self) -> None:
+        """As after power-on."""
+        with self._lock:
+            self._power_on()
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program commands the first output [register]; whether there is one."""
+        with self._lock:
+            for output in self.device.outputs[:1]:
+                register = self._map.outputs[output.output]
+                self._store(register, encode(register, value))
+                self._plant.command(float(output.scale.to_si(value)))
+            return bool(self.device.outputs)
 
     def _armed(self, watchdog: WatchdogRegisters) -> bool:
         triggered = watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on
         return triggered and self._value(watchdog.timeout) > 0 and not self._bitten
 
-    def _bite(self, silent: float) -> None:
+    def _bite(self, watchdog: WatchdogRegisters, silent: float) -> None:
         self._bitten = True
+        self._store_off(watchdog)
+        self._vent()
+        self._log.note("watchdog", self.device.name, silent=silent)
+
+    def _vent(self) -> None:
         for output in self.device.outputs:
             register = self._map.outputs[output.output]
             self._store(register, encode(register, float(output.scale.to_raw(output.safe))))
@@ -174,7 +218,6 @@ class Registers:
         for valve in self.device.valves:
             self._store(self._map.outputs[valve.output], [0] * self._map.outputs[valve.output].count)
             self._plant.switch(on=valve.energised != "closed")
-        self._log.note("watchdog", self.device.name, silent=silent)
 
 
 def _range(kind: str) -> tuple[int, int]:

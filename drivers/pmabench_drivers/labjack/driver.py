@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
@@ -31,6 +31,8 @@ LATENCY = 0.01
 """Time that a packet of the stream covers [s]."""
 BLOCK = 13
 """Constants that are read from the flash at once."""
+FIRMWARE_STEP = 5e-5
+"""Half a step between two versions of the firmware."""
 TIMEOUT = 0.15
 """Longest wait for an answer [s]."""
 
@@ -53,6 +55,7 @@ class LabJack(ModbusDevice):
         self._own_watchdog = Watchdog(device, self)
         self._tables: dict[int, array[float]] = {}
         self._stream: StreamLink | None = None
+        self._firmware = 0.0
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -93,6 +96,7 @@ class LabJack(ModbusDevice):
             told = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
             raise DeviceError(self._device.name, f"{told}, and the bench file says {name}: options.model")
         [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
+        self._firmware = firmware
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         if self._t7.model.streams:
             gains_ = self._read_gains(deadline)
@@ -269,6 +273,24 @@ class LabJack(ModbusDevice):
     def disarm_watchdog(self) -> None:
         """Stop it."""
         self._own_watchdog.disarm()
+
+    def held(self) -> Mapping[str, float | str]:
+        """Watchdog with all that it would do, and serial number; newer firmware: cause of the last restart, uptime.
+
+        The uptime is the device's clock, which begins at 0 at power-on. A T7-Pro, or a device that sets its clock over
+        the network, shows the time of day there: then it is left out.
+        """
+        deadline = monotonic() + CALL
+        found: dict[str, float | str] = {**self._own_watchdog.held(deadline)}
+        [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
+        found["serial"] = str(serial)
+        if self._firmware >= self._t7.model.tells_restarts - FIRMWARE_STEP:
+            [cause] = r.from_u32(self.get(r.RESET_CAUSE, 2, deadline, "cause of the last restart"))
+            [clock] = r.from_u32(self.get(r.RTC_TIME, 2, deadline, "uptime"))
+            found["cause of the last restart"] = float(cause)
+            if clock < r.TIME_OF_DAY:
+                found["uptime"] = float(clock)
+        return found
 
     # -- registers ------------------------------------------------------------------------------------------------
 

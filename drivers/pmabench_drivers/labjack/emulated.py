@@ -8,7 +8,7 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, SKEW, Faults
+from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, Faults
 from pmabench_drivers.emulator.frames import ADDRESS, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
@@ -27,6 +27,10 @@ SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
 DAC_END = 0.993
 """Share of its full voltage that a DAC reaches."""
 BUFFER = 2 * 4096
+FLASHED = (r.WATCHDOG_ENABLE, r.WATCHDOG_ENABLE + 100)
+"""Registers that power-on does not change."""
+POWER_ON = 1
+"""Bit 0 of the cause of the last restart."""
 
 
 def constants() -> list[float]:
@@ -58,7 +62,7 @@ class _Faults(Faults):
     """Faults of the link, and those of the stream."""
 
     def __init__(self, stream: Streamer) -> None:
-        super().__init__(*KINDS, SKEW, EXPIRY, FAULTS)
+        super().__init__(*KINDS, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT, FAULTS)
         self._stream = stream
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
@@ -114,7 +118,7 @@ class T7:
         self._words: dict[int, int] = {}
         self._last_error = 0
         self._levels = self._directions = 0
-        self._cleared, self._bitten = monotonic(), False
+        self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
         self.sample: Callable[[int], list[int]] | None = None
         """What stands in for the plant in tests of the stream: the counts of a scan by its number."""
         self._defaults()
@@ -140,6 +144,8 @@ class T7:
             self._store(r.CAPTURE, [0] * self._inputs)
         self._store(r.FIRMWARE_VERSION, r.f32(1.0331))
         self._store(r.SERIAL_NUMBER, r.u32(0))
+        self._store(r.RESET_CAUSE, r.u32(POWER_ON))
+        self._store(r.RTC_TIME, r.u32(0))
 
     def _store(self, address: int, words: list[int]) -> None:
         for offset, word in enumerate(words):
@@ -182,6 +188,8 @@ class T7:
             return self._read_flash(count)
         if address < self._inputs and address + count <= self._inputs:
             return self._read_inputs(address, count)
+        if address == r.RTC_TIME:
+            self._store(address, r.u32(int(monotonic() - self._started)))
         if address == r.STREAM_SCANRATE and count >= 2:  # what it will really use
             self._store(address, r.f32(self._actual_rate()))
         if not all(address + offset in self._words for offset in range(count)):
@@ -347,6 +355,40 @@ class T7:
 
     def _clear(self) -> None:
         self._cleared, self._bitten = monotonic(), False
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program switches it off; whether it was on."""
+        with self._lock:
+            was_on = bool(self._u32(r.WATCHDOG_ENABLE))
+            self._store(r.WATCHDOG_ENABLE, r.u32(0))
+            return was_on
+
+    def restart(self) -> None:
+        """Power off and on: DACs at 0 V, lines as inputs, no stream; what is in flash, the watchdog's settings, stays.
+
+        T-series datasheet, 23.0 Watchdog: settings are defaults at power-on, and the watchdog starts again by itself.
+        """
+        with self._lock:
+            self._stream.end()
+            kept = {address: word for address, word in self._words.items() if FLASHED[0] <= address < FLASHED[1]}
+            self._words.clear()
+            self._defaults()
+            self._words |= kept
+            self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
+            self._levels = self._directions = 0
+            for line in self._valves:
+                self._valve_follows(line or 0)
+            for output in self._outputs.values():
+                if output.quantity == "pressure":
+                    self._plant.command(float(output.scale.to_si(0.0)))
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program commands the first DAC of the bench [V]; whether there is one."""
+        with self._lock:
+            for name in list(self._outputs)[:1]:
+                self._store(r.DAC + 2 * r.DACS.index(name), r.f32(value))
+                self._set_dac(name, value, 0)
+            return bool(self._outputs)
 
     def look_at_watchdog(self) -> None:
         """Set DACs and lines where nobody has cleared it for its time."""

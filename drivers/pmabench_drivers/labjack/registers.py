@@ -14,6 +14,10 @@ from dataclasses import dataclass, field
 TEST, TEST_VALUE = 55100, 0x00112233
 PRODUCT_ID, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60004, 60028
 LAST_ERR_DETAIL = 55000
+RESET_CAUSE, RTC_TIME = 60014, 61500
+"""Why it restarted last, as bits; its clock [s], from power-on or of the day."""
+TIME_OF_DAY = 1_000_000_000
+"""A clock beyond this counts from 1970: no device was on for 30 years."""
 
 DAC = 1000
 """DAC0 [V]; DAC1 two registers on."""
@@ -54,6 +58,8 @@ class Model:
     inputs: Mapping[str, int]
     ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Ranges of the inputs, the widest first; none where they cannot be set here."""
+    tells_restarts: float = 0.0
+    """Firmware from which on it tells why it restarted last."""
     streams: bool = False
     """Whether it is read by its stream, or asked for each sample."""
     captures: bool = False
@@ -66,8 +72,8 @@ class Model:
 
 
 MODELS = {
-    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}),
-    "T7": Model(7.0, 5.0, 12, AINS, RANGES, streams=True),
+    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, tells_restarts=1.0023),
+    "T7": Model(7.0, 5.0, 12, AINS, RANGES, tells_restarts=1.0281, streams=True),
     "T8": Model(
         8.0, 10.0, 16, {f"AIN{i}": i for i in range(8)}, {f"{v:g} V": (0, float(v)) for v in T8_SPANS}, captures=True
     ),

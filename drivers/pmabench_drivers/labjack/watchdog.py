@@ -81,6 +81,18 @@ class Watchdog:
         """Write the key."""
         self._registers.put(r.WATCHDOG_CLEAR, r.u32(KEY), monotonic() + CALL, "watchdog")
 
+    def held(self, deadline: float) -> dict[str, float | str]:
+        """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
+        get = self._registers.get
+        enabled, advanced, seconds, _startup = r.from_u32(get(FROM, WORDS, deadline, "watchdog"))
+        groups = [
+            (address, get(address, len(words), deadline, "watchdog"))
+            for address, words in settings(self._device, int(seconds))[1:]
+        ]
+        text = " ".join(f"{address}={''.join(f'{word:04x}' for word in words)}" for address, words in groups)
+        does = f"61602={advanced:08x} {text}"
+        return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": does}
+
     def disarm(self) -> None:
         """Off; outputs stay, and the settings in flash do nothing any more."""
         deadline = monotonic() + CALL

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -244,6 +244,10 @@ class MockClient:
     def disarm_watchdog(self) -> None:
         """End it; outputs stay as they are."""
         self._ask("disarm")
+
+    def held(self) -> Mapping[str, float | str]:
+        """Its watchdog [s], 0 where it is off or has vented, and how long the simulated device is on [s]."""
+        return {str(name): value for name, value in self._value("held").items()}
 
     def rescue(self, output: str, value: float) -> None:
         """Command `value` [device units; 0 and 1 for the valve] over a connection of its own; no retry."""

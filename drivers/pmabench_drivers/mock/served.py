@@ -105,7 +105,14 @@ class Served:
             "arm": self._arm,
             "feed": self._feed,
             "disarm": self._disarm,
+            "held": self._report,
         }
+        self._events: dict[str, Callable[[Any], None]] = {
+            "restart": lambda _value: self._restart(),
+            "watchdog-off": lambda _value: self._switch_off_watchdog(),
+            "setpoint": self._change_set_point,
+        }
+        self._started = time.monotonic()
         self._sampler = 0
         """The process that began to sample last; 0 for none."""
         self._heard = 0.0
@@ -264,6 +271,9 @@ class Served:
         self._watchdog, self._bitten = 0.0, None
         self._note(asker, "disarm")
 
+    def _report(self, asker: Asker, question: Mapping[str, Any]) -> dict[str, float]:
+        return {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started}
+
     def _refuse_bitten(self) -> None:
         if self._bitten is not None:
             ago = time.monotonic() - self._bitten
@@ -272,9 +282,15 @@ class Served:
     # -- for tests ------------------------------------------------------------------------------------------------
 
     def inject(self, question: Mapping[str, Any]) -> None:
-        """`{"fault": "burst", "after": 0.5}`, over again with `"after": null`; `{"errors": {input: {...} or null}}`."""
+        """`{"fault": "burst", "after": 0.5}`, over again with `"after": null`; `{"errors": {input: {...} or null}}`.
+
+        What happens once, and at once: `{"fault": "restart"}`, `"watchdog-off"`, `"setpoint"` with a `value`.
+        """
         simulation, name = self._bench.simulation(), self.device.name
-        if "fault" in question:
+        if question.get("fault") in self._events:
+            self._events[str(question["fault"])](question.get("value"))
+            self.log.write("fault", fault=question["fault"], value=question.get("value"))
+        elif "fault" in question:
             fault = fault_name(name, str(question["fault"]))
             after = question.get("after", 0.0)
             simulation.fail(fault, None if after is None else simulation.time + float(after))
@@ -282,6 +298,20 @@ class Served:
         for channel, error in question.get("errors", {}).items():
             simulation.disturb(channel, None if error is None else sensor_error(name, channel, error))
             self.log.write("fault", errors={channel: error})
+
+    def _restart(self) -> None:
+        """As after power-on: vented, watchdog off, not sampling."""
+        self.vent("restart")
+        self._bench.stop()
+        self._switch_off_watchdog()
+        self._started = time.monotonic()
+
+    def _switch_off_watchdog(self) -> None:
+        self._watchdog, self._bitten = 0.0, None
+
+    def _change_set_point(self, value: Any) -> None:
+        """Another program commands the first output [device units]."""
+        self._bench.write(next(iter(self._outputs)), float(value))
 
     def state(self) -> dict[str, Any]:
         """How the plant stands, in SI, whatever is wrong with its link and sensors."""

@@ -11,15 +11,16 @@ CLOCK_MONOTONIC [s] and the device as it knows it; answered by the identity, or 
 Role `rescue` is a client's second way to the outputs. Then, as the driver interface has them, in device units:
 `write` and `rescue` (`output`, `value`), `read_back`, `halt`, `is_on` (`output`), `follow` (`output`, `segment` on the
 client's bench time), `switch` (`output`, `on`), `level` (`name`), `place` (`force`, `mass`), `start` (`rate`), `stop`,
-`collect`, `arm` (`seconds`), `feed`, `disarm`. What was asked for is in `value`. `collect` answers
+`collect`, `arm` (`seconds`), `feed`, `disarm`, `held`. What was asked for is in `value`. `collect` answers
 `{"rows": r, "columns": [names]}` and as raw bytes the r times (int64, ns on the device's clock), then each column
 (float64, all little-endian). A pressure set-point beyond 0 to 1000 kPa is taken as the end of that range.
 
 Watchdog: once armed, and no question on any connection for its time, valves are not energised and set-points go to
 their safe values, by itself; from then on only safe commands are taken, until it is armed or disarmed.
 
-Role `control` is for tests: `inject` (a fault of `pmabench_drivers.mock.options`, or errors of sensors), `state`,
-`end`. It is answered whatever is wrong with the link, and does not feed the watchdog.
+Role `control` is for tests: `inject` (a fault of `pmabench_drivers.mock.options`, errors of sensors, or what happens
+once: `restart`, `watchdog-off`, `setpoint` with its `value` in device units), `state`, `end`.
+It is answered whatever is wrong with the link, and does not feed the watchdog.
 
 The log (option `log`) has one JSON object per line: `t` [s, CLOCK_MONOTONIC], `do`, the decoded values in SI, the
 `pressure` in the muscle [Pa] then, and `from`, `role`, `pid` of the connection.
@@ -41,6 +42,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
+from pmabench.base.system import ENGINE, real_time
 from pmabench.bench.records import DeviceRecord, device_from
 from pmabench_drivers.mock.wire import Inbox, encode, parse_address
 
@@ -259,6 +261,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--record", type=Path, help="file with the device's JSON; standard input by default")
     parser.add_argument("--detach", action="store_true", help="return when the plant is there; it lives on by itself")
     given = parser.parse_args(arguments)
+    real_time(ENGINE)  # a device of steel does not wait for other programs either
     try:
         device = _read(given.record)
         listener = _listen(device, given.address)

@@ -6,7 +6,7 @@ One thread of its own polls the inputs and steps ramps and sines; calls and poll
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +52,8 @@ class ModbusDevice:
         self._line: Line | None = None
         self._watchdog = DeviceWatchdog(device.name, self._map, self._get, self._put)
         self._streaming = False
+        self._written: dict[str, float] = {}
+        """What was written last to registers that cannot be read."""
 
     @classmethod
     def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
@@ -110,6 +112,7 @@ class ModbusDevice:
         """End polling and let go of the connection."""
         self._following.clear()
         self._streaming = False
+        self._written.clear()
         self._watchdog.forget()
         line, self._line = self._line, None
         if line is not None:
@@ -208,17 +211,17 @@ class ModbusDevice:
         self._put(self._map.outputs[output], value, resolution=record.resolution)
 
     def read_back(self, output: str) -> float:
-        """The value in the device's register."""
+        """The value in the device's register; of one that cannot be read, what was written last."""
         self._output(output)
-        return self._get(self._map.outputs[output])
+        return self._holds(self._map.outputs[output])
 
     def switch(self, output: str, *, on: bool) -> None:
         """Write 1 or 0 to a coil or a register."""
         self._put(self._switched(output), float(on))
 
     def is_on(self, output: str) -> bool:
-        """What the coil or register holds."""
-        return self._get(self._switched(output)) != 0
+        """What the coil or register holds; of one that cannot be read, what was written last."""
+        return self._holds(self._switched(output)) != 0
 
     def level(self, name: str) -> bool:
         """Whether a digital input, or the bit of a register, is set."""
@@ -234,6 +237,7 @@ class ModbusDevice:
             raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._map.outputs)}')
         self._following.pop(output, None)
         words, function = self._words(register, value), write_function(register, self._map.functions)
+        self._written[output] = decode(register, words)
         line, deadline = self._line, monotonic() + CALL
         if line is not None and line.is_serial:
             line.write(function, register.address, words, deadline, output)
@@ -287,7 +291,26 @@ class ModbusDevice:
         """Stop it."""
         self._watchdog.disarm()
 
+    def held(self) -> Mapping[str, float | str]:
+        """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
+        deadline, found = monotonic() + CALL, dict[str, float | str]()
+        if self._map.watchdog is not None:
+            found |= self._watchdog.held(deadline)
+        if self._map.uptime is not None:
+            found["uptime"] = self._get(self._map.uptime, deadline)
+        if isinstance(serial := self._map.identity.get("serial"), Register):
+            found["serial"] = self._identify(serial, deadline)
+        return found
+
     # -- registers ------------------------------------------------------------------------------------------------
+
+    def _holds(self, register: Register) -> float:
+        if register.read_back:
+            return self._get(register)
+        if register.name not in self._written:
+            message = "cannot be read (read_back: false), and nothing was written since the device was opened"
+            raise DeviceError(self._device.name, message, register.name)
+        return self._written[register.name]
 
     def _opened(self) -> Line:
         line = self._line
@@ -344,6 +367,8 @@ class ModbusDevice:
             if not checked:
                 raise
             lost = error
+        if not register.read_back and still():
+            self._written[register.name] = decode(register, words)
         if not checked:
             return
         try:

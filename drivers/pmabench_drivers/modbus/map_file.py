@@ -42,6 +42,7 @@ MAP_KEYS = (
     "inputs",
     "outputs",
     "watchdog",
+    "uptime",
 )
 HIGH, LOW = "high-first", "low-first"
 
@@ -126,6 +127,9 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         inputs=registers("inputs"),
         outputs=registers("outputs"),
         watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
+        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "inputs")
+        if "uptime" in given
+        else None,
     )
 
 

@@ -105,6 +105,7 @@ def map_schema() -> Schema:
         "inputs": {"type": "object", "additionalProperties": polled},
         "outputs": {"type": "object", "additionalProperties": written},
         "watchdog": watchdog,
+        "uptime": {**polled, "description": "a number that only grows until the device restarts"},
     }
     return {
         "$defs": {"input": _register("inputs"), "output": _register("outputs"), "identity": _register("identity")},

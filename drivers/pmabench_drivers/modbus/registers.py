@@ -85,6 +85,8 @@ class RegisterMap:
     inputs: Mapping[str, Register] = field(default_factory=dict)
     outputs: Mapping[str, Register] = field(default_factory=dict)
     watchdog: WatchdogRegisters | None = None
+    uptime: Register | None = None
+    """A number that only grows until the device restarts."""
 
 
 def decode(register: Register, words: Sequence[int]) -> float:

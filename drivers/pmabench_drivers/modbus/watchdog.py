@@ -75,6 +75,18 @@ class DeviceWatchdog:
             self._get(registers.timeout, deadline)
         self._fed = monotonic()
 
+    def held(self, deadline: float) -> dict[str, float]:
+        """What the device reports of it now: `watchdog`, the time [s], 0 where it is off; without the time that cannot
+        be read, `watchdog trigger`; nothing where neither can be read.
+        """
+        registers = self._registers()
+        trigger = registers.trigger if registers.trigger is not None and registers.trigger.read_back else None
+        found = {} if trigger is None else {"watchdog trigger": self._get(trigger, deadline)}
+        if registers.timeout.read_back:
+            seconds = self._get(registers.timeout, deadline) * registers.resolution
+            found["watchdog"] = seconds if found.get("watchdog trigger", registers.on) == registers.on else 0.0
+        return found
+
     def disarm(self) -> None:
         """Stop it; outputs stay."""
         registers, deadline = self._registers(), monotonic() + CALL

@@ -59,6 +59,7 @@ class Connection:
         self._writers: dict[str, Callable[[Any], object]] = {}
         self._readers: dict[str, Callable[[], bool]] = {}
         self._samples: Any = None
+        self._device: Any = None
 
     # -- every call -----------------------------------------------------------------------------------------------
 
@@ -133,11 +134,16 @@ class Connection:
         if self._options.inputs:
             self._prepare_samples(list(self._options.inputs.values()))
             self._fastest = float(device.ai_max_multi_chan_rate)
-        model, serial, version = _short(device.product_type), int(device.serial_num), system.driver_version
+        self._device = device
+        model, serial, version = _short(device.product_type), self.serial(), system.driver_version
         simulated = bool(device.is_simulated) or model.startswith(EMULATED)
         if simulated and not model.startswith(EMULATED):
             model = f"{EMULATED}{model}"
-        return Identity("NI", model, f"{serial:X}", f"NI-DAQmx {'.'.join(map(str, version))}", simulated=simulated)
+        return Identity("NI", model, serial, f"NI-DAQmx {'.'.join(map(str, version))}", simulated=simulated)
+
+    def serial(self) -> str:
+        """The serial number, asked for now."""
+        return f"{int(self._device.serial_num):X}"
 
     def attach(self) -> None:
         """Connect, and take the outputs and valve lines as another connection has prepared them."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from time import monotonic
 
 from pmabench.base.clock import Clock
@@ -148,12 +148,22 @@ class NiDaq:
         self._put(self._opened(), output, value)
 
     def read_back(self, output: str) -> float:
-        """What the output was last set to [V]: NI-DAQmx acknowledged it, and cannot be asked what an output gives."""
+        """What the output was last set to [V]: NI-DAQmx acknowledged it, and cannot be asked what an output gives.
+
+        A device that restarts is not seen here, but by `is_on`, `held` and the end of its samples.
+        """
         self._known(output)
-        if output not in self._held:
-            message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
-            raise DeviceError(self._device.name, message, output)
-        return self._held[output]
+        with self._command_turn():  # a step of a ramp may be under way
+            if output in self._held:
+                return self._held[output]
+        message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
+        raise DeviceError(self._device.name, message, output)
+
+    def held(self) -> Mapping[str, float | str]:
+        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime."""
+        link = self._opened()
+        with link.calls(CALL):
+            return {"serial": link.serial()}
 
     def rescue(self, output: str, value: float) -> None:
         """Set an output [V] or a valve line over the second connection."""
@@ -169,9 +179,15 @@ class NiDaq:
         if not math.isfinite(value) or not abs(value) <= 10.0 + 1e-9:
             raise DeviceError(self._device.name, f"cannot be set to {value:g} V", output)
         until = monotonic() + CALL
-        turn = self._turn.acquire(timeout=CALL / 2)  # a step may be under way; a call that hangs is not waited for
-        try:
+        with self._command_turn():
             self._send(link, output, value, until - monotonic())
+
+    @contextmanager
+    def _command_turn(self) -> Iterator[None]:
+        """After a step that is under way; a call that hangs is not waited for."""
+        turn = self._turn.acquire(timeout=CALL / 2)
+        try:
+            yield
         finally:
             if turn:
                 self._turn.release()

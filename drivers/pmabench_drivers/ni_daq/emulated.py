@@ -9,7 +9,7 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import EMULATED, DeviceRecord
-from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, STUCK, Fault, Faults, damaged
+from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, RESTART, SETPOINT, STUCK, Fault, Faults, damaged
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
@@ -51,7 +51,7 @@ class EmulatedServer:
     def __init__(self, board: Board, address: str, log: CommandLog) -> None:
         from nidaqmx._stubs import nidaqmx_pb2  # noqa: PLC2701  (the messages of the wire; there is no other source)
 
-        self.board, self.faults = board, Faults(LINKS, STUCK, IGNORE, EXCEPTION)
+        self.board, self.faults = board, Faults(LINKS, STUCK, IGNORE, EXCEPTION, RESTART, SETPOINT)
         self._messages: Any = nidaqmx_pb2
         self._tap = log.tap(board.device.name)
         self._peers: dict[str, int] = {}
@@ -88,7 +88,17 @@ class EmulatedServer:
         self.board.close()
         self._server.stop(0.0).wait(2.0)
 
-    def restart(self, *, forget: bool) -> None:
+    def restart(self) -> None:
+        """The device loses its power and gets it again; the server stays."""
+        with self.board.lock:
+            self.board.restart()
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program sets the first output of the bench [V]; whether there is one."""
+        with self.board.lock:
+            return self.board.change_set_point(value)
+
+    def serve_again(self, *, forget: bool) -> None:
         """Cut every connection, and listen again; `forget`: as a server that was ended, without its tasks."""
         with self._lock:
             self._server.stop(0.0).wait(2.0)
@@ -113,7 +123,7 @@ class EmulatedServer:
         self.requests.append(name)
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
-            again = threading.Thread(target=self.restart, kwargs={"forget": fault.kind == "reset"}, daemon=True)
+            again = threading.Thread(target=self.serve_again, kwargs={"forget": fault.kind == "reset"}, daemon=True)
             again.start()
         if fault.kind in {"hang-up", "reset", "silence"}:
             return _wait(context)

@@ -58,6 +58,7 @@ class Task:
     read: int = 0
     waiting: deque[tuple[float, ...]] = field(default_factory=deque)
     overwritten: bool = False
+    aborted: bool = False
 
 
 class Board:
@@ -144,8 +145,23 @@ class Board:
             raise Refused(-200077, "Requested value is not a supported value for this property.")
         task.state, task.start = "running", monotonic()
         task.taken = task.read = 0
-        task.overwritten = False
+        task.overwritten = task.aborted = False
         task.waiting.clear()
+
+    def restart(self) -> None:
+        """Outputs at 0 V and lines low as after power-on; tasks under way are aborted."""
+        for name in AO:
+            self._give(name, 0.0)
+        for name in DO:
+            self._drive(name, high=False)
+        for task in self.tasks.values():
+            task.aborted, task.state = task.state == "running", "verified"
+
+    def change_set_point(self, value: float) -> bool:
+        """Another program sets the first output that the bench uses [V]; whether there is one."""
+        for name in list(self._outputs)[:1]:
+            self._give(name, value)
+        return bool(self._outputs)
 
     # -- samples ----------------------------------------------------------------------------------------------------
 
@@ -178,6 +194,8 @@ class Board:
     def waiting(self, task: Task) -> int:
         """How many samples may be read."""
         self.take(task)
+        if task.aborted:
+            raise Refused(-88710, "A task has been aborted or a device has been removed from the system.")
         if task.overwritten:
             raise Refused(-200279, "The application is not able to keep up with the hardware acquisition.")
         return len(task.waiting)
@@ -198,25 +216,35 @@ class Board:
         self.reserve(task)
         if not low <= volts <= high:
             raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
+        output = self._outputs.get(name)
+        if output is not None:
+            si = float(output.scale.to_si(volts))
+            self._log.note("set", self.device.name, output=output.name, raw=volts, si=si, connection=connection)
+        self._give(name, volts)
+
+    def _give(self, name: str, volts: float) -> None:
+        """Let an output give the nearest voltage that it can."""
         step = 20.0 / 2**BITS
         self.volts[name] = reached = round(volts / step) * step
         output = self._outputs.get(name)
-        if output is None:
-            return
-        si = float(output.scale.to_si(volts))
-        self._log.note("set", self.device.name, output=output.name, raw=volts, si=si, connection=connection)
-        if output.quantity == "pressure":
+        if output is not None and output.quantity == "pressure":
             self._plant.command(float(output.scale.to_si(reached)))
 
     def set_line(self, task: Task, connection: int, *, high: bool) -> None:
         """A level on the one line of a task."""
         [name] = task.names
         self.reserve(task)
+        self._drive(name, high=high)
+        valve = self._valves.get(name)
+        if valve is not None:
+            self._log.note("switch", self.device.name, valve=valve.name, on=high, connection=connection)
+
+    def _drive(self, name: str, *, high: bool) -> None:
+        """Drive a line high or low, and the valve at it."""
         self._levels[name] = high
         valve = self._valves.get(name)
         if valve is not None:
             self._plant.switch(on=high == (valve.energised == "closed"))
-            self._log.note("switch", self.device.name, valve=valve.name, on=high, connection=connection)
 
     def level(self, task: Task) -> bool:
         """The level of the one line of a task; an input that nobody wired is low."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 
 from pmabench.base.clock import Clock
@@ -292,6 +292,10 @@ class SerialLineDaq:
         """Stop it. The board vents: nothing stays on that nobody watches."""
         self._armed = 0.0
         self._ask("T", 0)
+
+    def held(self) -> Mapping[str, float | str]:
+        """The time of its watchdog [s], 0 where it is off, has fired, or the board has started again."""
+        return {"watchdog": self._ask("T") * 1e-3}
 
     # -- questions ------------------------------------------------------------------------------------------------
 

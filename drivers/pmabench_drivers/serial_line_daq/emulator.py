@@ -11,7 +11,19 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import EMULATED, DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, SKEW, STUCK, DeviceClock, Fault, Faults, Outgoing
+from pmabench_drivers.emulator.faults import (
+    EXPIRY,
+    LINK,
+    RESTART,
+    SETPOINT,
+    SKEW,
+    STUCK,
+    WATCHDOG_OFF,
+    DeviceClock,
+    Fault,
+    Faults,
+    Outgoing,
+)
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal
@@ -45,7 +57,7 @@ class EmulatedBoard:
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog, boot_micros: int = 0) -> None:
         self._device, self._plant, self._log = device, plant, log
-        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, EXPIRY)
+        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT)
         self._clock, self._outgoing = DeviceClock(self.faults), Outgoing(GARBAGE)
         self._inputs = {channel.input: channel for channel in device.channels}
         self._levels = {lock.input: lock for lock in device.interlocks}
@@ -57,7 +69,7 @@ class EmulatedBoard:
         self._boot()
 
     def _boot(self) -> None:
-        self._booted, self._rest = self._clock.now(), b""
+        self._booted, self._rest, self._restart = self._clock.now(), b"", False
         self._period = self._due = self._number = 0
         self._armed, self._vented, self._fed, self._expire = 0.0, False, 0.0, False
         self._vent()
@@ -70,6 +82,22 @@ class EmulatedBoard:
         """Let the watchdog expire; whether it was armed."""
         self._expire = self._armed > 0
         return self._expire
+
+    def switch_off_watchdog(self) -> bool:
+        """Switch it off without venting, as a fault of its memory would; whether it was armed."""
+        armed, self._armed = self._armed, 0.0
+        return armed > 0
+
+    def restart(self) -> None:
+        """As after power-on: vented, not sampling; its own thread does it."""
+        self._restart = True
+
+    def change_set_point(self, value: float) -> bool:
+        """Another value of the first output [count]; whether there is one."""
+        for name in list(self._outputs)[:1]:
+            self._held[name] = round(value)
+            self._plant.command(float(self._outputs[name].scale.to_si(value)))
+        return bool(self._outputs)
 
     def close(self) -> None:
         """Hang up."""
@@ -103,6 +131,8 @@ class EmulatedBoard:
         return self._boot_micros + round((self._clock.now() - self._booted) * 1e6)
 
     def _turn(self) -> None:
+        if self._restart:
+            self._boot()
         if self._armed and (self._expire or monotonic() - self._fed >= self._armed):
             self._log.note("watchdog", self._device.name, silent=monotonic() - self._fed)
             self._vent()

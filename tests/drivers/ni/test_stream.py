@@ -104,7 +104,7 @@ def test_a_cut_connection_is_made_again_and_nothing_is_lost_that_was_not_asked_f
         counted(served, 4)
         rate = start(device, 500.0)
         times, columns = gather(device, 0.3)
-        served.restart(forget=False)
+        served.serve_again(forget=False)
         more, more_columns = gather(device, 2.0)
         times += more
         for name, column in more_columns.items():
@@ -118,7 +118,7 @@ def test_a_server_that_was_restarted_has_no_tasks_and_that_is_told():
     with rig() as (_, served, device):
         start(device, 500.0)
         gather(device, 0.2)
-        served.restart(forget=True)
+        served.serve_again(forget=True)
         with pytest.raises(DeviceError, match="sampling broke off: the task is gone: the server was restarted"):
             gather(device, 10.0)
 

@@ -1,0 +1,240 @@
+"""`held`, `read_back` and `is_on` ask the device: what happens to it from outside is seen by the next call."""
+
+import contextlib
+import time
+from dataclasses import replace
+
+import pytest
+from pmabench_drivers.alicat import AlicatController
+from pmabench_drivers.emulator import Emulator
+from pmabench_drivers.labjack import LabJack
+from pmabench_drivers.modbus import ModbusDevice
+from pmabench_drivers.serial_line_daq import SerialLineDaq
+
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Segment, Supervised, Watchdog
+from tests.drivers.alicat import rigs as alicat
+from tests.drivers.labjack import rigs as labjack
+from tests.drivers.ni import rigs as ni
+from tests.drivers.rig import record as mock_record
+from tests.drivers.serial_line_daq import rigs as line_daq
+from tests.drivers.wires import rigs as wires
+from tests.realtime import opened as opened_mock
+from tests.realtime import plant_server
+
+pytestmark = pytest.mark.realtime
+
+LONGEST = 0.4
+"""A call takes 0.2 s at most, and so much on a machine that has much else to do [s]."""
+SERIAL = {**wires.MAP, "identity": {"serial": {"address": 112, "type": "uint32"}}}
+
+
+class Rig:
+    """A driver in front of its device; `do(fault, value)` is what happens to the device from outside."""
+
+    def __init__(self, device, do, output, valve="", limit=1e9):
+        self.device, self.do, self.output, self.valve, self.limit = device, do, output, valve, limit
+
+    def held(self):
+        begin = time.monotonic()
+        found = dict(self.device.held())
+        assert time.monotonic() - begin < LONGEST
+        return found
+
+
+@contextlib.contextmanager
+def emulated(kind, record, output, valve=""):
+    emulator = Emulator([record], preset="ideal")
+    served = emulator.devices[record.name]
+    address = record.address if record.address.startswith("/") else served.address
+    device = kind(replace(record, address=address), RealClock())
+    try:
+        device.open()
+        yield Rig(
+            device,
+            lambda fault, value=None: emulator.act({"device": record.name, "fault": fault, "value": value}),
+            output,
+            valve,
+        )
+    finally:
+        device.close()
+        emulator.close()
+
+
+@contextlib.contextmanager
+def mock(tmp_path):
+    with plant_server(tmp_path, mock_record(valve=True)) as shared, opened_mock(shared.device) as device:
+        yield Rig(
+            device, lambda fault, value=None: shared.ask("inject", fault=fault, value=value), "pressure", "dump_valve"
+        )
+
+
+@contextlib.contextmanager
+def ni_rig():
+    with ni.rig() as (emulator, _served, device):
+        yield Rig(
+            device,
+            lambda fault, value=None: emulator.act({"device": "daq", "fault": fault, "value": value}),
+            "ao0",
+            "port1/line0",
+        )
+
+
+RIGS = {
+    "modbus": lambda _tmp: emulated(ModbusDevice, wires.regulator(uptime={"table": "input", "address": 30, "type": "uint32"}, identity=SERIAL["identity"]), "pressure", "dump"),
+    "labjack": lambda _tmp: emulated(LabJack, labjack.t7(), "DAC0", "FIO0"),
+    "line-daq": lambda tmp: emulated(SerialLineDaq, line_daq.board(tmp / "port"), "o0", "v0"),
+    "alicat": lambda tmp: emulated(AlicatController, alicat.controller(tmp / "port"), "pressure"),
+    "alicat on modbus": lambda tmp: emulated(AlicatController, alicat.controller(tmp / "port", "modbus"), "pressure"),
+    "mock": mock,
+}  # fmt: skip
+WATCHED = ("modbus", "labjack", "line-daq", "mock")
+KEEPS_ITS_WATCHDOG = ("labjack",)
+"""Its settings are in flash, and count again from power-on: LabJack, T-series datasheet, 23.0 Watchdog."""
+
+
+@pytest.fixture
+def rig(request, tmp_path):
+    with RIGS[request.param](tmp_path) as made:
+        yield made
+
+
+def armed(rig):
+    """Armed to a second where it has a watchdog, and under pressure."""
+    if isinstance(rig.device, Watchdog):
+        rig.device.arm_watchdog(1.0)
+    if rig.valve:
+        rig.device.switch(rig.valve, on=True)
+    rig.device.write(rig.output, 2.0)
+    return rig.held()
+
+
+def without_uptime(found):
+    return {name: value for name, value in found.items() if name != "uptime"}
+
+
+@pytest.mark.parametrize("rig", RIGS, indirect=True)
+def test_what_nobody_changes_stays_as_it_was(rig):
+    first = armed(rig)
+    assert isinstance(rig.device, Supervised)
+    for _ in range(4):
+        rig.device.feed_watchdog() if isinstance(rig.device, Watchdog) else None
+        time.sleep(0.2)
+        later = rig.held()
+        assert without_uptime(later) == without_uptime(first)
+        assert later.get("uptime", 0.0) >= first.get("uptime", 0.0)
+        assert rig.device.read_back(rig.output) == pytest.approx(2.0, abs=0.01)
+        assert not rig.valve or rig.device.is_on(rig.valve)
+
+
+@pytest.mark.parametrize("rig", WATCHED, indirect=True)
+def test_the_time_is_that_of_the_device(rig):
+    assert rig.held()["watchdog"] == 0.0
+    assert armed(rig)["watchdog"] == 1.0
+
+
+@pytest.mark.parametrize("rig", WATCHED, indirect=True)
+def test_a_watchdog_that_is_switched_off_from_outside_is_seen(rig):
+    armed(rig)
+    rig.do("watchdog-off")
+    assert rig.held()["watchdog"] == 0.0
+
+
+@pytest.mark.parametrize("rig", ["modbus", "line-daq"], indirect=True)
+def test_a_watchdog_that_has_fired_is_seen(rig):
+    armed(rig)
+    rig.do("watchdog")
+    time.sleep(0.1)
+    assert rig.held()["watchdog"] == 0.0
+
+
+@pytest.mark.parametrize(("rig", "name"), [(name, name) for name in RIGS], indirect=["rig"])
+def test_a_restart_is_seen(rig, name):
+    """Set-point and valve of power-on; watchdog off, where the device forgets it; an uptime that begins again."""
+    first = armed(rig)
+    for _ in range(6 if "uptime" in first else 0):
+        time.sleep(0.2)
+        rig.device.feed_watchdog() if isinstance(rig.device, Watchdog) else None
+    before = rig.held()
+    assert "uptime" not in first or before["uptime"] > first["uptime"]
+    rig.do("restart")
+    time.sleep(0.1)
+    after = rig.held()
+    assert rig.device.read_back(rig.output) == 0.0
+    assert not rig.valve or not rig.device.is_on(rig.valve)
+    if name in WATCHED:
+        assert after["watchdog"] == (1.0 if name in KEEPS_ITS_WATCHDOG else 0.0)
+    assert "uptime" not in before or after["uptime"] < before["uptime"]
+
+
+@pytest.mark.parametrize("rig", RIGS, indirect=True)
+def test_a_set_point_changed_from_outside_is_seen(rig):
+    armed(rig)
+    rig.do("setpoint", 1.0)
+    assert rig.device.read_back(rig.output) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("rig", RIGS, indirect=True)
+def test_while_it_follows_a_ramp_the_value_of_the_moment_is_read(rig):
+    armed(rig)
+    rig.device.follow(rig.output, Segment("ramp", rig.device._clock.now(), 2.0, 4.0, rate=1.0))
+    seen = []
+    for _ in range(8):
+        time.sleep(0.2)
+        rig.device.feed_watchdog() if isinstance(rig.device, Watchdog) else None
+        seen.append(rig.device.read_back(rig.output))
+    assert seen == sorted(seen)
+    assert 2.0 <= seen[0] < 3.0 <= seen[-1] <= 4.0
+
+
+def test_ni_says_what_it_cannot_ask_and_notices_a_restart_by_its_valve_line():
+    with ni_rig() as rig:
+        rig.device.write("ao0", 2.0)
+        rig.device.switch("port1/line0", on=True)
+        assert rig.held() == {"serial": "0"}
+        rig.device.start(500.0)
+        time.sleep(0.1)
+        rig.do("restart")
+        assert not rig.device.is_on("port1/line0")
+        time.sleep(0.5)
+        with pytest.raises(DeviceError, match="-88710"):
+            rig.device.collect() and rig.device.collect()
+
+
+def test_ni_answers_while_a_ramp_is_stepped():
+    """No step under way makes `read_back` say that it does not know."""
+    with ni_rig() as rig:
+        rig.device.write("ao0", 1.0)
+        rig.device.follow("ao0", Segment("ramp", rig.device._clock.now(), 1.0, 5.0, rate=4.0))
+        seen = [rig.device.read_back("ao0") for _ in range(300)]
+        assert seen == sorted(seen)
+
+
+def test_a_register_that_cannot_be_read_gives_what_was_written_last():
+    output = {
+        "pressure": {"address": 10, "type": "float32", "read_back": False},
+        "dump": {"table": "coil", "address": 0},
+    }
+    with (
+        wires.emulated(wires.regulator(outputs=output), preset="ideal") as (emulator, [record]),
+        wires.opened(record) as device,
+    ):
+        with pytest.raises(DeviceError, match="nothing was written"):
+            device.read_back("pressure")
+        device.write("pressure", 300.0)
+        emulator.act({"device": "regulator", "fault": "setpoint", "value": 100.0})
+        assert device.read_back("pressure") == 300.0
+
+
+def test_a_settings_change_of_the_labjack_watchdog_is_seen():
+    """Another program changes what the watchdog would do: time, strictness, DAC and lines are all part of what is held."""
+    with labjack.rig() as (_emulator, served, device):
+        device.arm_watchdog(1.0)
+        before = device.held()
+        for address in (61602, 61604, 61610, 61612, 61630, 61632, 61634, 61636, 61640, 61642):
+            kept = served.t7._words[address + 1]
+            served.t7._words[address + 1] = kept ^ 1
+            assert device.held() != before, address
+            served.t7._words[address + 1] = kept
+        assert without_uptime(device.held()) == without_uptime(before)
