@@ -220,8 +220,6 @@ class Connection:
         self.bytes = bytearray()
         self.dead = False
         """Half open: what comes is lost, and nothing is answered."""
-        self.last: dict[int, bytes] = {}
-        """The newest answer of each function, for an answer that is out of date."""
 
 
 class Server:
@@ -231,6 +229,8 @@ class Server:
         self._device, self._ports = device, ports
         self._selector = selectors.DefaultSelector()
         self._listeners: list[socket.socket] = []
+        self._last: dict[bytes, bytes] = {}
+        """The newest answer to each request, for answers that are out of date."""
         self._connections: list[Connection] = []
         self._later: list[tuple[float, Connection, bytes]] = []
         self._listen()
@@ -367,8 +367,8 @@ class Server:
             self._device.log.line("write", register=register, value=value, done=False, who=connection.who)
         answer = bytes([function | 0x80, refused]) if refused else self._execute(request, connection.who)
         if "stale" in faults:
-            answer = connection.last.get(function, answer)
-        connection.last[function] = answer
+            answer = self._last.get(request[:5], answer)
+        self._last[request[:5]] = answer
         transaction = (transaction + 1) % 65536 if "wrong-transaction" in faults else transaction
         unit = 2 if "wrong-unit" in faults else 1
         frame = struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer
