@@ -41,9 +41,9 @@ KINDS = (
     Kind("watchdog-off", "watchdog", 1.0, each=50),
     Kind("watchdog-time", "watchdog", 1.0),
     Kind("watchdog-ends", "watchdog|set.?point|valve", 1.0),
-    # a ramp is commanded anew every 10 ms: another set-point is gone before anybody could see it
-    Kind("set-point", "set.?point|pressure", 1.0, ("holds", "steps"), value=4321, each=50),
-    Kind("set-point-zero", "set.?point|pressure", 1.0, ("holds", "steps")),
+    # a step or ramp that follows commands the output anew, maybe before the device is asked again (every 0.5 s, S11)
+    Kind("set-point", "set.?point|pressure", 1.0, ("holds",), value=4321, each=50),
+    Kind("set-point-zero", "set.?point|pressure", 1.0, ("holds",)),
     Kind("dump-valve", "valve", 1.0),
     Kind("serial", "serial|another device|connection", 1.0),
     # S13: writes without effect
