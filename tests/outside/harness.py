@@ -193,7 +193,7 @@ class Run:
     @property
     def record(self) -> Path:
         """Its run folder."""
-        return next(path for path in self.out.iterdir() if path.suffix != ".late")
+        return next(self.out.glob("*/manifest.json")).parent
 
     def pressurised(self, above: float = 60.0) -> None:
         """Wait until the proof is over and the muscle is under pressure [kPa]."""
