@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from typing import Any, TextIO
 
+_OBEYED = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]"
+    r"|[\U000e0000-\U000e007f]"
+)
+"""What a terminal obeys, or what hides or turns round the text after it; new lines and tabs stay."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff]")
 
 
@@ -16,6 +23,47 @@ def clean(text: object, longest: int = 2000) -> str:
     """Text for a page, lines kept: without control and direction characters, cut where it is too long."""
     told = str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8")
     return _cut(_CONTROL.sub("", told), longest)
+
+
+def spelled(text: str) -> str:
+    r"""Text for a terminal, lines kept: signs that it would obey are shown as in source code.
+
+    >>> print(spelled("a name\x1b[31m"))
+    a name\x1b[31m
+    """
+    return _OBEYED.sub(lambda sign: ascii(sign[0])[1:-1], text)
+
+
+class Spelled:
+    """Standard output or standard error on which every text is `spelled`: whatever is printed, a terminal obeys none.
+
+    What the program itself sends to a terminal (colours, places) goes to `raw` of it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """As of the stream."""
+        self.stream.write(spelled(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """As of the stream."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else as of the stream, but no way round it."""
+        if name == "buffer":
+            raise AttributeError(name)
+        return getattr(self.stream, name)
+
+
+def raw(stream: Any) -> TextIO:
+    """The stream itself, for codes of the program's own; whoever writes there cleans what comes from others."""
+    found: TextIO = stream.stream if isinstance(stream, Spelled) else stream
+    return found
 
 
 def _cut(text: str, longest: int | None) -> str:

@@ -55,7 +55,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     try:
         driver = getattr(import_module(module), name)
     except (ImportError, AttributeError) as error:
-        c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}')
+        todo = "; install its package, or name its folder in PYTHONPATH" if isinstance(error, ImportError) else ""
+        c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}{todo}')
         return device
     device = replace(device, verified=device.verified or verified(driver))
     if _lacks_a_capability(c, device, driver):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
-from pmabench.cli.common import Ui, say
+from pmabench.cli.common import Ui, rewrite, say
 
 if TYPE_CHECKING:
     from pmabench.base.clock import Clock
@@ -65,8 +65,7 @@ def shower(ui: Ui, lengths: Sequence[float]) -> Show:
         width = min(max(get_terminal_size().columns - BESIDE, 10), WIDTH) if live else WIDTH
         text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
         if live:
-            sys.stderr.write(f"\r{text}")
-            sys.stderr.flush()
+            rewrite(text)
         else:
             say(text)
 

@@ -6,17 +6,18 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from errno import EPIPE
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
+from pmabench.base.text import Spelled, raw, spelled
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -65,16 +66,22 @@ class Ui:
     def console(self, *, err: bool = False, columns: int = 100) -> Console:
         """A rich console; `columns` wide where there is no terminal."""
         from rich.console import Console
+        from rich.segment import Segment
 
         class Plain(Console):
-            """Leaves a closed pipe to the command, as any other output does."""
+            """Leaves a closed pipe to the command, and spells texts, as any other output does."""
 
             def on_broken_pipe(self) -> None:
                 raise BrokenPipeError(EPIPE, os.strerror(EPIPE))
 
+            def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:
+                for text, style, control in super().render(*args, **kwargs):
+                    yield Segment(text if control else spelled(text), style, control)
+
         stream = sys.stderr if err else sys.stdout
         width = None if stream.isatty() or "COLUMNS" in os.environ else columns
-        return Plain(stderr=err, no_color=not self.color, width=width, highlight=False, markup=False, emoji=False)
+        file = raw(stream)  # the console's colours go there as they are
+        return Plain(file=file, no_color=not self.color, width=width, highlight=False, markup=False, emoji=False)
 
 
 def common(function: Callable[..., int | None]) -> Callable[..., None]:
@@ -109,7 +116,7 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
 
 
 def prepare_streams() -> None:
-    """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks are spelled."""
+    """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks or would obey are spelled."""
     if sys.stdout is None:
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
     if sys.stderr is None:
@@ -117,6 +124,18 @@ def prepare_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    sys.stdout, sys.stderr = (
+        stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
+        for stream in (sys.stdout, sys.stderr)
+    )
+
+
+def rewrite(text: str = "") -> None:
+    """Take the line of progress away that stands on stderr, and put `text` there."""
+    with suppress(OSError):
+        stream = raw(sys.stderr)
+        stream.write("\r\x1b[2K" + spelled(text))
+        stream.flush()
 
 
 def say(text: str) -> None:

@@ -63,10 +63,12 @@ def command(
     from importlib.metadata import entry_points
 
     from pmabench.base.errors import RecordError, UsageError
+    from pmabench.base.system import ENGINE, real_time
     from pmabench.bench.compile import mount_alone
     from pmabench.cli.emulated_faults import Faults, Schedule
     from pmabench.files.shipped import find_file
 
+    real_time(ENGINE)  # a device does not wait for other programs
     mounted = mount_alone(find_file("bench", bench))
     found = entry_points(group="pmabench.emulators")
     if not found:

@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 
 from pmabench.base.errors import Interrupted
-from pmabench.cli.common import say
-from pmabench.cli.progress import CLEAR
+from pmabench.cli.common import rewrite, say
 
 Wait = Callable[[], None]
 
@@ -27,7 +26,9 @@ class AtLines:
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Wait) -> str:
         """Ask until the word is `clear`."""
-        say(f"{CLEAR if sys.stderr.isatty() else ''}{text}")
+        if sys.stderr.isatty():
+            rewrite()
+        say(text)
         while True:
             pressure = measured.get("pressure")
             shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"

@@ -106,12 +106,15 @@ def command(
             for note in run.notes
             if note.exclude is not None
         ],
+        "since": {run.id: run.since.told() for run in loaded if run.since.sentences},
     }
 
     def human() -> None:
         from pmabench.report.words.wording import clean
 
         print_analyses(ui, analyses)
+        for line in since_lines(loaded):
+            click.echo(line)
         for entry in data["excluded"]:
             click.echo(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**entry)))
         for verdict in failed:
@@ -168,8 +171,17 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     return list(dict.fromkeys(folder for source in sources for folder in below[source])), []
 
 
+def since_lines(runs: Sequence[RunData]) -> list[str]:
+    """What came to runs after they were closed, a line each."""
+    return [f"{run.id}: {sentence}" for run in runs for sentence in run.since.sentences]
+
+
 def _nothing_to_process(path: Path) -> str:
     """What a folder is that nothing can be fitted to, in words; empty for any other."""
+    from pmabench.store.folder import LATE
+
+    if path.name.endswith(LATE) and path.is_dir() and not (path / "manifest.json").exists():
+        return "holds what came after a run was closed"
     if _holds_analyses(path):
         return "holds analyses"
     manifest = path / "manifest.json"

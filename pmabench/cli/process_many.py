@@ -123,6 +123,13 @@ def _human(many: Many, paths: Sequence[Path]) -> None:
         click.echo(f"{many.count('unchanged'):,} had not changed and were not computed again")
     if many.count("skipped"):
         click.echo(f"{many.count('skipped'):,} without trials (sessions, calibrations) were left out")
+    since = [
+        f"{run}: {len(told['added'])} added and {len(told['late'])} late files since it was closed, not used"
+        for entry in many.results()
+        for run, told in entry["since"].items()
+    ]
+    for line in _first(since, "that something was added to; the table names them"):
+        click.echo(line)
     click.echo("\n".join(_failures(many)), nl=bool(_failures(many)))
     click.echo("\n".join(str(path) for path in paths))
 

@@ -9,15 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import click
-
-from pmabench.cli.common import Ui
+from pmabench.cli.common import Ui, rewrite
 
 if TYPE_CHECKING:
     from pmabench.engine.executor import Progress
-
-CLEAR = "\r\x1b[2K"
-"""Takes the line of progress away."""
 
 
 @contextmanager
@@ -38,8 +33,8 @@ def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
         bar = "#" * round(24 * done)
         rest = f", {left:.0f} s left" if left is not None else ""
         line = f"{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"
-        click.echo(CLEAR + line[: shutil.get_terminal_size().columns - 1], err=True, nl=False)
+        rewrite(line[: shutil.get_terminal_size().columns - 1])
 
     yield show
     if live:
-        click.echo(CLEAR, err=True, nl=False)
+        rewrite()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -41,7 +42,7 @@ def command(
     **told: str,
 ) -> int | None:
     """Write the characterisation report of runs (processed now), of analysis folders, or of folders of them."""
-    from pmabench.cli.process import analyse, apart, load_runs, without_analyses
+    from pmabench.cli.process import analyse, apart, load_runs, since_lines, without_analyses
     from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of
@@ -62,6 +63,8 @@ def command(
     for folder in folders:
         runs += load_runs(runs_of(folder))
     analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
+    for line in since_lines(runs):
+        ui.note(line)
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**told))
     written = {"path": str(write_page(content, output))}
     if pdf is not None:
@@ -72,5 +75,7 @@ def command(
         from pmabench.report.document.workbook import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
-    ui.result({"schema": "pmabench.report/1", **written}, lambda: click.echo("\n".join(written.values())))
+    data: dict[str, Any] = {"schema": "pmabench.report/1", **written}
+    data["since"] = {run.id: run.since.told() for run in runs if run.since.sentences}
+    ui.result(data, lambda: click.echo("\n".join(written.values())))
     return None

@@ -13,8 +13,8 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, real_time
-from pmabench.cli.common import Ui, common, plan_options, say, session_options
-from pmabench.cli.progress import CLEAR, progress_line
+from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
+from pmabench.cli.progress import progress_line
 from pmabench.cli.space import needed, too_little
 
 if TYPE_CHECKING:
@@ -184,7 +184,9 @@ def _operator(mounted: Mounted, *, yes: bool) -> Operator:
     from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
     def write(text: str) -> None:
-        click.echo(f"{CLEAR if sys.stderr.isatty() else ''}{text}", err=True)
+        if sys.stderr.isatty():
+            rewrite()
+        click.echo(text, err=True)
 
     if yes:
         return ConfirmedBeforehand()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,6 +15,10 @@ from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
     from pmabench.store.records import RunData
+
+
+ENDED_EARLY = ("interrupted", "aborted", "tripped", "error")
+"""How a run ends that may have trials left."""
 
 
 @click.group(name="runs")
@@ -30,22 +36,39 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder")
-    rows = sorted(map(vars, catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
+    rows = sorted(({**vars(row)} for row in catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
+    continued = {row["continues"] for row in rows}
+    for row in rows:
+        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row)
 
     def human() -> None:
         from pmabench.report.terminal import print_grid
+        from pmabench.store.since import Added, Since
 
         table = []
         for row in rows:
             here, before = row["trials_finished"], row["trials_before"]
             trials = f"{before + here}/{row['trials_planned']}" + (f" ({here} here)" if before else "")
             length = f"{row['duration']:.0f} s" if row["duration"] is not None else ""
-            table.append([row["id"], row["status"], trials, length, row["specimen"]])
+            mark = "*" if row["added"] or row["late"] else ""
+            table.append([row["id"], row["status"] + mark, trials, length, row["specimen"]])
         texts = ("id", "status", "specimen")
         print_grid(ui.console(columns=200), ["id", "status", "trials", "duration", "specimen"], table, texts)
+        for row in rows:
+            for sentence in Since(tuple(Added(name, "") for name in row["added"]), row["late"]).sentences:
+                click.echo(f"* {row['id']}: {sentence}")
+        for row in rows:
+            if row["status"] == "interrupted" and row["resume"]:
+                click.echo(f"{row['id']} was interrupted; to go on with it: {row['resume']}")
 
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
     return None
+
+
+def _resume(run: Path, row: Mapping[str, Any]) -> str:
+    """The command that goes on with what is left of a run that ended too early; empty where there is none to give."""
+    left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
+    return f"pmabench run --resume {quote(str(run))}" if row["status"] in ENDED_EARLY and left > 0 else ""
 
 
 @command.command(name="show")
@@ -60,6 +83,7 @@ def show_run(ui: Ui, run: Path) -> int | None:
 
     data = open_run(run)
     taken = sampling(data.trials)
+    going_on = _going_on(run, data)
     summary: dict[str, Any] = {
         "schema": "pmabench.run-summary/1",
         "id": data.id,
@@ -86,6 +110,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
         "notes": [note.told() for note in data.notes],
+        "since": data.since.told(),
+        **going_on,
     }
 
     def human() -> None:
@@ -111,13 +137,48 @@ def show_run(ui: Ui, run: Path) -> int | None:
             click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
         for channel in data.channels.values():
             click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-        vents = [event for event in data.events if event.kind == "vent"]
-        if vents:
-            click.echo(f"  {'vent':12} {vents[-1].data.get('result')}")
+        result = _vented(data)
+        if result:
+            click.echo(f"  {'vent':12} {result}")
         _print_rest(data)
+        for sentence in data.since.sentences:
+            click.echo(f"  {'since then':12} {sentence}")
+        if going_on["continued_by"]:
+            click.echo(f"  {'continued':12} by {going_on['continued_by']}")
+        elif going_on["resume"]:
+            click.echo(f"  {'to go on':12} {going_on['resume']}")
 
     ui.result(plain(summary), human)
     return None
+
+
+def _vented(data: RunData) -> str:
+    """The result of the vent: of its event, or where a full disk took that, of the seal."""
+    events = [event.data for event in data.events if event.kind == "vent"]
+    end = data.manifest.get("end")
+    sealed = end.get("vent") if isinstance(end, Mapping) else None
+    told = events[-1] if events else sealed if isinstance(sealed, Mapping) else {}
+    return str(told.get("result") or "")
+
+
+def _going_on(run: Path, data: RunData) -> dict[str, str]:
+    """The run that continues this one, and the command that would; both empty where nothing is left to do."""
+    from pmabench.store.chain import goes_on
+
+    if data.status not in ENDED_EARLY or not isinstance(data.manifest.get("sources"), Mapping):
+        return {"continued_by": "", "resume": ""}
+    after = goes_on(run)
+    link = data.manifest.get("continues")
+    before = link.get("trials_done") if isinstance(link, Mapping) else None
+    done = {t.index for t in data.trials if t.status == "finished" and not t.again}
+    done |= set(before) if isinstance(before, list) else set()
+    row = {
+        "status": data.status,
+        "trials_planned": int(data.manifest.get("trials_planned") or 0),
+        "trials_finished": len(done),
+        "trials_before": 0,
+    }
+    return {"continued_by": after.name if after else "", "resume": "" if after else _resume(run, row)}
 
 
 def _print_rest(data: RunData) -> None:
@@ -149,20 +210,35 @@ def _print_rest(data: RunData) -> None:
 def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     """Check hashes, checksums, gaps and torn rows of RUNS, or of every run in a folder of runs.
 
-    Exit 3 where something is wrong.
+    Exit 3 where something is wrong. What was added to a closed run is named; its sealed part is whole all the same.
     """
     from pmabench.store.catalogue import folders_in
+    from pmabench.store.folder import LATE, MANIFEST
+    from pmabench.store.since import late_files
     from pmabench.store.verify import verify
 
-    folders = [folder for run in runs for folder in (folders_in(run) or [run])]
-    found = {str(folder): [str(finding) for finding in verify(folder)] for folder in folders}
+    given = [run for run in runs if not (run.name.endswith(LATE) and run.is_dir() and not (run / MANIFEST).exists())]
+    folders = [folder for run in given for folder in (folders_in(run) or [run])]
+    found = {str(folder): verify(folder) for folder in folders}
+    wrong = {run: [str(finding) for finding in findings if not finding.added] for run, findings in found.items()}
+    added = {run: [str(finding) for finding in findings if finding.added] for run, findings in found.items()}
+    late = {str(folder): late_files(folder) for folder in folders}
 
     def human() -> None:
-        for run, findings in found.items():
-            click.echo(f"{run}: {'whole' if not findings else f'{len(findings)} findings'}")
-            for finding in findings:
+        for run, findings in wrong.items():
+            told = [_counted(len(findings), "finding") if findings else "whole"]
+            told += [f"{len(added[run])} added"] if added[run] else []
+            told += [f"{len(late[run])} late"] if late[run] else []
+            click.echo(f"{run}: {', '.join(told)}")
+            for finding in (*findings, *added[run]):
                 click.echo(f"  {finding}")
+            for name in late[run]:
+                click.echo(f"  {Path(run).name}{LATE}/{name}: came after the run was closed; no seal protects it")
 
-    wrong = [f"{run}: {finding}" for run, findings in found.items() for finding in findings]
-    ui.result({"schema": "pmabench.verify/1", "runs": found}, human, wrong)
-    return 3 if any(found.values()) else None
+    lines = [f"{run}: {finding}" for run, findings in wrong.items() for finding in findings]
+    ui.result({"schema": "pmabench.verify/1", "runs": wrong, "added": added, "late": late}, human, lines)
+    return 3 if any(wrong.values()) else None
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"

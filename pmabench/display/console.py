@@ -23,6 +23,7 @@ from rich.text import Text
 
 from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
+from pmabench.base.text import raw
 from pmabench.display.child import LEAVE
 from pmabench.display.link import Link
 from pmabench.display.plain import first_line, last_line, plain_line
@@ -376,6 +377,6 @@ def watch(folder: Path, *, plain: bool, color: bool, quiet: bool = False) -> Run
     plain = plain or not sys.stdout.isatty() or os.environ.get("TERM") == "dumb"
     try:
         with tidy_signals(child=False):
-            return Console(folder, sys.stdout, color=color, plain=plain).run(quiet=quiet)
+            return Console(folder, raw(sys.stdout), color=color, plain=plain).run(quiet=quiet)
     except Terminate as end:
         raise Interrupted(str(end), 128 + end.number) from None

@@ -25,6 +25,7 @@ from pmabench.store.folder import open_json, read_manifest, read_seal, status_of
 from pmabench.store.journal import decode
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
+from pmabench.store.regular import open_regular
 
 MOST_BYTES = 4 << 20
 """Read of one file at one call; so the first pictures of a long run come at once."""
@@ -44,7 +45,8 @@ class Block:
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; empty where there is none that can be read."""
     with suppress(OSError, ValueError, RecursionError):
-        data = json.loads(path.read_bytes())
+        with open_regular(path) as file:
+            data = json.loads(file.read())
         if isinstance(data, dict):
             return data
     return {}
@@ -66,7 +68,7 @@ class JournalTail:
         if self.fault:
             return []
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 self.written = os.fstat(file.fileno()).st_mtime
                 file.seek(self._offset)
                 raw = file.read()
@@ -118,7 +120,7 @@ class StreamTail:
         self.behind = False
         if self._table is None:
             try:
-                with self._live.open("rb") as file:
+                with open_regular(self._live) as file:
                     self.written = os.fstat(file.fileno()).st_mtime
                     return self._read_live(file)
             except OSError:
@@ -152,7 +154,8 @@ class StreamTail:
 
     def _open_closed(self) -> bool:
         try:
-            self._table, about, self._arrivals = read_archive(str(self._closed))
+            with open_regular(self._closed) as file:
+                self._table, about, self._arrivals = read_archive(pa.PythonFile(file))
         except (OSError, ValueError):
             return False
         self.written = self._closed.stat().st_mtime
@@ -239,8 +242,10 @@ class Follower:
     def samples(self) -> list[tuple[StreamTail, list[Block]]]:
         """Samples that are new, by stream. Call `events` first: samples are written before the end of their trial."""
         if self.manifest:
+            sealed = self.seal["files"] if self.seal is not None else None
             for path in sorted((self.folder / files.STREAMS).glob("*")):
-                if path.suffix in (".arrows", ".parquet") and path.stem not in self.streams:
+                known = sealed is None or f"{files.STREAMS}/{path.name}" in sealed
+                if known and path.suffix in (".arrows", ".parquet") and path.stem not in self.streams:
                     self.streams[path.stem] = StreamTail(self.folder, path.stem)
         return [(stream, stream.read()) for stream in self.streams.values()]
 
@@ -251,7 +256,8 @@ class Follower:
         texts = []
         for path in fresh:
             with suppress(OSError, InvalidFile):
-                note = open_json(path.read_bytes(), path)
+                with open_regular(path) as file:
+                    note = open_json(file.read(), path)
                 text = str(note.get("text", ""))
                 if isinstance(note.get("exclude"), int):
                     text = f"trial {note['exclude'] + 1} excluded: {note.get('because')} {text}"

@@ -196,6 +196,7 @@ class Acquisition:
         self.clock.wait_until((floor(self._asked / period + 1e-6) + 1.0) * period)
         self.check()
         with self._lock:
+            self._raise_trip()
             self._collected = self.clock.now()
             for source in self._sources:
                 block = source.stream.collect()
@@ -217,6 +218,7 @@ class Acquisition:
 
     def _collect(self) -> None:
         with self._lock:
+            self._raise_trip()  # before a device is asked whose line the guard may have closed since
             self._collected = self.clock.now()
             for source in self._sources:
                 self._take(source, source.stream.collect())
@@ -243,15 +245,21 @@ class Acquisition:
                     continue
                 try:
                     self._collect()  # first: a guard that has taken over says why
+                except Exception as error:
+                    self._end_by(error)  # before anybody else may ask
                 finally:
                     self._lock.release()
                 if now - self._asked > HUNG and self._watch is not None:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
             except Exception as error:  # an error in the program ends the run as a lost device does
-                if self._tripped is None:
-                    self._tripped = error
-                    why = str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}"
-                    self.on_trip(why, isinstance(error, LimitTripped))
+                self._end_by(error)
+
+    def _end_by(self, error: Exception) -> None:
+        """Let the executor raise this, and the guard begin the safe state."""
+        if self._tripped is None:
+            self._tripped = error
+            why = str(error) if isinstance(error, PmaError) else f"{type(error).__name__}: {error}"
+            self.on_trip(why, isinstance(error, LimitTripped))
 
     def _take(self, source: Source, block: Block) -> None:
         """Scale, watch, flag and record a block; notes when the stop rule ends it. Raises Tripped."""

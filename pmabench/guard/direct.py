@@ -8,7 +8,7 @@ from contextlib import suppress
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import PmaError, RecordError
 from pmabench.bench.interface import CompiledBench, Stream
-from pmabench.guard.guard import Guard
+from pmabench.guard.guard import Guard, State
 from pmabench.guard.safe import Vent
 from pmabench.guard.station import UNCLEAN, Station
 
@@ -44,7 +44,7 @@ def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
     finally:
         guard.close()
     unclean = station.read("state").get("what") == "armed"
-    latched = bool(station.latched()) or not vent.confirmed
+    latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
     why = UNCLEAN if unclean else why
     if not vent.confirmed:
         why = f"{why}; safe state {vent.result}"

@@ -249,7 +249,7 @@ class Guard:
         self._give_up()
         if not over:
             return None
-        self.state = State.TRIPPED if self._tripped else State.SAFE
+        self.state = State.TRIPPED if self._tripped or self._safe.failed else State.SAFE
         return self._safe.vent
 
     def safe_state(self, measure: Measure, *, tripped: bool = False, why: str = "") -> Vent:

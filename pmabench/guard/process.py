@@ -189,8 +189,8 @@ class Service:
             payload = answer.pop("payload", b"")
         except PmaError as error:
             told = {"type": type(error).__name__, "text": str(error)}
-            if isinstance(error, DeviceError):
-                told |= {"device": error.device, "channel": error.channel, "text": error.message}
+            if isinstance(error, DeviceError):  # a driver's own kinds of it are not known at the other end
+                told = {"type": "DeviceError", "device": error.device, "channel": error.channel, "text": error.message}
             answer = {"error": told}
         except Exception as error:  # an engine's mistake: told to it, and nothing was done
             _write_down()

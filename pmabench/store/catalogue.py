@@ -16,11 +16,13 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store import folder as files
-from pmabench.store.folder import files_of, read_manifest, read_seal, status_of
+from pmabench.store.folder import files_of, read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import decode, summary
+from pmabench.store.regular import is_regular
+from pmabench.store.since import added, late_files
 
 CACHE = ".catalogue.sqlite"
-_VERSION = 3
+_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,12 @@ class Row:
     """From the first to the last sample or event [s]."""
     size: int
     """Bytes on disk."""
+    continues: str
+    """Id of the run that it goes on from; empty where it begins."""
+    added: tuple[str, ...]
+    """Names of what was put into the folder after the run was closed, and is no part of it."""
+    late: tuple[str, ...]
+    """Names of what was written next to the run after it was closed."""
 
 
 def catalogue(parent: Path | str) -> list[Row]:
@@ -92,8 +100,17 @@ def _runs(parent: Path) -> list[tuple[str, str]]:
                 continue
             manifest, seal = (_stamp(Path(entry.path, name)) for name in (files.MANIFEST, files.SEAL))
             if manifest or seal:
-                found.append((entry.name, f"{manifest} {seal}" if manifest and seal else ""))
+                found.append((entry.name, f"{manifest} {seal} {_folders(entry)}" if manifest and seal else ""))
     return sorted(found)
+
+
+def _folders(entry: os.DirEntry[str]) -> str:
+    """What changes when something is put into a run folder or next to it."""
+    folders = [entry.path]
+    for place in folders:  # which grows meanwhile
+        with suppress(OSError), os.scandir(place) as inside:
+            folders += [each.path for each in inside if each.is_dir(follow_symlinks=False)]
+    return " ".join(_stamp(Path(place)) for place in (*sorted(folders), entry.path + files.LATE))
 
 
 def _stamp(path: Path) -> str:
@@ -111,16 +128,18 @@ def _read(folder: Path) -> Row:
     except InvalidFile:
         manifest, seal, status = {}, {}, "damaged"
     if seal is None:
-        events = folder / files.EVENTS
-        told = summary(manifest, decode(events.read_bytes() if events.is_file() else b""), [])
+        told = summary(manifest, decode(_events(folder)), [])
         size = 0
         with suppress(OSError):
-            size = sum(path.stat().st_size for _name, path in files_of(folder) if path.exists())
+            size = sum(path.stat().st_size for _name, path in files_of(folder) if is_regular(path))
     else:
         told = seal
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())
         with suppress(OSError):
             size += (folder / files.SEAL).stat().st_size
+    names: list[str] = []
+    with suppress(OSError):
+        names = [entry.name for entry in added(folder, seal)] if seal else []
     return Row(
         id=str(manifest.get("id", folder.name)),
         folder=folder.name,
@@ -136,7 +155,20 @@ def _read(folder: Path) -> Row:
         trials_planned=int(told.get("trials_planned") or 0),
         duration=told.get("duration"),
         size=size,
+        continues=_continued(manifest.get("continues")),
+        added=tuple(names),
+        late=tuple(late_files(folder)) if seal else (),
     )
+
+
+def _events(folder: Path) -> bytes:
+    with suppress(InvalidFile):
+        return read_file(folder, files.EVENTS) if is_regular(folder / files.EVENTS) else b""
+    return b""
+
+
+def _continued(link: Any) -> str:
+    return str(link.get("run") or "") if isinstance(link, Mapping) else ""
 
 
 def _before(link: Any) -> int:
@@ -157,8 +189,14 @@ def _load(path: Path) -> dict[str, tuple[str, Row]]:
     with suppress(sqlite3.Error, ValueError, TypeError, OSError), closing(_open(path, "ro")) as base:
         if base.execute("PRAGMA user_version").fetchone()[0] == _VERSION:
             found = base.execute("SELECT folder, stamp, row FROM runs").fetchall()
-            return {folder: (stamp, Row(**json.loads(row))) for folder, stamp, row in found}
+            return {folder: (stamp, _row(json.loads(row))) for folder, stamp, row in found}
     return {}
+
+
+def _row(kept: dict[str, Any]) -> Row:
+    """JSON has lists where a row has tuples."""
+    kept |= {name: tuple(value) for name, value in kept.items() if isinstance(value, list)}
+    return Row(**kept)
 
 
 def _store(path: Path, fresh: Mapping[str, tuple[str, Row]], gone: set[str]) -> None:

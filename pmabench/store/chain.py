@@ -10,10 +10,11 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, RecordError, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import read_manifest, read_seal, sha256_of, status_of
+from pmabench.store.folder import read_manifest, read_seal, status_of
 from pmabench.store.reader import open_run
 from pmabench.store.recalibration import Recalibration
 from pmabench.store.records import RunData
+from pmabench.store.regular import is_regular, sha256_of
 from pmabench.store.seal import close_interrupted
 from pmabench.store.trials import exclude, supersede
 
@@ -134,7 +135,7 @@ def _linked(path: Path, link: Any) -> Path:
             path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
         ) from error
     for folder in _beside(path, name):
-        if not (folder / files.SEAL).is_file() or sha256_of(folder / files.SEAL) != digest:
+        if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
         return folder
     raise invalid(path, f"continues {name}, which does not lie beside it; put that run's folder there")

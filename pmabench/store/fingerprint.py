@@ -14,7 +14,10 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from pmabench.base.errors import InvalidFile
 from pmabench.store import folder as files
+from pmabench.store.folder import read_file
+from pmabench.store.since import late_files
 
 READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
 PARTS = ("analysis", "base", "model", "report", "store")
@@ -33,12 +36,13 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
                 told = entry.stat(follow_symlinks=False)
                 digest.update(f"{name}\0{told.st_size}\0".encode())
                 if name in READ:
-                    digest.update(Path(entry.path).read_bytes())
+                    digest.update(read_file(run, name, files.LARGEST))
                 else:
                     digest.update(f"{told.st_mtime_ns}\0".encode())
+            digest.update("\0".join(["late", *late_files(run)]).encode("utf-8", "surrogateescape"))
             if files.SEAL not in names:
                 return ""
-    except OSError:
+    except (OSError, InvalidFile):
         return ""
     return digest.hexdigest()
 

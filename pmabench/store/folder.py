@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import RecordError, invalid
+from pmabench.store.regular import open_inside
 
 RUN_SCHEMA = "pmabench.run/1"
 SEAL_SCHEMA = "pmabench.seal/1"
@@ -30,6 +31,10 @@ README = "README.txt"
 STREAMS = "streams"
 GUARD = "guard.json"
 """How the guard process vented the bench after the program that recorded had died; not in every run."""
+LATE = ".late"
+"""Added to the name of a run folder: the folder next to it for what comes after the seal, such as `guard.json`."""
+LARGEST = 1 << 26
+"""Bytes of a manifest, a seal or a head of notes; a larger file is none."""
 NOTES, NOTES_HEAD = "notes", "notes.json"
 """What is said of a run afterwards: beside the sealed part, with hashes of its own."""
 
@@ -78,12 +83,15 @@ def open_json(raw: bytes, path: object) -> dict[str, Any]:
     return data
 
 
-def read_file(folder: Path, name: str) -> bytes:
-    """The bytes of a file of the run; raises InvalidFile with the operating system's reason."""
+def read_file(folder: Path, name: str, most: int | None = None) -> bytes:
+    """The bytes of a file of the run, at most `most`; raises InvalidFile with the reason, also for what is no file."""
     try:
-        return (folder / name).read_bytes()
+        with open_inside(folder, name) as file:
+            return file.read() if most is None else file.read(most)
     except OSError as error:
         raise invalid(folder / name, f"cannot be read: {error.strerror or error}") from error
+    except (MemoryError, OverflowError) as error:
+        raise invalid(folder / name, "cannot be read: it is larger than the memory of this computer") from error
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -91,7 +99,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir() or not (folder / MANIFEST).exists():
         why = "there is no such folder" if not folder.exists() else f"no {MANIFEST} in it"
         raise invalid(folder, f"is not a run folder: {why}")
-    raw = read_file(folder, MANIFEST)
+    raw = read_file(folder, MANIFEST, LARGEST)
     newer = re.search(rb'^ "schema": "pmabench\.run/(\d+)"', raw, re.MULTILINE)
     if newer and int(newer[1]) > 1:
         raise invalid(
@@ -105,11 +113,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 def read_seal(folder: Path) -> dict[str, Any] | None:
     """The seal of a closed run, or None where there is none; raises InvalidFile where it is damaged."""
-    if not (folder / SEAL).exists():
+    if not os.path.lexists(folder / SEAL):
         return None
-    seal = open_json(read_file(folder, SEAL), folder / SEAL)
+    seal = open_json(read_file(folder, SEAL, LARGEST), folder / SEAL)
     if seal.get("schema") != SEAL_SCHEMA or not isinstance(seal.get("files"), dict):
         raise invalid(folder / SEAL, f"has the schema {seal.get('schema')!r}; this pmabench reads {SEAL_SCHEMA}")
+    for name, entry in seal["files"].items():
+        entry = entry if isinstance(entry, dict) else {}
+        if not (isinstance(entry.get("sha256"), str) and isinstance(entry.get("bytes"), int)):
+            raise invalid(folder / SEAL, f'does not say the sha256 and the bytes of "{name}"')
     return seal
 
 
@@ -162,28 +174,26 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
         yield path.relative_to(folder).as_posix(), path
 
 
-def sealed_part(folder: Path) -> Iterator[tuple[str, Path]]:
-    """As `files_of`, without the notes, which may come at any time."""
-    for name, path in files_of(folder):
-        if name != NOTES_HEAD and name != f".{NOTES_HEAD}.part" and not name.startswith(f"{NOTES}/"):
-            yield name, path
-
-
-def sha256_of(path: Path) -> str:
-    """Hash of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def cannot_write(path: Path, error: BaseException) -> RecordError:
     """The sentence for a failed write."""
-    reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return RecordError(f"cannot write {path}: {reason}; the run is not fully recorded")
+    return RecordError(f"cannot write {path}: {reason_of(error)}; the run is not fully recorded")
+
+
+def reason_of(error: BaseException) -> str:
+    """Why something could not be written, as the operating system says it; Arrow puts words of its own before that."""
+    reason = str(getattr(error, "strerror", None) or error or type(error).__name__)
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number and "[errno" in reason else reason
+
+
+def part_of(path: Path) -> Path:
+    """The hidden file that becomes `path` when it is whole."""
+    return path.with_name(f".{path.name}.part")
 
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
-    part = path.with_name(f".{path.name}.part")
+    part = part_of(path)
     try:
         with part.open("wb") as file:
             file.write(content)

@@ -14,7 +14,7 @@ import secrets
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,11 +23,15 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.store import folder as files
 from pmabench.store.folder import cannot_write, open_json, read_file, read_manifest, sealed_json, sync_folder
+from pmabench.store.regular import is_regular, sha256_of
 
 NOTE_SCHEMA = "pmabench.note/1"
 HEAD_SCHEMA = "pmabench.notes/1"
-_NOTE = "note.json"
-_PART = ".part-"
+NAME = re.compile(r"\d{4,}")
+"""Of the folder of a note."""
+NOTE = "note.json"
+PART = ".part-"
+"""How the folder of a note begins that is being written."""
 _LONGEST = 100_000
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
@@ -104,11 +108,11 @@ def _append(
         raise InvalidFile(problem for name, what in faults for problem in invalid(run / name, what).problems)
     folder = run / files.NOTES
     folder.mkdir(exist_ok=True)
-    for left in folder.glob(f"{_PART}*"):
+    for left in folder.glob(f"{PART}*"):
         shutil.rmtree(left, ignore_errors=True)
     _write_head(run, manifest, len(known), last)  # it may be missing, or one behind where a writer died
     number = len(known) + 1
-    part = folder / f"{_PART}{secrets.token_hex(4)}"
+    part = folder / f"{PART}{secrets.token_hex(4)}"
     part.mkdir()
     try:
         copied = [_copy(source, part, name) for source, name in zip(attach, _names(attach), strict=True)]
@@ -125,7 +129,7 @@ def _append(
             "files": copied,
         }
         raw = sealed_json(content)
-        files.write_whole(part / _NOTE, raw)
+        files.write_whole(part / NOTE, raw)
         for path in part.iterdir():
             path.chmod(0o444)
         part.rename(folder / f"{number:04d}")
@@ -141,8 +145,7 @@ def _append(
 def _check_trial(run: Path, trial: int) -> None:
     from pmabench.store.journal import decode
 
-    events = run / files.EVENTS
-    lines = decode(events.read_bytes()).lines if events.is_file() else ()
+    lines = decode(read_file(run, files.EVENTS)).lines if is_regular(run / files.EVENTS) else ()
     begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
     if trial not in begun:
         told = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"
@@ -151,7 +154,7 @@ def _check_trial(run: Path, trial: int) -> None:
 
 def _names(attach: Sequence[Path]) -> list[str]:
     """A legal name for each attached file, each once."""
-    taken = {_NOTE}
+    taken = {NOTE}
     names = []
     for source in attach:
         stem = re.sub(r"[^A-Za-z0-9_-]+", "-", source.stem)[:60].strip("-") or "file"
@@ -212,29 +215,32 @@ def check_notes(run: Path) -> list[tuple[str, str]]:
 
 
 def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
-    """The notes that are as they were written, what is wrong, and the sha256 of the last note."""
+    """The notes that are as they were written, what is wrong, and the sha256 of the last note.
+
+    What somebody put among them is no fault of the notes: `pmabench.store.since` names it.
+    """
     notes: list[Note] = []
     faults: list[tuple[str, str]] = []
     try:
-        last = hashlib.sha256(read_file(run, files.MANIFEST)).hexdigest()
+        last = hashlib.sha256(read_file(run, files.MANIFEST, files.LARGEST)).hexdigest()
     except InvalidFile:
         last = ""
     chain = [last]
-    for number, name in enumerate(_folders(run, faults), start=1):
+    for number, name in enumerate(_folders(run), start=1):
         place = f"{files.NOTES}/{name}"
         if name != f"{number:04d}":
             faults.append((place, f"comes where note {number:04d} should be: a note was removed or renamed"))
             return tuple(notes), faults, last
         try:
-            raw = read_file(run, f"{place}/{_NOTE}")
-            content = open_json(raw, run / place / _NOTE)
+            raw = read_file(run, f"{place}/{NOTE}", files.LARGEST)
+            content = open_json(raw, run / place / NOTE)
             note = _note(content)
         except (InvalidFile, KeyError, TypeError, ValueError) as error:
             what = error.problems[0].message if isinstance(error, InvalidFile) else "is no note"
-            faults.append((f"{place}/{_NOTE}", what))
+            faults.append((f"{place}/{NOTE}", what))
             return tuple(notes), faults, last
         if note.number != number or content.get("before") != last:
-            faults.append((f"{place}/{_NOTE}", "does not follow the note before it: notes were changed or moved"))
+            faults.append((f"{place}/{NOTE}", "does not follow the note before it: notes were changed or moved"))
             return tuple(notes), faults, last
         faults += _attached(run / place, place, content["files"])
         notes.append(note)
@@ -243,19 +249,11 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
     return tuple(notes), faults + _head(run, chain), last
 
 
-def _folders(run: Path, faults: list[tuple[str, str]]) -> list[str]:
+def _folders(run: Path) -> list[str]:
     folder = run / files.NOTES
-    if folder.is_symlink():
-        faults.append((files.NOTES, "is a link, which no run contains"))
+    if folder.is_symlink() or not folder.is_dir():
         return []
-    names = []
-    with suppress(FileNotFoundError):
-        for path in sorted(folder.iterdir()):
-            if path.is_symlink() or not path.is_dir() or not re.fullmatch(r"\d{4,}", path.name):
-                if not path.name.startswith(_PART):
-                    faults.append((f"{files.NOTES}/{path.name}", "was put among the notes; it is none"))
-                continue
-            names.append(path.name)
+    names = [path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and not path.is_symlink()]
     return sorted(names, key=lambda name: (len(name), name))
 
 
@@ -263,29 +261,25 @@ def _attached(folder: Path, place: str, told: Sequence[Mapping[str, Any]]) -> li
     faults = []
     for entry in told:
         path = folder / str(entry["name"])
-        if not path.is_file() or path.is_symlink():
+        if not is_regular(path):
             faults.append((f"{place}/{entry['name']}", "is missing"))
             continue
         try:
-            changed = files.sha256_of(path) != entry["sha256"]
+            changed = path.stat().st_size != entry.get("bytes") or sha256_of(path) != entry["sha256"]
         except OSError as error:
             faults.append((f"{place}/{entry['name']}", f"cannot be read: {error.strerror}"))
             continue
         if changed:
             faults.append((f"{place}/{entry['name']}", "was changed: its sha256 does not fit"))
-    known = {_NOTE, *(str(entry["name"]) for entry in told)}
-    faults += [
-        (f"{place}/{path.name}", "was added to the note") for path in sorted(folder.iterdir()) if path.name not in known
-    ]
     return faults
 
 
 def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
     """`chain`: sha256 of the manifest and of each note. A note that was written last may not be in the head yet."""
-    if not (run / files.NOTES_HEAD).exists():
+    if not is_regular(run / files.NOTES_HEAD):
         return [] if len(chain) == 1 else [(files.NOTES_HEAD, f"is missing; there are {len(chain) - 1} notes")]
     try:
-        head = open_json(read_file(run, files.NOTES_HEAD), run / files.NOTES_HEAD)
+        head = open_json(read_file(run, files.NOTES_HEAD, files.LARGEST), run / files.NOTES_HEAD)
         count, last = int(head["notes"]), head["last"]
     except (InvalidFile, KeyError, TypeError, ValueError) as error:
         return [(files.NOTES_HEAD, error.problems[0].message if isinstance(error, InvalidFile) else "is damaged")]

@@ -28,6 +28,8 @@ from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
 from pmabench.store.notes import read_notes
 from pmabench.store.recalibration import Line, Recalibration, refound
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
+from pmabench.store.regular import is_regular
+from pmabench.store.since import Since, late_guard, since
 from pmabench.store.timebase import onto
 from pmabench.store.trials import cut_trials, exclude
 
@@ -40,7 +42,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
 
     `anew`: other calibrations for the same raw samples, and channels moved in time.
 
-    Files of a closed run are checked against its seal; of a dead or running one, whole batches and events are read.
+    Files of a closed run are checked against its seal, and what was added to them is not read but named in `since`; of
+    a dead or running one, whole batches and events are read.
     Raises InvalidFile for what is no run, is damaged, was changed, or was written by a newer pmabench.
     """
     folder = RunFiles(Path(path), anew)
@@ -86,7 +89,15 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
         notes=notes,
         clocks={stream.name: stream.clock for stream in streams},
         interpolated=interpolated,
+        since=_since(folder),
     )
+
+
+def _since(folder: RunFiles) -> Since:
+    try:
+        return since(folder.path, folder.seal)
+    except OSError as error:
+        raise invalid(error.filename or folder.path, f"cannot be read: {error.strerror or error}") from error
 
 
 def _reaches(stream: Samples) -> float:
@@ -167,28 +178,32 @@ class RunFiles:
         self.manifest = read_manifest(path)
         self.seal = read_seal(path)
 
+    def has(self, name: str) -> bool:
+        """Whether the file is part of the run: sealed, or there where the run is not closed."""
+        return name in self.seal["files"] if self.seal is not None else is_regular(self.path / name)
+
     def read(self, name: str) -> bytes:
         """The bytes of a file, as they were sealed."""
-        raw = read_file(self.path, name)
-        expected = ""
+        expected, most = "", None
         if self.seal is not None:
-            entry = self.seal["files"].get(name)
-            expected = entry["sha256"] if entry else "not sealed"
+            entry = self.seal["files"].get(name) or {"sha256": "not sealed", "bytes": 0}
+            expected, most = entry["sha256"], int(entry["bytes"]) + 1  # one more shows that it has grown
         elif name in self.manifest.get("snapshots", {}):
             expected = self.manifest["snapshots"][name]
+        raw = read_file(self.path, name, most)
         if expected and hashlib.sha256(raw).hexdigest() != expected:
             raise invalid(self.path / name, "was changed after it was written; `pmabench runs verify` tells more")
         return raw
 
     def journal(self) -> Journal:
         """The events; of an unsealed run those before the first that is not whole."""
-        if not (self.path / files.EVENTS).exists() and self.seal is None:
+        if self.seal is None and not self.has(files.EVENTS):
             return Journal(())
         return decode(self.read(files.EVENTS))
 
     def plan(self) -> dict[str, Any]:
         """The plan as it was kept; empty where there is none, as in imports."""
-        if not (self.path / files.PLAN).exists():
+        if not self.has(files.PLAN):
             return {}
         plan = json.loads(self.read(files.PLAN))
         return plan if isinstance(plan, dict) else {}
@@ -204,8 +219,8 @@ class RunFiles:
 
     def guard(self) -> dict[str, Any]:
         """How the guard process vented the bench after the program had died; empty where it had not to."""
-        if not (self.path / files.GUARD).exists():
-            return {}
+        if not self.has(files.GUARD):
+            return late_guard(self.path) if self.seal is None else {}
         try:
             told = json.loads(self.read(files.GUARD))
         except ValueError as error:
@@ -216,7 +231,10 @@ class RunFiles:
 
     def stream_names(self) -> list[str]:
         """Names of the streams, sorted."""
-        found = (self.path / files.STREAMS).glob("*")
+        if self.seal is not None:
+            found = [Path(name) for name in self.seal["files"] if name.startswith(f"{files.STREAMS}/")]
+        else:
+            found = [path for path in (self.path / files.STREAMS).glob("*") if is_regular(path)]
         return sorted({file.stem for file in found if file.suffix in (".arrows", ".parquet")})
 
     def stream(self, name: str, events: tuple[Event, ...]) -> Samples:
@@ -224,7 +242,7 @@ class RunFiles:
         parquet, live = (f"{files.STREAMS}/{name}{suffix}" for suffix in (".parquet", ".arrows"))
         sealed = self.seal is not None
         told = (self.seal or {}).get("streams", {}).get(name, {})
-        use_live = (self.path / live).exists() and not (sealed and (self.path / parquet).exists())
+        use_live = self.has(live) and not (sealed and self.has(parquet))
         raw = pa.py_buffer(self.read(live if use_live else parquet))
         try:
             if use_live:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.store.since import Since
+
 if TYPE_CHECKING:
     from pmabench.store.notes import Note
 
@@ -186,6 +188,8 @@ class RunData:
     """By stream."""
     interpolated: Mapping[str, str] = field(default_factory=dict)
     """Channels of other streams that were put on the time base of the trials, each with a sentence that says how."""
+    since: Since = field(default_factory=Since)
+    """What came after the run was sealed; no part of it."""
 
     def skew(self, one: str, other: str) -> float:
         """Bound of the time skew between two channels that comes from the clocks of their streams [s], 95 %."""

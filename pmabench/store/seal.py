@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -12,8 +14,14 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.archive import archive, span_of
-from pmabench.store.folder import cannot_write, plain, read_manifest, read_seal, sealed_json, sealed_part, sha256_of
+from pmabench.store.folder import cannot_write, plain, read_file, read_manifest, read_seal, reason_of, sealed_json
 from pmabench.store.journal import decode, summary
+from pmabench.store.regular import is_regular, sha256_of
+from pmabench.store.room import free_for_events, write_into_room
+from pmabench.store.since import adopt
+
+STRAY = re.compile(r"(?:.*/)?(?:\..*|.*~|Thumbs\.db|ehthumbs\.db|desktop\.ini)(?:/.*)?", re.IGNORECASE | re.DOTALL)
+"""Names that only file managers and editors make: they may change at any time, and are no part of a run."""
 
 
 @dataclass
@@ -33,12 +41,12 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     """
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
-        status, why = "error", f"{cannot_write(folder, streams.failure)}; before that: {status} {why}".rstrip()
-    for _name, path in sealed_part(folder):
-        if path.name.startswith(".") and path.name.endswith(".part"):
-            path.unlink()
+        told = str(cannot_write(folder, streams.failure))
+        known = status == "error" and reason_of(streams.failure) in why  # a full disk is named once
+        status, why = "error", why if known else f"{told}; before that: {status} {why}".rstrip()
+    _tidy(folder)
     manifest = read_manifest(folder)
-    journal = decode((folder / files.EVENTS).read_bytes() if (folder / files.EVENTS).exists() else b"")
+    journal = decode(read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b"")
     content = {
         "schema": files.SEAL_SCHEMA,
         "id": manifest["id"],
@@ -51,22 +59,38 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
         "events_fault": journal.fault,
         "streams": streams.described,
         "files": {
-            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size}
-            for name, path in sealed_part(folder)
-            if name != files.SEAL
+            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in _part_of_the_run(folder)
         },
     }
-    files.write_whole(folder / files.SEAL, sealed_json(content))
-    for _name, path in sealed_part(folder):
+    write_into_room(folder / files.SEAL, sealed_json(content))
+    for path in (folder / name for name in (files.SEAL, *content["files"])):
         with suppress(OSError):
             path.chmod(0o444)
     if streams.failure is not None:
         raise streams.failure
 
 
+def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
+    """The files that are sealed: not the notes, which may come at any time, and nothing that is no file of a run."""
+    for name, path in files.files_of(folder):
+        note = name == files.NOTES_HEAD or name.startswith(f"{files.NOTES}/")
+        if not note and is_regular(path) and not STRAY.fullmatch(name):
+            yield name, path
+
+
+def _tidy(folder: Path) -> None:
+    """Delete what was begun and never became whole; the room for the seal stays. Raises OSError."""
+    free_for_events(folder)
+    room = files.part_of(folder / files.SEAL)
+    for place in (folder, folder / files.STREAMS):
+        for path in place.glob(".*.part"):
+            if path != room and is_regular(path) and path.name != f".{files.NOTES_HEAD}.part":
+                path.unlink()
+
+
 def _turn(folder: Path) -> _Streams:
     streams = _Streams()
-    for live in sorted(folder.glob("*.arrows")):
+    for live in _found(folder, "*.arrows"):
         try:
             kept = archive(live, live.with_suffix(".parquet"))
         except (OSError, ValueError) as error:
@@ -76,12 +100,16 @@ def _turn(folder: Path) -> _Streams:
         streams.described[live.stem] = {"rows": kept.rows, "fault": kept.fault, "file": f"{live.stem}.parquet"}
         if not kept.torn:
             live.unlink()
-    for path in sorted(folder.glob("*.parquet")):
+    for path in _found(folder, "*.parquet"):
         rows, low, high = span_of(path)
         streams.described.setdefault(path.stem, {"rows": rows, "fault": "", "file": path.name})
         if rows:
             streams.spans.append((low / 1e9, high / 1e9))
     return streams
+
+
+def _found(folder: Path, pattern: str) -> list[Path]:
+    return [] if folder.is_symlink() else [path for path in sorted(folder.glob(pattern)) if is_regular(path)]
 
 
 def close_interrupted(folder: Path) -> Path:
@@ -95,6 +123,7 @@ def close_interrupted(folder: Path) -> Path:
     if files.status_of(manifest, None) == "running":
         raise RecordError(f"{folder} is still being written by process {manifest['writer']['pid']}")
     try:
+        adopt(folder)
         seal(folder, "interrupted", "the program that wrote it ended without closing it", {})
     except (OSError, ValueError, InvalidFile) as error:
         raise cannot_write(folder, error) from error

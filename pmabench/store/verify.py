@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,14 @@ from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
 from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.folder import files_of, read_manifest, read_seal, sealed_part, sha256_of, status_of
+from pmabench.store.folder import files_of, read_file, read_manifest, read_seal, status_of
 from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import LiveReader
 from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
 from pmabench.store.records import Flag
+from pmabench.store.regular import is_regular, kind_of, open_inside
+from pmabench.store.since import added
 from pmabench.store.trials import trial_spans
 
 _TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
@@ -26,10 +30,12 @@ _TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with one file of a run."""
+    """One thing that is wrong with one file of a run, or that was added to it."""
 
     file: str
     message: str
+    added: bool = False
+    """No damage: the sealed part is whole, and somebody put something into its folder."""
 
     def __str__(self) -> str:
         """`file: message`."""
@@ -37,9 +43,10 @@ class Finding:
 
 
 def verify(path: Path | str) -> list[Finding]:
-    """Everything that is wrong with a run; empty for one that was closed and not touched since.
+    """Everything that is wrong with a run, or was added to it; empty for one that was closed and not touched since.
 
-    Gaps that the record itself flags are no finding. Raises InvalidFile for what is not a run folder.
+    Only files of the run are opened, and of them only regular ones. Gaps that the record itself flags are no finding.
+    Raises InvalidFile for what is not a run folder.
     """
     try:
         return _verify(Path(path))
@@ -48,7 +55,7 @@ def verify(path: Path | str) -> list[Finding]:
 
 
 def _verify(folder: Path) -> list[Finding]:
-    if not (folder / files.SEAL).exists() or not (folder / files.MANIFEST).exists():
+    if not os.path.lexists(folder / files.SEAL) or not os.path.lexists(folder / files.MANIFEST):
         read_manifest(folder)
     found: list[Finding] = []
     manifest = _or_finding(found, files.MANIFEST, lambda: read_manifest(folder)) or {}
@@ -56,14 +63,17 @@ def _verify(folder: Path) -> list[Finding]:
     if seal is not None:
         found += _sealed_files(folder, seal)
     else:
-        if not (folder / files.SEAL).exists():
+        if not os.path.lexists(folder / files.SEAL):
             found.append(Finding(files.SEAL, f"is missing: the run is {status_of(manifest, None)}"))
         found += _snapshots(folder, manifest)
+        found += [_odd(name, path) for name, path in files_of(folder) if not is_regular(path)]
     found += _events(folder, seal)
     found += _streams(folder, seal)
     found += [Finding(name, what) for name, what in check_notes(folder)]
     if not found and "imported" not in manifest:
         found += _time(folder)
+    if seal is not None:
+        found += [Finding(entry.name, entry.sentence, added=True) for entry in added(folder, seal)]
     return found
 
 
@@ -75,38 +85,47 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
         return None
 
 
-def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> list[Finding]:
-    found, seen = [], set()
-    for name, path in sealed_part(folder):
-        seen.add(name)
-        if path.is_symlink():
-            found.append(Finding(name, "is a link, which no run contains"))
-        elif name not in seal["files"] and name != files.SEAL:
-            found.append(Finding(name, "was added after the run was closed"))
-        elif name != files.SEAL:
-            found += _same_bytes(name, path, seal["files"][name]["sha256"])
-    return found + [Finding(name, "is missing") for name in sorted(seal["files"].keys() - seen)]
+def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> Iterator[Finding]:
+    for name, entry in sorted(seal["files"].items()):
+        yield from _same_bytes(folder, name, entry["sha256"], entry["bytes"])
 
 
-def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> list[Finding]:
-    found = []
+def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Finding]:
     for name, digest in sorted(manifest.get("snapshots", {}).items()):
-        path = folder / name
-        found += _same_bytes(name, path, digest) if path.is_file() else [Finding(name, "is missing")]
-    return found
+        yield from _same_bytes(folder, name, digest)
 
 
-def _same_bytes(name: str, path: Path, digest: str) -> list[Finding]:
-    try:
-        changed = sha256_of(path) != digest
-    except OSError as error:
-        return [Finding(name, f"cannot be read: {error.strerror}")]
-    return [Finding(name, "was changed: its sha256 does not fit")] if changed else []
+def _same_bytes(folder: Path, name: str, digest: str, size: int | None = None) -> Iterator[Finding]:
+    path = folder / name
+    if not os.path.lexists(path):
+        yield Finding(name, "is missing")
+    elif not is_regular(path):
+        yield _odd(name, path)
+    else:
+        try:
+            with open_inside(folder, name) as file:
+                same = size in {None, os.fstat(file.fileno()).st_size}
+                if not same or hashlib.file_digest(file, "sha256").hexdigest() != digest:
+                    yield Finding(name, "was changed: its sha256 does not fit")
+        except OSError as error:
+            yield Finding(name, f"cannot be read: {error.strerror}")
+
+
+def _odd(name: str, path: Path) -> Finding:
+    return Finding(name, f"is {kind_of(path.lstat().st_mode)}, which no run contains")
+
+
+def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:
+    """A file; of a sealed one at most so much that it shows whether it has grown."""
+    sealed = seal["files"].get(name) if seal is not None else None
+    return read_file(folder, name, None if sealed is None else sealed["bytes"] + 1)
 
 
 def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
-    path = folder / files.EVENTS
-    journal = decode(path.read_bytes()) if path.is_file() else Journal(())
+    try:
+        journal = decode(_read(folder, seal, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
+    except InvalidFile as error:
+        return [Finding(files.EVENTS, error.problems[0].message)]
     if seal is None:
         return [Finding(files.EVENTS, journal.fault)] if journal.fault else []
     found = []
@@ -124,22 +143,25 @@ def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     sealed = {} if seal is None else seal.get("streams", {})
     for name, path in files_of(folder / files.STREAMS) if (folder / files.STREAMS).is_dir() else ():
         known = next((stream for stream in sealed.values() if stream.get("file") == name), None)
+        place = f"{files.STREAMS}/{name}"
+        if not is_regular(path) or (seal is not None and known is None):
+            continue
         try:
             if path.suffix == ".parquet":
-                rows, fault = read_archive(pa.BufferReader(path.read_bytes()))[0].num_rows, ""
-            elif path.suffix == ".arrows" and (known is not None or seal is None):
-                reader = LiveReader(pa.py_buffer(path.read_bytes()))
+                rows, fault = read_archive(pa.BufferReader(_read(folder, seal, place)))[0].num_rows, ""
+            elif path.suffix == ".arrows":
+                reader = LiveReader(pa.py_buffer(_read(folder, seal, place)))
                 for _batch in reader:
                     pass
                 rows, fault = reader.rows, reader.fault
             else:
                 continue
-        except (OSError, ValueError) as error:
+        except (InvalidFile, ValueError) as error:
             rows, fault = None, str(error)
         if seal is None and fault:
-            found.append(Finding(f"{files.STREAMS}/{name}", f"{fault}; {rows or 0} whole rows before that"))
+            found.append(Finding(place, f"{fault}; {rows or 0} whole rows before that"))
         elif known is not None and known.get("rows") not in (None, rows):
-            found.append(Finding(f"{files.STREAMS}/{name}", f"has {rows} rows; {known['rows']} were sealed {fault}"))
+            found.append(Finding(place, f"has {rows} rows; {known['rows']} were sealed {fault}"))
     return found
 
 

@@ -31,6 +31,7 @@ from pmabench.store.journal import encode
 from pmabench.store.livestream import LiveStream, describe
 from pmabench.store.naming import check_name
 from pmabench.store.readme import README_TEXT
+from pmabench.store.room import free_for_events, keep_room
 from pmabench.store.seal import seal
 
 FLUSH_EVERY = 0.05
@@ -97,6 +98,7 @@ class RunWriter:
             for key, content in contents.items():
                 (folder / key).parent.mkdir(parents=True, exist_ok=True)
                 write_whole(folder / key, content)
+            keep_room(folder)
             full = _full_manifest(folder.name, manifest, contents)
             events = AppendFile(folder / files.EVENTS).open()
             write_whole(folder / files.MANIFEST, sealed_json(full))
@@ -240,7 +242,9 @@ class RunWriter:
         self._closed = True
         try:
             try:
-                self._events.write(b"".join(self._lines))  # what could not be written before, once more
+                if self._lines:  # what could not be written before, once more
+                    free_for_events(self.folder)
+                self._events.write(b"".join(self._lines))
                 self._events.sync()
             except OSError as error:
                 failure = failure or cannot_write(self._events.path, error)

@@ -602,3 +602,13 @@ def test_what_a_hung_line_cannot_say_is_not_held_against_the_second_way():
     vent = until_over(guard, 0.02, LOW)
     hangs.set()
     assert "set pressure: sent over the second way" in vent.actions
+
+
+def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():
+    """S7: the next run must not begin with a dump valve that did not obey."""
+    guard, rig = armed()
+    rig.wrong |= {"switch": "no answer", "rescue": "no answer either"}
+    guard.begin_safe()
+    vent = until_over(guard, 0.01, LOW)
+    assert vent.confirmed
+    assert guard.state is State.TRIPPED

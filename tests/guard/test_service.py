@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.base.errors import RecordError
+from pmabench.base.errors import DeviceError, RecordError
 from pmabench.guard import process
 from pmabench.guard.guard import State
 from pmabench.guard.remote import exchange
@@ -210,7 +210,9 @@ def test_a_command_that_is_acknowledged_and_not_carried_out_is_noticed():
         assert "was commanded to 300 kPa and the device holds 0 kPa" in serving.service._ended["why"]
 
 
-def test_a_bench_that_does_what_it_was_told_is_left_alone():
+def test_a_bench_that_does_what_it_was_told_is_left_alone(monkeypatch):
+    monkeypatch.setattr(process, "SILENCE", 60.0)  # this test is not about a machine that is busy
+    monkeypatch.setattr(process, "STOOD_STILL", 60.0)
     with Serving(threads=True) as serving:
         link = serving.armed()
         serving.rig.reports["uptime"] = 6.0
@@ -774,3 +776,14 @@ def test_the_same_device_behind_another_address_is_known_by_its_serial_number(mo
     with Serving() as serving:
         assert "error" not in serving.ask(serving.link(), "open")
         assert serving.station.noted == [("device", {"where": "Alicat PCD serial 0815"})]
+
+
+def test_a_drivers_own_kind_of_device_error_reaches_the_engine_as_one():
+    class Unanswered(DeviceError):
+        pass
+
+    with Serving() as serving:
+        link = serving.armed()
+        serving.rig.wrong["write"] = Unanswered("dac", "gave no answer", "p")
+        told = serving.ask(link, "set", name="pressure", value=1e5)["error"]
+        assert told == {"type": "DeviceError", "device": "dac", "channel": "p", "text": "gave no answer"}

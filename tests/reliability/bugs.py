@@ -93,6 +93,27 @@ BUGS = (
         ("tests/store/test_chain.py",),
     ),
     Bug(
+        "what was added to a closed run is read",
+        "pmabench/store/reader.py",
+        'return name in self.seal["files"] if self.seal is not None else is_regular(self.path / name)',
+        "return is_regular(self.path / name)",
+        ("tests/store/test_since.py",),
+    ),
+    Bug(
+        "a FIFO in a run folder is opened",
+        "pmabench/store/regular.py",
+        "    _refuse(path.lstat().st_mode)  # before it is opened: opening a device may already do something\n",
+        "    return path.open('rb')\n",
+        ("tests/store/test_since.py",),
+    ),
+    Bug(
+        "a terminal obeys the names of others",
+        "pmabench/base/text.py",
+        "        self.stream.write(spelled(text))\n",
+        "        self.stream.write(text)\n",
+        ("tests/cli/test_hostile_text.py",),
+    ),
+    Bug(
         "notes are no chain",
         "pmabench/store/notes.py",
         'if note.number != number or content.get("before") != last:',

@@ -1,12 +1,13 @@
-"""A run whose files may not grow any more ends as failed, with all that was written (R8)."""
+"""A run whose files may not grow any more ends as failed, with all that was written (R8) and a seal (R13)."""
 
 import random
 
 import pytest
 
 from pmabench.base.errors import RecordError
-from pmabench.store.folder import MANIFEST
+from pmabench.store.folder import MANIFEST, read_seal
 from pmabench.store.reader import open_run
+from pmabench.store.room import FOR_SEAL
 from tests.reliability.cases import cases
 from tests.reliability.test_disk_faults import what_is_wrong
 from tests.store.runs import begin, block
@@ -21,14 +22,14 @@ def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
     record_property("cases", CASES)
     wrong = []
     for number in range(CASES):
-        limit = rng.choice((rng.randrange(1, 3_000), rng.randrange(3_000, 40_000)))
+        limit = rng.choice((rng.randrange(1, FOR_SEAL), rng.randrange(FOR_SEAL, 5 * FOR_SEAL)))
         parent = tmp_path / f"{number}"
         rows, told = 0, ""
         with _FileSizeLimit(limit):
             try:
                 writer = begin(parent)
                 try:
-                    while rows < 20_000:
+                    while rows < 40_000:
                         writer.append("daq", *block(rows, 100))
                         rows += 100
                         writer.event("mark", rows / 500, rows=rows)
@@ -39,4 +40,7 @@ def test_a_file_that_cannot_grow_fails_the_run(tmp_path, record_property):
         wrong += [f"limit {limit}: {what}" for what in what_is_wrong(parent / "run", told or "said nothing", rows)]
         if (parent / "run" / MANIFEST).exists() and open_run(parent / "run").status == "finished":
             wrong.append(f"limit {limit}: is finished")
+        seal = read_seal(parent / "run") if limit >= FOR_SEAL else None
+        if limit >= FOR_SEAL and (seal is None or "File too large" not in seal["why"]):
+            wrong.append(f"limit {limit}: has no seal with the cause")
     assert not wrong, "\n".join(wrong[:10])

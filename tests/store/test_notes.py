@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError
-from pmabench.store.folder import sha256_of
 from pmabench.store.notes import add_note, read_notes
 from pmabench.store.reader import open_run
+from pmabench.store.regular import sha256_of
 from pmabench.store.verify import verify
 from tests.store.runs import begin, block, closed, die, record
 
@@ -168,18 +168,31 @@ def _of_another_run(folder):
         (_remove_head, "notes.json: is missing; there are 3 notes"),
         (_old_head, "notes.json: does not fit the notes: notes or the manifest were changed"),
         (_remove_picture, "notes/0002/photo-of-the-rig.JPG: is missing"),
-        (_add_file, "notes/0002/more.txt: was added to the note"),
-        (_add_beside, "notes/remark.txt: was put among the notes; it is none"),
         (_of_another_run, "notes/0001/note.json: does not follow the note before it: notes were changed or moved"),
     ],
 )
-def test_removed_moved_and_added_notes_are_found(noted, harm, says):
+def test_removed_and_moved_notes_are_found(noted, harm, says):
     folder = harm(noted) or noted
     assert [str(finding) for finding in verify(folder)] == [says]
     with pytest.raises(InvalidFile, match="`pmabench runs verify` tells more"):
         open_run(folder)
     with pytest.raises(InvalidFile):
         add_note(folder, "on top of that")
+
+
+@pytest.mark.parametrize(
+    ("add", "says"),
+    [
+        (_add_file, "notes/0002/more.txt: was added to the note"),
+        (_add_beside, "notes/remark.txt: was put among the notes; it is none"),
+    ],
+)
+def test_what_was_put_among_the_notes_is_named_and_harms_none(noted, add, says):
+    add(noted)
+    (finding,) = verify(noted)
+    assert (str(finding), finding.added) == (says, True)
+    assert [entry.name for entry in open_run(noted).since.added] == [says.partition(":")[0]]
+    assert add_note(noted, "on top of that").number == 4
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,15 @@ class MockClient:
         """Start the server in a session of its own; it returns when the plant is there or says why it is not."""
         import subprocess
 
-        command = [sys.executable, "-m", "pmabench_drivers.mock.server", "--address", self._device.address, "--detach"]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "pmabench_drivers.mock.server",
+            "--address",
+            self._device.address,
+            "--detach",
+        ]
         with subprocess.Popen(
             command,
             stdin=subprocess.PIPE,

@@ -126,3 +126,4 @@ def _end(run: RunData) -> Iterator[str]:
     vent = get(run.manifest, "end", "vent", "result")
     if vent not in (None, "confirmed"):
         yield f"the safe state at the end was {text_of(vent)}"
+    yield from run.since.sentences

@@ -5,7 +5,6 @@ Manifests are untrusted and everything in them is optional; nothing here raises 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pandas as pd
 
 from pmabench.report.words.wording import POINTS, clean, in_order, kind_title, number, point_shown, shown
 from pmabench.store.records import RunData
+from pmabench.store.regular import is_regular, sha256_of
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""
@@ -197,8 +197,8 @@ def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame
 def _seal(run: RunData) -> str:
     path = Path(run.path) / "seal.json"
     try:
-        if run.path and path.is_file() and path.stat().st_size < LONGEST_SEAL:
-            return hashlib.sha256(path.read_bytes()).hexdigest()
+        if run.path and is_regular(path) and path.stat().st_size < LONGEST_SEAL:
+            return sha256_of(path)
     except (OSError, ValueError):
         return ""
     return ""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pmabench.report.words.wording import clean
 from pmabench.store.records import RunData
+from pmabench.store.regular import open_regular
 
 KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 """Pictures are known by how their bytes begin, not by their names."""
@@ -61,9 +62,10 @@ def notes_of(runs: Sequence[RunData], names: Mapping[str, str]) -> list[Said]:
 def _picture(path: Path, most: int) -> str:
     """The file as a data URI; empty where it is no picture that a page can show, or too large."""
     try:
-        if path.is_symlink() or path.stat().st_size > most:
+        with open_regular(path) as file:
+            raw = file.read(most + 1)
+        if len(raw) > most:
             return ""
-        raw = path.read_bytes()
     except (OSError, ValueError):
         return ""
     kind = next((kind for begin, kind in KINDS.items() if raw.startswith(begin)), "")

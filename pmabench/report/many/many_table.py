@@ -50,7 +50,7 @@ def write_table(many: Many) -> list[Path]:
 
 def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
     """A result as JSON tells it, the same whether it was worked out now or before."""
-    return {name: entry[name] for name in (*KEPT, "verdicts", "excluded")}
+    return {name: entry[name] for name in (*KEPT, "verdicts", "excluded", "since")}
 
 
 def _json_lines(many: Many) -> Iterable[str]:

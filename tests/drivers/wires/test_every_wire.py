@@ -57,7 +57,11 @@ class Raw:
         return found
 
 
-@pytest.fixture(params=SCRIPTS)
+SHARED = {"can", "ni-daqmx"}
+"""A bus and a server: a connection of its own has to be made before anything is answered; their own tests do that."""
+
+
+@pytest.fixture(params=[name for name in SCRIPTS if name not in SHARED])
 def wire(request, tmp_path):
     """A device's faults, a question of its driver, its answer, and who asks anew."""
     device = device_of(request.param, tmp_path / "port")

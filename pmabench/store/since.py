@@ -1,0 +1,190 @@
+"""What came to a run after it was sealed: put into its folder by somebody, or written next to it. Changes nothing.
+
+A sealed folder is never written again. What arrives late (the guard's account of a vent) lies in a folder next to it,
+whose name is that of the run folder and `.late`. What somebody else put into the folder (a file manager, an editor) is
+no part of the run: it is named, and nothing reads it. Standard library only.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pmabench.store import folder as files
+from pmabench.store import notes
+from pmabench.store.regular import is_regular, kind_of, open_regular
+
+LONGEST = 1_000_000
+"""Bytes of a guard's account; a longer one is none."""
+NAMED = 3
+"""So many names stand in a sentence."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """Something in the folder of a sealed run that was not sealed."""
+
+    name: str
+    """Inside the run folder, `/` between folders."""
+    what: str
+    """`a file`, `a folder`, `a link`, `a FIFO` ..."""
+
+    @property
+    def sentence(self) -> str:
+        """As `runs verify` says it after the name."""
+        kind = "" if self.what == "a file" else f"; it is {self.what}"
+        if self.name.startswith(f"{files.NOTES}/"):
+            return f"was added to the note{kind}" if self.name.count("/") > 1 else "was put among the notes; it is none"
+        return f"was added after the run was closed{kind}"
+
+
+@dataclass(frozen=True)
+class Since:
+    """Everything that came after the seal."""
+
+    added: tuple[Added, ...] = ()
+    late: tuple[str, ...] = ()
+    """Names of the files in the folder next to the run."""
+    guard: Mapping[str, Any] = field(default_factory=dict)
+    """The guard's account that came late, from either place; empty where there is none."""
+
+    @property
+    def sentences(self) -> list[str]:
+        """What people should know; empty for a run that is as it was sealed."""
+        told = []
+        if self.added:
+            names = _listed([entry.name for entry in self.added])
+            told.append(f"added to the folder after the run was closed, and not used: {names}")
+        if self.late:
+            told.append(f"written next to the run after it was closed: {_listed(list(self.late))}")
+        if self.guard:
+            cause = self.guard.get("cause") or "no cause is given"
+            told.append(f"the guard vented once more after the run was closed: {vent_of(self.guard)} ({cause})")
+        return told
+
+    def told(self) -> dict[str, Any]:
+        """As plain data for programs."""
+        return {"added": [vars(entry) for entry in self.added], "late": list(self.late), "guard": dict(self.guard)}
+
+
+def vent_of(guard: Mapping[str, Any]) -> str:
+    """The result of the vent in a guard's account."""
+    vent = guard.get("vent")
+    return str((vent.get("result") if isinstance(vent, Mapping) else None) or "no result is given")
+
+
+def since(folder: Path, seal: Mapping[str, Any] | None) -> Since:
+    """What came to a run after its seal; nothing where it has none. Raises OSError."""
+    if seal is None:
+        return Since()
+    found = tuple(added(folder, seal))
+    inside = any(entry.name == files.GUARD for entry in found)
+    guard = late_guard(folder) or (guard_account(folder / files.GUARD) if inside else {})
+    return Since(found, tuple(late_files(folder)), guard)
+
+
+def late_folder(folder: Path) -> Path:
+    """Where lies what came late for a run."""
+    whole = folder if folder.name not in {"", ".", ".."} else folder.resolve()
+    return whole.with_name(whole.name + files.LATE)
+
+
+def late_files(folder: Path) -> list[str]:
+    """Names of what came late for a run, sorted; unfinished files are left out."""
+    place = late_folder(folder)
+    with suppress(OSError):
+        if not place.is_symlink():
+            return sorted(path.name for path in place.iterdir() if not path.name.startswith("."))
+    return []
+
+
+def late_guard(folder: Path) -> dict[str, Any]:
+    """The guard's account next to a run; empty where there is none that can be read."""
+    place = late_folder(folder)
+    return {} if place.is_symlink() else guard_account(place / files.GUARD)
+
+
+def guard_account(path: Path) -> dict[str, Any]:
+    """A guard's account that no seal protects; empty where it cannot be read."""
+    with suppress(OSError, ValueError, RecursionError), open_regular(path) as file:
+        raw = file.read(LONGEST + 1)
+        account = json.loads(raw) if len(raw) <= LONGEST else None
+        return account if isinstance(account, dict) else {}
+    return {}
+
+
+def adopt(folder: Path) -> None:
+    """Take the guard's account into a run that is not sealed yet, so that the seal will protect it. Raises OSError."""
+    late = late_folder(folder)
+    if late.is_symlink() or os.path.lexists(folder / files.GUARD) or not is_regular(late / files.GUARD):
+        return
+    with open_regular(late / files.GUARD) as file:
+        raw = file.read(LONGEST + 1)
+    if len(raw) > LONGEST:
+        return
+    files.write_whole(folder / files.GUARD, raw)
+    with suppress(OSError):  # it is in both places then, and says the same
+        (late / files.GUARD).unlink()
+        late.rmdir()
+
+
+def added(folder: Path, seal: Mapping[str, Any]) -> Iterator[Added]:
+    """What the folder of a sealed run holds and its seal does not name, sorted; a folder that was added counts as one.
+
+    Notes are left out, since they may come at any time and have hashes of their own; what was put among them is not.
+    Raises OSError.
+    """
+    sealed = set(seal["files"])
+    folders = {files.STREAMS, *(name.rpartition("/")[0] for name in sealed)}
+    folders |= {"/".join(name.split("/")[:depth]) for name in folders for depth in range(1, name.count("/") + 1)}
+    yield from _added(folder, "", sealed, folders - {""})
+
+
+def _added(folder: Path, prefix: str, sealed: set[str], folders: set[str]) -> Iterator[Added]:
+    for entry in _inside(folder):
+        name = prefix + entry.name
+        mode = entry.stat(follow_symlinks=False).st_mode
+        if name == files.NOTES and stat.S_ISDIR(mode):
+            yield from _among_notes(Path(entry.path))
+        elif name in folders and stat.S_ISDIR(mode):
+            yield from _added(Path(entry.path), f"{name}/", sealed, folders)
+        elif name not in sealed and not (name in _MAY_COME and stat.S_ISREG(mode)):
+            yield Added(name, kind_of(mode))
+
+
+_MAY_COME = {files.SEAL, files.NOTES_HEAD, files.part_of(Path(files.NOTES_HEAD)).name}
+
+
+def _among_notes(folder: Path) -> Iterator[Added]:
+    for entry in _inside(folder):
+        if notes.NAME.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
+            known = {notes.NOTE, *_attached(Path(entry.path, notes.NOTE))}
+            for inner in _inside(Path(entry.path)):
+                if inner.name not in known:
+                    name = f"{files.NOTES}/{entry.name}/{inner.name}"
+                    yield Added(name, kind_of(inner.stat(follow_symlinks=False).st_mode))
+        elif not entry.name.startswith(notes.PART):
+            yield Added(f"{files.NOTES}/{entry.name}", kind_of(entry.stat(follow_symlinks=False).st_mode))
+
+
+def _attached(note: Path) -> set[str]:
+    """Names of the files of a note, as far as it can be read; whether it is right, `check_notes` says."""
+    with suppress(OSError, ValueError, RecursionError, TypeError, KeyError), open_regular(note) as file:
+        return {str(entry["name"]) for entry in json.loads(file.read(LONGEST))["files"]}
+    return set()
+
+
+def _inside(folder: Path) -> list[os.DirEntry[str]]:
+    with os.scandir(folder) as entries:
+        return sorted(entries, key=lambda entry: entry.name)
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
