@@ -335,6 +335,8 @@ class Server:
         self._device.log.line("closed", who=connection.who)
 
     def _hear(self, connection: Connection) -> None:
+        if connection not in self._connections:
+            return  # closed by a fault in this turn
         try:
             piece = connection.link.recv(4096)
         except OSError:
