@@ -35,6 +35,7 @@ PARTS = (
     Part("trips", "S2", "fault to vent in real time, p99 within 2 blocks + 20 ms", 20, ("tests/engine/test_trips_in_real_time.py",)),
     Part("ways-out", "S3, S4, S5, R8", "every cause in every kind of step", 1, ("tests/engine/test_ways_out.py",)),
     Part("vent", "S7, S9, S10", "vent from outside; two starts at once", 20, ("tests/engine/test_vent_from_outside.py",)),
+    Part("outside", "S11, S12, S13, S14, S15, R12", "independent regulator: faults, freezes, two owners, strangers", 20, ("tests/outside",)),
     Part("resume", "R7", "run killed and gone on with until done", 200, ("tests/engine/test_killed_and_resumed.py",)),
     Part("branches", "all of S", "branches of the guard's code", 1, ("tests/guard/test_branches.py",)),
     Part("rigs", "S3, S4, S6, S7b", "each driver over its wire, whole runs, everything killed", 10_000, ("tests/drivers", "tests/session/test_realtime.py")),

@@ -1,0 +1,32 @@
+"""Faults of a regulator that shares nothing with the project, while it is under pressure; its log is the judge (S11, S13)."""
+
+import os
+
+import pytest
+
+from tests.outside.campaign import campaign, table
+from tests.outside.kinds import KINDS
+from tests.reliability.cases import VARIABLE
+
+pytestmark = pytest.mark.realtime
+SIDE_BY_SIDE = 3
+NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Each kind once with every commit, as often as its row says on demand."""
+    found = campaign(None if VARIABLE in os.environ else 1, set(), SIDE_BY_SIDE, tmp_path_factory.mktemp("faults"))
+    print(f"\n{table(found)}")
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.timeout(3600)
+def test_the_bench_is_vented_and_nothing_is_pressurised_again(name, results, record_property):
+    some = [result for result in results if result.kind == name]
+    wrong = [f"{result.protocol}: {'; '.join(result.wrong)}" for result in some if result.wrong]
+    record_property("cases", len(some))
+    record_property("failures", len(wrong))
+    assert some
+    assert not wrong
