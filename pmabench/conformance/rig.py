@@ -18,6 +18,7 @@ from typing import Any
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
+from pmabench.bench.wiring import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
 from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
@@ -93,13 +94,16 @@ class _Lag:
 
 
 class Rig:
-    """The device of one record. `emulated`: whether an emulator stands behind it; `relays`: where bytes can be damaged.
+    """The device of one record; `wiring` is what its rig's truth file says, where it has one.
 
+    `emulated`: whether an emulator stands behind it; `relays`: where bytes can be damaged.
     Without an emulator a driver is tried only where it is a simulation itself.
     """
 
-    def __init__(self, record: DeviceRecord, folder: Path, *, realtime: bool = True) -> None:
-        self._folder, self._realtime = folder, realtime
+    def __init__(
+        self, record: DeviceRecord, folder: Path, *, realtime: bool = True, wiring: Wiring | None = None
+    ) -> None:
+        self._folder, self._realtime, self._wiring = folder, realtime, wiring
         self.bench_clock: Clock = self.clock()
         self.asked = record
         self.relays: list[Relay] = []
@@ -113,7 +117,7 @@ class Rig:
             record, lambda _: f"127.0.0.1:{free_port()}", lambda _: _far(folder, record.name)
         )
         try:
-            self.emulator: Any = _emulator(served)
+            self.emulator: Any = _emulator(served, wiring)
         except UsageError:
             self.emulator = None
             self._served = served = _rewritten(
@@ -165,7 +169,7 @@ class Rig:
         if self.emulator is None:
             return False
         self.emulator.close()
-        self.emulator = _emulator(self._served)
+        self.emulator = _emulator(self._served, self._wiring)
         self.server = self.emulator.devices[self.record.name]
         self.renew_wire()
         return True
@@ -313,12 +317,12 @@ def _kept_port(_place: str, _driver: str) -> int:
     return free_port()
 
 
-def _emulator(record: DeviceRecord) -> Any:
+def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
     """The emulator of the project with this device in it; UsageError where there is none."""
     found = [point for point in entry_points(group="pmabench.emulators") if point.name == "plant"]
     if not found:
         raise UsageError("no emulator is installed")
-    return found[0].load()([record], preset="ideal")
+    return found[0].load()([record], preset="ideal", truth=wiring)
 
 
 def _rewritten(record: DeviceRecord, tcp: Callable[[str], str], serial: Callable[[str], str]) -> DeviceRecord:

@@ -9,6 +9,8 @@ from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.bench.compile import mount_alone
 from pmabench.bench.interface import DeviceRecord
 from pmabench.bench.registry import driver_class, drivers
+from pmabench.bench.truth import read_truth, truth_of
+from pmabench.bench.wiring import Truth
 from pmabench.files.shipped import shipped_folder
 
 
@@ -21,6 +23,8 @@ class Subject:
     """Whether its bench runs in real time."""
     bench: str
     """The bench file's name."""
+    wiring: Truth | None = None
+    """What its rig's truth file says of wiring and scales; None: the bench file alone says it, and proves nothing."""
 
 
 def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
@@ -43,7 +47,9 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
         except InvalidFile as error:
             unusable.append(error)
             continue
-        found += [Subject(r, compiled.realtime, path.name) for r in compiled.devices if r.driver == target]
+        real = truth_of(path)
+        wiring = None if real is None else read_truth(real)
+        found += [Subject(r, compiled.realtime, path.name, wiring) for r in compiled.devices if r.driver == target]
     if unusable and not found:
         raise unusable[0]
     return found

@@ -74,7 +74,7 @@ def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection
 
 def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTEMPTS) -> tuple[str, str]:
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
-        rig = Rig(subject.record, Path(folder), realtime=subject.realtime)
+        rig = Rig(subject.record, Path(folder), realtime=subject.realtime, wiring=subject.wiring)
         try:
             return PASSED, check(rig)
         except NotApplicable as reason:

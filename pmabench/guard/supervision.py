@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from math import inf
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitRefused
@@ -118,12 +119,16 @@ class Supervision:
         def look() -> str:
             since = self._clock.now()
             held = self._links.read_back(output)
-            moments = [*(since - LAG * part / 8 for part in range(9)), self._clock.now()]
+            moments = [
+                *(since - LAG * part / 8 for part in range(9)),
+                self._clock.now(),
+                inf,
+            ]  # some drives hold the end
             ends = [float(output.scale.to_raw(course(moment))) for moment in moments]
             slack = output.resolution + 1e-6 * max(map(abs, (*ends, output.scale.to_raw(output.high))))
             if min(ends) - slack <= held <= max(ends) + slack:
                 return ""
-            sent, value = (show(si, output.quantity) for si in (course(moments[-1]), output.scale.to_si(held)))
+            sent, value = (show(si, output.quantity) for si in (course(self._clock.now()), output.scale.to_si(held)))
             return f'"{output.name}" was commanded to {sent} and the device holds {value}: {ELSEWHERE}'
 
         return partial(self._twice, look)
