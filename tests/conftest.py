@@ -28,18 +28,28 @@ DRIVERS = (
 )  # fmt: skip
 RIGS = (
     *(f"tests/drivers/{name}/" for name in DRIVERS),
+    "tests/drivers/truth/",
+    "tests/clients/",
+    "tests/outside/test_locks.py",
+    "tests/outside/test_strangers.py",
     "tests/session/test_realtime.py",
+    "tests/session/test_wrong_wires.py",
     "tests/benchmarks/test_cluster.py",
 )
 """Where tests over a wire, a whole session, and a cluster, wait in real time."""
 
 
-def _rig_of_this_commit():
-    """One of the rigs, by the hash of the commit: each gets its turn, and all of them with `make reliability`."""
+def commit_number():
+    """The hash of the commit as a number: what it chooses gets its turn, and all of it with `make reliability`."""
     asked = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
     )
-    return RIGS[int(asked.stdout.strip() or "0", 16) % len(RIGS)]
+    return int(asked.stdout.strip() or "0", 16)
+
+
+def _rig_of_this_commit():
+    """One of the rigs; `PMABENCH_RIG` names another one."""
+    return os.environ.get("PMABENCH_RIG") or RIGS[commit_number() % len(RIGS)]
 
 
 def pytest_collection_modifyitems(config, items):
