@@ -30,7 +30,7 @@ class Judge:
 
     def __init__(self, device, clock):
         self.device, self.clock = device, clock
-        self.held = {"pressure": 0.0, "displacement": 0.0}
+        self.holds = {"pressure": 0.0, "displacement": 0.0}
         self.random = np.random.default_rng(1)
         self.start_at, self.rate, self.count = 0.0, 500.0, 0
 
@@ -50,12 +50,12 @@ class Judge:
         self.count = max(due, self.count)
         n = len(index)
         si = {
-            "pressure": np.full(n, min(self.held["pressure"] * SI_PER_UNIT["pressure"], 10e3)),
+            "pressure": np.full(n, min(self.holds["pressure"] * SI_PER_UNIT["pressure"], 10e3)),
             "displacement": self.random.uniform(-4e-3, 60e-3, n),
             "force": np.full(n, 100.0),
             "angle": self.random.uniform(-0.1, 1.4, n),
-            "pressure_command": np.full(n, self.held["pressure"] * SI_PER_UNIT["pressure"]),
-            "displacement_command": np.full(n, self.held["displacement"] * SI_PER_UNIT["displacement"]),
+            "pressure_command": np.full(n, self.holds["pressure"] * SI_PER_UNIT["pressure"]),
+            "displacement_command": np.full(n, self.holds["displacement"] * SI_PER_UNIT["displacement"]),
         }
         columns = {c.name: c.scale.to_raw(si[c.name]) for c in self.device.channels}
         return Block((self.start_at * 1e9 + index * (1e9 / self.rate)).astype(np.int64), columns)
@@ -65,10 +65,10 @@ class Judge:
 
     def write(self, output, value):
         self.told.append((output, value * SI_PER_UNIT[output]))
-        self.held[output] = value
+        self.holds[output] = value
 
     def read_back(self, output):
-        return self.held[output]
+        return self.holds[output]
 
     def follow(self, output, segment):
         unit = SI_PER_UNIT[output]
@@ -76,7 +76,7 @@ class Judge:
             self.told.append((output, value * unit))
         if segment.kind == "ramp":
             self.told.append((output, segment.target * unit))
-        self.held[output] = segment.target if segment.kind == "ramp" else segment.origin
+        self.holds[output] = segment.target if segment.kind == "ramp" else segment.origin
 
     def halt(self, output):
         pass
@@ -85,10 +85,10 @@ class Judge:
         pass
 
     def switch(self, output, *, on):
-        self.held[output] = on
+        self.holds[output] = on
 
     def is_on(self, output):
-        return self.held.get(output, False)
+        return self.holds.get(output, False)
 
 
 def judged(name, specimen=SPECIMEN):
