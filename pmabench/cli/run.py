@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
-from pmabench.base.system import ENGINE, real_time
+from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
 from pmabench.cli.next_steps import tell_next
 from pmabench.cli.progress import progress_line
@@ -114,6 +114,7 @@ def execute(
         ui.note(warning)
     if prepared.mounted.bench.realtime and (why := real_time(ENGINE)):
         ui.note(f"{why}: a busy computer may end this run early; docs/when-it-goes-wrong.md says how to allow it")
+    ordinary()
     if lack := too_little(needed(prepared.plan, None if continues is None else continues.steps), out):
         raise RecordError(lack)
     mounted = prepared.mounted

@@ -111,8 +111,8 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
         after = rig.call("held()", device.held).judged(CALLS_WITHIN)
         if not (isinstance(after, DeviceError) or _difference(counting, after) or _outputs_show_it(rig, device)):
             raise Failed(
-                f"the watchdog has fired, held() is as before ({_entries(after)}), and outputs and valves are read back "
-                "as they were commanded: nothing shows that the device has vented"
+                f"the watchdog has fired, held() is as before ({_entries(after)}), and outputs and valves are read "
+                "back as they were commanded: nothing shows that the device has vented"
             )
         armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good(CALLS_WITHIN)
     rig.call("disarm_watchdog()", device.disarm_watchdog).nothing(CALLS_WITHIN)

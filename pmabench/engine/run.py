@@ -323,6 +323,8 @@ class _Run:
         recorder, executor.recorder = executor.recorder, ending
         executor.end_trial("interrupted")
         ending.event("vent", self.clock.now(), result=vent.result, actions=list(vent.actions))
+        if self.bench.realtime:
+            ordinary()  # the seal keeps nobody waiting
         zeros = self._zeros() if vent.confirmed else {}
         if zeros:
             ending.event("zero-check", self.clock.now(), channels=zeros)

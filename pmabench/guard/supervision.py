@@ -20,14 +20,14 @@ from pmabench.guard.course import Course
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
 
-EVERY = 0.3
+EVERY = 0.45
 """All questions to a device are asked once in so long [s]."""
 WITHIN = 1.0
 """A device that has answered no question for so long [s] is lost; one lost answer is no lost device."""
 AGAIN = 0.03
 """A difference counts when it is still there so much later [s]: some devices show a new value only then."""
 LAG = 0.3
-"""A device that follows a ramp or a sine may be so much behind [s]."""
+"""A device that follows a ramp or a sine may be so much behind, or have got points so much ahead [s]."""
 ELSEWHERE = "it restarted, or something else commands it"
 
 
@@ -119,11 +119,7 @@ class Supervision:
         def look() -> str:
             since = self._clock.now()
             held = self._links.read_back(output)
-            moments = [
-                *(since - LAG * part / 8 for part in range(9)),
-                self._clock.now(),
-                inf,
-            ]  # some drives hold the end
+            moments = [*(since + LAG * part / 8 for part in range(-8, 9)), inf]  # some drives hold the end of a ramp
             ends = [float(output.scale.to_raw(course(moment))) for moment in moments]
             slack = output.resolution + 1e-6 * max(map(abs, (*ends, output.scale.to_raw(output.high))))
             if min(ends) - slack <= held <= max(ends) + slack:

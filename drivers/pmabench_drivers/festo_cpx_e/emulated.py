@@ -244,17 +244,20 @@ class EmulatedTerminal:
             if not self.timeout or self._bitten or not ends:
                 return False
             self._bitten, self._expire = True, False
-            if self._drop_outputs():
+            if self._put_out_now():
                 self._log.note("watchdog", self.device.name, silent=silent)
+            self._drop_outputs()
             return True
 
-    def _drop_outputs(self) -> bool:
-        """Put out 0 everywhere; whether anything was put out."""
-        on = [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
-        for address in on:
+    def _put_out_now(self) -> list[int]:
+        """Addresses of outputs that are not 0."""
+        return [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
+
+    def _drop_outputs(self) -> None:
+        """Put out 0 everywhere."""
+        for address in self._put_out_now():
             self._put(address, 0)
             self._put_out(address, 0)
-        return bool(on)
 
 
 class CpxDevice(NamedDevice):
