@@ -104,6 +104,12 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
     shown = _held(rig, device).get("watchdog")
     if isinstance(shown, str | bool | None) or abs(shown - armed) > 0.01 * armed:
         raise Failed(f'arm_watchdog() gave {armed:g} s, and held() says "watchdog" is {shown!r}')
+    if getattr(rig.server, "switch_off_watchdog", bool)():
+        rig.bench_clock.wait_until(rig.bench_clock.now() + NOTICED)
+        after = rig.call("held()", device.held).judged(CALLS_WITHIN)
+        if not isinstance(after, DeviceError) and after.get("watchdog") == shown:
+            raise Failed(f'held() says "watchdog" is {shown!r} after it was switched off at the device: it remembers')
+        rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good(CALLS_WITHIN)
     lift(rig)
     counting = _held(rig, device)
     if getattr(rig.server, "expire_watchdog", bool)():

@@ -178,6 +178,12 @@ class Controller:
             if self._watch and monotonic() - self._heard > self._watch:
                 self.expire_watchdog()
 
+    def switch_off_watchdog(self) -> bool:
+        """Another program sets the watch time to 0; whether it was on."""
+        with self._lock:
+            was_on, self._watch = bool(self._watch), 0.0
+            return was_on
+
     def expire_watchdog(self) -> bool:
         """Act as when the watch time is over; whether it was on."""
         with self._lock:
