@@ -247,7 +247,8 @@ class Supervised(Protocol):
     def held(self) -> Mapping[str, float | str]:
         """What the device itself reports now: read from it at each call, never remembered by the driver.
 
-        `watchdog`: after how long without a sign of life it would vent [s], 0 where it is off or has fired.
+        `watchdog`: after how long without a sign of life it would vent [s], 0 where it is off or has fired. A device
+        that goes on counting after it has fired reports its time: there, outputs that are read back show the vent.
         `uptime`: a number that only grows until the device restarts. Every other entry (serial number, trigger of the
         watchdog, mode, count of restarts) must stay what it was when the bench was armed. The name of an entry is
         printed in the reason of a trip.
