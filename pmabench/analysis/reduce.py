@@ -81,17 +81,31 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
-    """One sentence for each analysis that gave nothing, and for each limit of a protocol that is not kept."""
+    """One sentence for each reason why results are not accepted.
+
+    These are: nothing came out, a value was withheld, a reduction refuses acceptance, a limit of a protocol is not kept.
+    """
     failed: list[str] = []
     tested = {run.id: (specimen_of(run), run.simulated) for run in runs}
     for analysis in analyses:
+        failed += analysis.refusals
         if analysis.kind == AGREEMENT:
             continue
-        if all(e.value is None for e in analysis.estimates):
+        failed += _withheld(analysis)
+        if all(e.value is None and not e.withheld for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
         failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed
+
+
+def _withheld(analysis: Analysis) -> list[str]:
+    """One sentence for each reason to withhold, with the values that it concerns."""
+    found: dict[str, list[str]] = {}
+    for estimate in analysis.estimates:
+        if estimate.withheld:
+            found.setdefault(estimate.note, []).append(_named(estimate))
+    return [f"{', '.join(dict.fromkeys(names))}: withheld: {reason}" for reason, names in found.items()]
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:

@@ -6,7 +6,7 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import nan, sqrt
 from typing import Any
 
@@ -115,6 +115,8 @@ class Estimate:
     """Where the same symbol appears once per coefficient of a curve: its name, for instance `slope`."""
     budget: tuple[Source, ...] = ()
     """Its uncertainty by source, largest first; empty where only the parts are known."""
+    withheld: bool = False
+    """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
 
     @property
     def shares(self) -> tuple[float | None, ...]:
@@ -158,7 +160,15 @@ class Estimate:
             "note": self.note,
             "trials": list(self.trials),
             "budget": [{**asdict(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
+            "withheld": self.withheld,
         }
+
+
+def withhold(estimate: Estimate, reason: str) -> Estimate:
+    """The estimate without its value and interval, because the data contradict it; `reason` completes "withheld: "."""
+    return replace(
+        estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=reason, withheld=True
+    )
 
 
 @dataclass(frozen=True)
@@ -259,6 +269,8 @@ class Analysis:
     traces: tuple[Trace, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of trials and cells used, residual rms, options, in SI."""
+    refusals: tuple[str, ...] = ()
+    """Why these results are not accepted, whatever limits the protocol sets: one sentence each, with numbers."""
 
     @classmethod
     def of(
@@ -272,6 +284,7 @@ class Analysis:
         findings: Iterable[Finding] = (),
         traces: Iterable[Trace] = (),
         facts: Mapping[str, Any] | None = None,
+        refusals: Iterable[str] = (),
     ) -> Analysis:
         """What was found in `runs`, of which one that is simulated makes all simulated."""
         return cls(
@@ -284,6 +297,7 @@ class Analysis:
             tuple(findings),
             tuple(traces),
             facts or {},
+            tuple(refusals),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -308,4 +322,5 @@ class Analysis:
                 for t in self.traces
             ],
             "facts": dict(self.facts),
+            "refusals": list(self.refusals),
         }

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from pmabench.analysis.reduce import verdicts
-from pmabench.analysis.results import Analysis, Curve, Estimate, Parts
+from pmabench.analysis.results import Analysis, Curve, Estimate, Parts, withhold
 from pmabench.analysis.verdict.acceptance import limits_of
+from pmabench.report.files.analysis_folder import read_analysis, write_analysis
 from tests.analysis.loop_rig import as_run
 
 PLACE = "cr.yaml:7"
@@ -146,3 +147,24 @@ def test_a_static_test_that_is_not_there_is_said(missing):
 def test_a_score_without_an_interval_is_not_accepted():
     (told,) = against_static({"measure": "static_E_n", "limit": 1.0}, half=None)
     assert "one has no interval, E_n accepted at most 1 (cr.yaml:7)" in told
+
+
+def test_what_is_withheld_or_refused_is_not_accepted_whatever_the_limits():
+    run = replace(as_run("contraction-relaxation", []), plan={})
+    K, F = (
+        Estimate(symbol, 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0)) for symbol in ("K", "F_ce")
+    )
+    analysis = Analysis(run.kind, (run.id,), True, (K, withhold(F, "the cell drifted")), refusals=("no zero was read",))
+    assert verdicts([run], [analysis]) == [
+        "no zero was read",
+        "F_ce at pressure 300 kPa: withheld: the cell drifted",
+    ]
+    assert verdicts([run], [replace(analysis, estimates=(K,), refusals=())]) == []
+
+
+def test_a_withheld_value_stays_withheld_in_the_analysis_folder(tmp_path):
+    K = withhold(Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0)), "the cell drifted")
+    analysis = Analysis("contraction-relaxation", ("a",), True, (K,), refusals=("why",))
+    again = read_analysis(write_analysis(analysis, tmp_path / "analysis"))
+    assert again.estimates == analysis.estimates and again.refusals == analysis.refusals
+    assert (K.value, K.ci95, K.withheld) == (None, None, True)

@@ -119,7 +119,11 @@ def not_accepted(
         primary.setdefault(estimate.symbol, estimate.method)
     for limit in limits:
         if limit.measure in ("relative_interval", "of_specimen"):
-            mine = [e for e in analysis.estimates if e.symbol == limit.what and e.method == primary[e.symbol]]
+            mine = [
+                e
+                for e in analysis.estimates
+                if e.symbol == limit.what and e.method == primary[e.symbol] and not e.withheld
+            ]
             judge = _interval if limit.measure == "relative_interval" else _of_specimen
             known = any(e.value is not None for e in mine)
             for estimate in mine:

@@ -113,6 +113,7 @@ def read_analysis(folder: Path) -> Analysis:
             findings=tuple(Finding(_text(f["level"]), _text(f["text"])) for f in data["findings"]),
             traces=tuple(_trace(folder, t) for t in data["traces"]),
             facts=dict(data["facts"]),
+            refusals=tuple(_text(reason) for reason in data.get("refusals", ())),
         )
 
 
@@ -226,6 +227,7 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
         trials=tuple(_text(trial) for trial in e["trials"]),
         coordinate=_text(e["coordinate"]),
         budget=tuple(_source(s) for s in e.get("budget", ())),
+        withheld=_flag(e.get("withheld", False)),
     )
 
 
