@@ -83,7 +83,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
     """One sentence for each reason why results are not accepted.
 
-    These are: nothing came out, a value was withheld, a reduction refuses acceptance, a limit of a protocol is not kept.
+    These are: nothing came out, a value was withheld, a reduction refuses acceptance, a protocol's limit is not kept.
     """
     failed: list[str] = []
     tested = {run.id: (specimen_of(run), run.simulated) for run in runs}

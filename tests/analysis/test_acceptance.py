@@ -166,5 +166,5 @@ def test_a_withheld_value_stays_withheld_in_the_analysis_folder(tmp_path):
     K = withhold(Estimate("K", 6400.0, "N/m", "stiffness", "m", {"pressure": 3e5}, Parts(20.0)), "the cell drifted")
     analysis = Analysis("contraction-relaxation", ("a",), True, (K,), refusals=("why",))
     again = read_analysis(write_analysis(analysis, tmp_path / "analysis"))
-    assert again.estimates == analysis.estimates and again.refusals == analysis.refusals
+    assert (again.estimates, again.refusals) == (analysis.estimates, analysis.refusals)
     assert (K.value, K.ci95, K.withheld) == (None, None, True)
