@@ -40,6 +40,8 @@ FOLLOWS = {
 }
 """Kind of run -> channel that rises with pressure."""
 MOST_FILES = 10_000
+SAME = 0.5
+"""Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +221,19 @@ def _times(table: Table, rules: ImportMap) -> Array:
     return t
 
 
+def _coarse(table: Table, t: Array) -> None:
+    """Raises InvalidFile where most rows have the time of the row before: when they were taken nobody knows."""
+    steps = np.diff(t)
+    same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
+    if same <= SAME * len(t) or not len(forward):
+        return
+    told = (
+        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of {np.median(forward):.3g} "
+        's: when each row was taken is not known. Export the time with its fraction, or "ignore" it and say "period"'
+    )
+    raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
+
+
 def _channels(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
 
@@ -226,6 +241,7 @@ def _channels(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
 def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
     """Scale and check the rows of a table in memory."""
     t, checked = _times(table, rules), _channels(table, rules)
+    _coarse(table, t)
     flags, found = quality.inspect(t, checked, rules.rate, rules.gap, rules.leap)
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)

@@ -18,11 +18,11 @@ from pmabench.store.importers.quality import Checked, Found
 from pmabench.store.importers.table import Table
 from pmabench.store.records import Array, Flags
 
-PART = 500_000
+PART = 400_000
 """Rows that are inspected together; a file that is not longer is inspected whole."""
 BEFORE = 10_000
 """Rows before a part that are looked at with it."""
-STRETCHES = 250_000
+STRETCHES = 100_000
 """Of each of so many stretches of a long file the extremes are kept for cutting it into trials."""
 OF_WHOLE = frozenset({"left-out", "contradiction", "cut-end", "cut-row"})
 """Kinds of findings that are about the file as such: the parts do not repeat them."""

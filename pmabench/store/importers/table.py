@@ -158,7 +158,8 @@ def _with_period(table: Table, period: float) -> Mapping[str, Array]:
         end = min(begin + PIECE // 8, rows)
         row = np.arange(begin, end)
         first = starts[np.searchsorted(starts, row, "right") - 1]
-        columns.append({**table.columns.part(begin, end), TIME: np.asarray((row - first) * period, dtype=np.float64)})
+        t: Array = (row - first) * np.float64(period)
+        columns.append({**table.columns.part(begin, end), TIME: t})
     return columns
 
 
