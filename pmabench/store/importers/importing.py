@@ -228,8 +228,9 @@ def _coarse(table: Table, t: Array) -> None:
     if same <= SAME * len(t) or not len(forward):
         return
     told = (
-        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of {np.median(forward):.3g} "
-        's: when each row was taken is not known. Export the time with its fraction, or "ignore" it and say "period"'
+        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
+        f"{np.median(forward):.3g} s: when each row was taken is not known. "
+        'Export the time with its fraction, or "ignore" it and say "period"'
     )
     raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
 
