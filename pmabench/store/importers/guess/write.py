@@ -50,6 +50,11 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
         for column in guess.columns:
             lines += _column(column, guess, spans)
+    if guess.role("time") is None:
+        lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
+    if guess.tests:
+        point = f', point: {{contraction: "{OPEN} mm"}}' if guess.kind == "isometric" else ""
+        lines += ["tests:", *(f"- {{name: {_text(test)}{point}}}" for test in guess.tests)]
     lines += ["", *_name_tells(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
@@ -100,12 +105,15 @@ def _file(guess: Guess) -> list[str]:
     lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
         lines.append(f"  names: [{', '.join(_text(name) for name in layout.names)}]")
-    for key in ("quoted", "decimal", "encoding", "blank_lines", "skip_lines"):
+    keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
+    for key in (*keys, "lines_below_header", "repeated_header"):
         value = getattr(layout, key)
         if value != TextLayout.model_fields[key].default:
             lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
+    if guess.role("time") is None:
+        lines.append(f"  period: {_period(guess.period)}")
     if layout.missing:
         lines.append(f"  missing: {json.dumps(layout.missing)}")
     return lines
@@ -128,7 +136,10 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         optional = ", optional: true" if column.name in guess.optional else ""
         return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
     if column.role == "time":
-        return [*head, f"  {name}: {{is: time, unit: {column.unit or 's'}}}"]
+        return [*head, f"  {name}: {{is: time, {_written(column)}}}"]
+    if column.role == "date":
+        order = f", order: {_order(column)}" if column.order else ""
+        return [*head, f"  {name}: {{is: date{order}}}"]
     body, why = _scale(column, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
@@ -149,6 +160,29 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         f"  {name}:",
         *(f"    {line}" for line in [f"is: {column.role}", *body]),
     ]
+
+
+def _written(column: Proposal) -> str:
+    """How a column of time is written, as keys of the map."""
+    unit = f"unit: {column.unit or 's'}"
+    if column.written == "number":
+        return unit
+    told = f"written: {column.written}" if column.written else f'written: "{OPEN} serial days or number", {unit}'
+    if column.written == "epoch":
+        told += f", {unit}"
+    if column.written == "index":
+        told += f", period: {_period(column.period)}"
+    if column.order and column.written == "date and time":
+        told += f", order: {_order(column)}"
+    return told
+
+
+def _order(column: Proposal) -> str:
+    return f'"{OPEN} day first or month first"' if column.order == OPEN else column.order
+
+
+def _period(seconds: float) -> str:
+    return f"{seconds:.9g} s" if seconds else f'"{OPEN} s"'
 
 
 def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
