@@ -44,6 +44,8 @@ MAP_KEYS = (
     "watchdog",
     "uptime",
 )
+UPTIMES = ("uint32", "int32")
+"""Types of a number that only grows until a restart."""
 HIGH, LOW = "high-first", "low-first"
 
 
@@ -173,10 +175,10 @@ def _register(
     )
     if "read_back" in given and not writes:
         reader.fault((*place, "read_back"), "only what is written can be read back")
-    if use == "uptime" and register.type not in {"uint32", "int32"}:
+    if use == "uptime" and register.type not in UPTIMES:
         reader.fault(
             (*place, "type"),
-            "a number that only grows needs 32 bits (uint32, int32): one of 16 bits soon begins again at 0, "
+            f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): one of 16 bits soon begins again at 0, "
             "which would be taken for a restart",
         )
     if register.expect is not None and use != "identity":
