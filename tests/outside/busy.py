@@ -1,8 +1,9 @@
-"""Runs beside busy processes: none may end by itself. `python -m tests.outside.busy [--minutes M] [--load N] [--each N]`.
+"""Runs beside busy processes: none may end by itself. `python -m tests.outside.busy [--minutes M] [--load N] ...`.
 
-`--each` runs at a time with real-time priority and as many without it, again and again until the time is over, beside
-`--load` processes that never rest. Each is ended by SIGTERM after `LASTS`; an end before that is spurious. Prints the hours of runs, the
-spurious ends with their reasons, and how long each SIGTERM took to reach the device.
+`--first` runs at a time with real-time priority, `--ordinary` runs without it, again and again until the time is over,
+beside `--load` processes that never rest. Each is ended by SIGTERM after `LASTS`; an end before that is spurious.
+Prints the hours of runs, the spurious ends by reason, and how long each SIGTERM took to reach the device. Nothing else
+with real-time priority may run on the machine meanwhile: that starves the runs without it.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ class Seen:
     def __str__(self) -> str:
         ms = [1e3 * value for value in self.vents]
         vents = f"SIGTERM to vent median {statistics.median(ms):.0f}, longest {max(ms):.0f} ms" if ms else "no vent"
-        lines = [
+        first = (
             f"{self.name}: {self.runs} runs, {self.seconds / 3600:.2f} h under way, "
             f"{len(self.ends)} spurious ends; {vents}"
-        ]
-        return "\n".join([*lines, *(f"  {reason}" for reason in self.ends)])
+        )
+        return "\n".join([first, *(f"  {reason[:150]}" for reason in self.ends)])
 
 
 @contextmanager
@@ -106,15 +107,15 @@ def again(seen: Seen, offset: int, until: float, folder: Path, lasts: float) -> 
         number += 1
 
 
-def campaign(minutes: float, load: int, each: int, folder: Path) -> list[Seen]:
+def campaign(minutes: float, load: int, first: int, ordinary: int, folder: Path) -> list[Seen]:
     """Runs with and without real-time priority side by side."""
     found = [Seen("with real-time priority", ()), Seen("without", ORDINARY)]
     until = time.monotonic() + 60 * minutes
-    with busy(load), ThreadPoolExecutor(2 * each) as pool:
+    with busy(load), ThreadPoolExecutor(first + ordinary) as pool:
         jobs = [
             pool.submit(again, seen, slot, until, folder / f"{kind}-{slot}", min(LASTS, 60 * minutes))
-            for kind, seen in enumerate(found)
-            for slot in range(each)
+            for kind, (seen, count) in enumerate(zip(found, (first, ordinary), strict=True))
+            for slot in range(count)
         ]
         for job in jobs:
             job.result()
@@ -125,10 +126,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--load", type=int, default=8, help="processes that never rest")
-    parser.add_argument("--each", type=int, default=2, help="runs at a time with, and without, real-time priority")
+    parser.add_argument("--first", type=int, default=2, help="runs at a time with real-time priority")
+    parser.add_argument("--ordinary", type=int, default=2, help="runs at a time without it")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        for seen in campaign(asked.minutes, asked.load, asked.each, Path(folder)):
+        for seen in campaign(asked.minutes, asked.load, asked.first, asked.ordinary, Path(folder)):
             print(seen, flush=True)
     return 0
 
