@@ -30,6 +30,7 @@ RESULTS = (
     Result("W", "loop area, energy lost per cycle", "work"),
     Result("W_c", "work given while contracting", "work"),
     Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("F", "force", "force", headline=True),
     Result("F_e", "force of the rubber without pressure", "force"),
     Result("A", "size of the rubber term", "force"),
     Result("B1", "contraction at which the rubber term is 0 again", "ratio"),
