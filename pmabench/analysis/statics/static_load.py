@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -23,6 +24,11 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "static-load"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+)
+"""What it can give; columns and figures have this order."""
 HALF = "static-half-difference"
 OF_ONE_SIDE = f"bias: against {MEAN}, the friction of one direction"
 GRID = 50e3
@@ -105,6 +111,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         curves=curves,
         dropped=dropped,
