@@ -74,7 +74,7 @@ def hang(
     crept = np.zeros((len(CREEP_TIMES), len(masses)))
     if not muscle.creep:
         return _advance(muscle, masses, P, crept, slack, fine)[0]
-    for _ in range(3):  # what is left of one trial's creep changes the next a little, and that the one after next less
+    for _ in range(2):  # what is left of one trial's creep changes the next a little, and that the one after next less
         motion, ended = _advance(muscle, masses, P, crept, slack, fine)
         crept = np.zeros_like(ended)
         for number, pause in enumerate(pauses[:-1]):
