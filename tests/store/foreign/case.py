@@ -6,7 +6,7 @@ A muscle is held at 5 mm of contraction, filled to 600 kPa, held and exhausted, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,16 +23,12 @@ NAME = "contraction5mm_test1.csv"
 
 
 @dataclass(frozen=True)
-class Test:
+class Measured:
     """What was measured: seconds from its first row, kPa gauge, N."""
 
     t: Array
     P: Array
     F: Array
-
-    def rows(self, chosen: slice) -> Test:
-        """A part of it, with the clock from its own first row."""
-        return Test(self.t[chosen] - self.t[chosen][0], self.P[chosen], self.F[chosen])
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class Case:
     files: dict[str, bytes]
     words: str
     """Regular expression, without regard to upper and lower case."""
-    truth: tuple[Test, ...]
+    truth: tuple[Measured, ...]
     """The tests in the files, in order."""
     damaged: bool = False
     """Some samples are wrong in the file itself: leaving them out without a word is not right."""
@@ -61,14 +57,14 @@ class Case:
     """Why it fails today; empty where it does not."""
 
 
-def clean(seed: int = 1, rows: int = ROWS) -> Test:
+def clean(seed: int = 1, rows: int = ROWS) -> Measured:
     """Fill, hold and exhaust, with noise of 0.3 kPa and 0.4 N."""
     chance = np.random.default_rng(seed)
     t = np.arange(rows) / RATE
     share = t / t[-1]
     P = np.interp(share, [0, 0.05, 0.4, 0.6, 0.93, 1], [5, 5, 600, 600, 5, 5])
     F = SLOPE * P
-    return Test(t, P + 0.3 * chance.standard_normal(rows), F + 0.4 * chance.standard_normal(rows))
+    return Measured(t, P + 0.3 * chance.standard_normal(rows), F + 0.4 * chance.standard_normal(rows))
 
 
 def lines(columns: Sequence[Iterable[str]], delimiter: str = ",") -> list[str]:
@@ -97,6 +93,3 @@ HEADER = "time (s),pressure (kPa),force (N)"
 def plain(t: Array, P: Array, F: Array, header: str = HEADER) -> bytes:
     """The layout that needs no thought: comma, point, a header with units."""
     return text([header], lines([fixed(t), fixed(P), fixed(F)]))
-
-
-Maker = Callable[[], Case]

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from tests.store.foreign.case import NAME, RATE, Case, Test, clean, commas, fixed, lines, text
+from tests.store.foreign.case import NAME, RATE, Case, Measured, clean, commas, fixed, lines, text
 
 STARTED = datetime(2026, 3, 4, 10, 0, 0)
 DAY_ZERO = datetime(1899, 12, 30)
@@ -15,7 +15,7 @@ DAY_ZERO = datetime(1899, 12, 30)
 CLOCK = r"time|clock|stamp|date|rate|sampl"
 
 
-def _stamps(test: Test, form: str, started: datetime = STARTED) -> list[str]:
+def _stamps(test: Measured, form: str, started: datetime = STARTED) -> list[str]:
     """Each row's time of day; %f in the form is cut to milliseconds."""
     found = []
     for at in test.t:
@@ -25,7 +25,7 @@ def _stamps(test: Test, form: str, started: datetime = STARTED) -> list[str]:
 
 
 def _case(
-    name: str, header: list[str], stamps: Iterable[str], test: Test, clock: float = 2e-3, words: str = CLOCK,
+    name: str, header: list[str], stamps: Iterable[str], test: Measured, clock: float = 2e-3, words: str = CLOCK,
     *, damaged: bool = False, must: bool = False,
 ) -> Case:  # fmt: skip
     rows = lines([stamps, fixed(test.P), fixed(test.F)])

@@ -7,97 +7,97 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.store.foreign.case import NAME, Array, Case, Test, clean, plain
+from tests.store.foreign.case import NAME, Array, Case, Measured, clean, plain
 
 OUTLIERS = r"sentinel|spike|outlier|burst|implausib|placeholder|out of.*range|overrange|repeat|9999|suspect"
-Harm = Callable[[Test, np.random.Generator], tuple[Array, Array, Array]]
+Harm = Callable[[Measured, np.random.Generator], tuple[Array, Array, Array]]
 
 
-def _five(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _five(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[[400, 401, 1200, 1901, 2500]] = 9999
     return test.t, test.P, F
 
 
-def _every_50th(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _every_50th(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[::50] = 9999 * (-1.0) ** np.arange(len(F[::50]))
     return test.t, test.P, F
 
 
-def _well_log(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _well_log(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     P = test.P.copy()
     P[chance.choice(len(P), 20, replace=False)] = -999.25
     return test.t, P, test.F
 
 
-def _huge(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _huge(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[[700, 1500, 1501]] = 1e10
     return test.t, test.P, F
 
 
-def _frozen_force(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _frozen_force(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[600:800] = F[600]
     return test.t, test.P, F
 
 
-def _frozen_pressure(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _frozen_pressure(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     P = test.P.copy()
     P[2000:] = P[2000]
     return test.t, P, test.F
 
 
-def _late(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _late(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return test.t, test.P, np.concatenate((np.full(100, test.F[0]), test.F[:-100]))
 
 
-def _gain(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _gain(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return test.t, test.P, np.where(np.arange(len(test.F)) < 1500, test.F, 1.3 * test.F)
 
 
-def _offset(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _offset(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return test.t, test.P, np.where(np.arange(len(test.F)) < 1500, test.F, test.F + 80)
 
 
-def _exchanged(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _exchanged(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     early = np.arange(len(test.t)) < 1500
     return test.t, np.where(early, test.P, test.F), np.where(early, test.F, test.P)
 
 
-def _clipped(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _clipped(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return test.t, test.P, np.minimum(test.F, 800.0)
 
 
-def _burst(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _burst(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[900:940] += chance.uniform(-3000, 3000, 40)
     return test.t, test.P, F
 
 
-def _dropouts(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _dropouts(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[chance.choice(np.arange(800, 2200), 30, replace=False)] = 0.0
     return test.t, test.P, F
 
 
-def _point_lost(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _point_lost(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     F = test.F.copy()
     F[chance.choice(np.arange(300, 2700), 25, replace=False)] *= 100
     return test.t, test.P, F
 
 
-def _wires(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _wires(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return test.t, test.P, np.where(np.arange(len(test.F)) < 1600, test.F, -test.F)
 
 
-def _buffer_twice(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _buffer_twice(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     order = np.concatenate((np.arange(1200), np.arange(1000, 1200), np.arange(1200, len(test.t))))
     return test.t[order], test.P[order], test.F[order]
 
 
-def _clock_back(test: Test, chance: np.random.Generator) -> tuple[Array, Array, Array]:
+def _clock_back(test: Measured, chance: np.random.Generator) -> tuple[Array, Array, Array]:
     return np.where(np.arange(len(test.t)) < 1500, test.t, test.t - 5.0), test.P, test.F
 
 

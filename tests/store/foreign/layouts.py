@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from tests.store.foreign.case import HEADER, NAME, SLOPE, Case, Test, clean, commas, fixed, lines, plain, text
+from tests.store.foreign.case import HEADER, NAME, SLOPE, Case, Measured, clean, commas, fixed, lines, plain, text
 
 ROWS_SAID = r"row|line|column|number|header|text"
 
 
 def _file(name: str, content: bytes, words: str, seed: int, *, damaged: bool = False, must: bool = False) -> Case:
     return Case(name, "layouts", {NAME: content}, words, (clean(seed),), damaged=damaged, must=must)
-
-
-def _rows(seed: int) -> list[str]:
-    test = clean(seed)
-    return lines([fixed(test.t), fixed(test.P), fixed(test.F)])
 
 
 def _two_tests() -> Case:
@@ -26,7 +21,7 @@ def _two_tests() -> Case:
 def _minus() -> Case:
     """Around zero the numbers have a true minus sign, as word processors and some locales write it."""
     whole = clean(102)
-    test = Test(whole.t, whole.P - 5.0, whole.F - 5.0 * SLOPE)
+    test = Measured(whole.t, whole.P - 5.0, whole.F - 5.0 * SLOPE)
     P, F = ([value.replace("-", "\u2212") for value in fixed(values)] for values in (test.P, test.F))
     file = text([HEADER], lines([fixed(test.t), P, F]))
     return Case("true minus signs", "layouts", {NAME: file}, r"minus|number|\u2212", (test,))
@@ -36,7 +31,7 @@ def cases() -> list[Case]:
     """What people, spreadsheets and power cuts make of a table."""
     test = clean(110)
     t, P, F = fixed(test.t), fixed(test.P), fixed(test.F)
-    plain_rows = _rows(110)
+    plain_rows = lines([t, P, F])
     mean = f"Mean,{test.t.mean():.2f},{test.P.mean():.2f},{test.F.mean():.2f}"
     thousands = [f'{a},{b},"{c:,.2f}"' for a, b, c in zip(t, P, test.F, strict=True)]
     german = [f"{c:,.2f}".replace(",", " ").replace(".", ",").replace(" ", ".") for c in test.F]
