@@ -7,6 +7,7 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
 from pmabench.analysis.verdict.acceptance import not_accepted
@@ -37,7 +38,16 @@ REDUCTIONS = {
     "recorded-sine": "recorded.recorded_sines",
     "recorded-pull": "recorded.isometric",
 }
-"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`."""
+"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`.
+
+The module declares in `RESULTS` what it can give.
+"""
+
+
+def results_of(kind: str) -> tuple[Result, ...]:
+    """What the reduction of a kind of run declares that it can give; KeyError for an unknown kind."""
+    declared: tuple[Result, ...] = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").RESULTS
+    return declared
 
 
 def specimen_of(run: RunData) -> str:

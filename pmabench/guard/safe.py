@@ -13,6 +13,11 @@ from pmabench.guard.owner import PATIENCE, Call
 AT_ONCE = ("set", "stop", "open", "close")
 NO_EFFECT = 0.7
 """A measured value that has not fallen by a fiftieth so long [s] after the last command shows no effect of it."""
+ANSWERS = 5 * PATIENCE
+"""How long an answer whether a command is held is waited for [s].
+
+Without one the command counts as not carried out; over the second way, whose line may hang, it counts as sent.
+"""
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
 
@@ -177,7 +182,9 @@ class SafeState:
         if sent.look is None:
             return ""
         if not sent.look.done.is_set():
-            return None if now - sent.since < 2 * PATIENCE else ""
+            if now - sent.since < ANSWERS:
+                return None
+            return "" if sent.rescue is not None else "acknowledged, and no answer whether it is held"
         return sent.look.result or ""
 
 

@@ -604,6 +604,16 @@ def test_what_a_hung_line_cannot_say_is_not_held_against_the_second_way():
     assert "set pressure: sent over the second way" in vent.actions
 
 
+def test_an_acknowledged_command_of_which_nobody_knows_whether_it_is_held_is_not_called_sent():
+    guard, rig = armed(threads=True)
+    guard.set("pressure", 300e3)
+    rig.wrong |= {"is_on": (hangs := threading.Event()), "rescue": "no second way"}
+    guard.begin_safe()
+    vent = until_over(guard, 0.02, LOW)
+    hangs.set()
+    assert "open dump_valve: failed (dac: no second way)" in vent.actions
+
+
 def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():
     """S7: the next run must not begin with a dump valve that did not obey."""
     guard, rig = armed()

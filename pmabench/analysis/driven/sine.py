@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.driven import sine_mean, sine_work
 from pmabench.analysis.driven.sine_fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.analysis.driven.sine_loop import measure
@@ -25,6 +26,20 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("H", "loop width", "force"),
+    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W_c", "work given while contracting", "work"),
+    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("P_err", "largest error of the pressure", "pressure"),
+    Result("F_rms", "rms error of the modelled force", "force"),
+    Result("phi", "phase of force before displacement", "angle"),
+)
+"""What it can give; columns and figures have this order."""
 CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
 Key = tuple[tuple[str, float], ...]
@@ -79,6 +94,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=findings,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -20,6 +21,11 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "static-load"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+)
+"""What it can give; columns and figures have this order."""
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 SIDES = {LIFT: "lift", SET_DOWN: "set-down"}
 """Method -> phase of the search."""
@@ -109,6 +115,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         curves=curves,
         dropped=dropped,
