@@ -118,7 +118,7 @@ def cases() -> list[Case]:
         ),
         _minus(),
         _file("exponents with D", text([HEADER], lines([t, P, exponents])), r"number|\dD|exponent", 110),
-        _file("remarks between rows", text([HEADER], logged), r"\[info\]|line 100|row|number", 110),
+        _file("remarks between rows", text([HEADER], logged), r"\[info\]|line 100|1002|row|number", 110),
         _file("a remark at the end of a row", text([HEADER], remarked), r"1502|column|field|remark|operator", 110),
         _file(
             "units after each number",
@@ -128,7 +128,7 @@ def cases() -> list[Case]:
             r"number|unit|\bs\b",
             110,
         ),
-        _file("the header on every page", text([HEADER], paged), r"header|repeat|line 50", 110),
+        _file("the header on every page", text([HEADER], paged), r"header|repeat|line 50|no number", 110),
         _file("newest row first", text([HEADER], plain_rows[::-1]), r"back|revers|order|time.?jump|fall", 110),
         _file(
             "names in one line, units in the next",
