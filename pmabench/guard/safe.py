@@ -178,14 +178,15 @@ class SafeState:
         """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""
         if self._todo and self._todo[0].do in AT_ONCE:
             return None  # first everything that is to be commanded now
-        sent.look = sent.look or self._look(sent.action)
+        if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
+            sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
         if sent.look is None:
             return ""
-        if not sent.look.done.is_set():
-            if now - sent.since < ANSWERS:
-                return None
-            return "" if sent.rescue is not None else "acknowledged, and no answer whether it is held"
-        return sent.look.result or ""
+        if sent.look.done.is_set() and sent.look.error is None:
+            return sent.look.result or ""
+        if now - sent.since < ANSWERS:
+            return None
+        return "" if sent.rescue is not None else "acknowledged, and no answer whether it is held"
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
