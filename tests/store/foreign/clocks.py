@@ -79,7 +79,7 @@ def _two_clocks() -> Case:
     plc = np.floor(10 * (test.t + 41.7)) / 10
     rows = lines([fixed(plc, 1), fixed(test.t), fixed(test.P), fixed(test.F)])
     file = text(["time PLC (s),time DAQ (s),pressure (kPa),force (N)"], rows)
-    return Case("two clocks", "clocks", {NAME: file}, r"two|which|clock|both|time plc|same stamp|twice", (test,))
+    return Case("two clocks", "clocks", {NAME: file}, r"two|which|clock|both|time plc|stamps equal|twice", (test,))
 
 
 def _wrapped() -> Case:
