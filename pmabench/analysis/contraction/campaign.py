@@ -73,7 +73,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             cells=np.array([numbers[key] for key in keys], dtype=np.intp),
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
-            noise=noise_seen(samples, [_settled(trial) for _, trial in members], _every(runs)),
+            noise=noise_seen(samples, [settled(trial) for _, trial in members], _every(runs)),
             steps=steps_seen(samples, _every(runs)),
         ),
         dropped,
@@ -114,7 +114,7 @@ def strokes(trial: TrialData) -> list[slice]:
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
 
 
-def _settled(trial: TrialData) -> slice:
+def settled(trial: TrialData) -> slice:
     """The last fifth of the hold at pressure."""
     first = strokes(trial)[0]
     return slice(first.stop - max(8, (first.stop - first.start) // 5), first.stop)

@@ -1,0 +1,305 @@
+"""Whether the data have the form that the pooled fit assumes, and what departures from it could hide in the fit.
+
+Three tests: trials that are left out are predicted no worse than noise allows; residuals of neighbouring segments do
+not agree; no departure that is known by name (`departures`) is significant. What is not significant may still be there:
+its effect on each coefficient, at the size that could hide, is a line of the budget. Names no cause and corrects none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.contraction.campaign import Campaign
+from pmabench.analysis.contraction.departures import Cause, Way, causes, order
+from pmabench.analysis.contraction.intervals import Hiding, Trust
+from pmabench.analysis.contraction.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
+from pmabench.analysis.contraction.segments import Segments
+from pmabench.analysis.contraction.weights import Weighed, weighed
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.base.quantities import show
+from pmabench.store.records import Array
+
+MOST_RATIO = 1.2
+"""Rms of what trials that were left out are missed by, over what noise allows, from which on values are withheld."""
+MOST_ALIKE = 0.3
+"""Mean product of neighbouring residuals, over the variance of the noise, from which on values are withheld."""
+SURE_ALIKE = 4.0
+"""The same counts only beyond so many standard deviations of it by chance."""
+FALSE_ALARMS = 0.01
+"""Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
+HIDES = 2.0
+"""What hides is as large as it was found, and so many standard deviations more."""
+FOLDS = 6
+ENOUGH = 50
+"""Fewest segments that a fit to other trials predicts well for a comparison with noise."""
+ALONE = 1e-6
+"""A column of which the coefficients leave a smaller share than this cannot be told from them."""
+FEWEST_REPEATS = 10
+"""Fewest repetitions in all that tell how much trials scatter by themselves."""
+MOST_NAMED = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Size:
+    """How large a departure is by least squares beside the coefficients."""
+
+    cause: Cause
+    way: Way
+    size: float
+    """[SI of the way]."""
+    error: float
+    """Standard deviation [SI of the way]."""
+
+    @property
+    def beyond(self) -> float:
+        """Size beyond what other lines of the budget hold, in standard deviations."""
+        return max(0.0, abs(self.size) - self.way.known) / self.error
+
+    @property
+    def hidden(self) -> float:
+        """Largest size that could hide [SI of the way]."""
+        return max(0.0, abs(self.size) + HIDES * self.error - self.way.known)
+
+    @property
+    def text(self) -> str:
+        """What it is, with its size."""
+        return self.way.text.format(size=f"{_show(self.size, self.way)} +- {_show(2 * self.error, self.way)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What the tests of the form found."""
+
+    ratio: float
+    """Rms of what left-out trials are missed by, over what noise allows."""
+    held_out: bool
+    """False where trials are too few: the ratio is that of the residual of the fit."""
+    alike: float
+    """Mean product of neighbouring residuals over the variance of the noise."""
+    found: tuple[Size, ...]
+    """Departures that are significant, and move a coefficient by more than its interval; the clearest first."""
+    sizes: tuple[Size, ...]
+    """All departures."""
+    moved: str
+    """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
+    weighed: Weighed
+    most_alike: float = MOST_ALIKE
+
+    @property
+    def reason(self) -> str:
+        """Why nothing of the fit may be reported, with numbers; empty where nothing speaks against the form."""
+        parts = []
+        if self.ratio >= MOST_RATIO:
+            what = "trials that are left out of the fit are missed by" if self.held_out else "the residual is"
+            parts.append(f"{what} {self.ratio:.3g} times what the noise allows (below {MOST_RATIO:g} is expected)")
+        if self.alike >= self.most_alike:
+            limit = f"below {self.most_alike:.2g} is expected"
+            parts.append(f"residuals of neighbouring segments agree by {self.alike:.2g} of the noise ({limit})")
+        if self.found:
+            named = "; or that ".join(one.text for one in self.found[:MOST_NAMED])
+            parts.append(f"it fits that {named}; {self.moved}")
+        elif parts:
+            parts.append("none of the departures that are looked for fits it better than the others")
+        if not parts:
+            return ""
+        return (
+            f"the data do not have the form of the model: {'; '.join(parts)}. Look for the cause, mend it and measure"
+            " again, or repeat trials if they differ by themselves"
+        )
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain data, sizes in SI."""
+        return {
+            "ratio": self.ratio,
+            "held_out": self.held_out,
+            "alike": self.alike,
+            "departures": [
+                {"cause": s.cause.name, "text": s.text, "size": s.size, "error": s.error, "beyond": s.beyond}
+                for s in self.sizes
+            ],
+        }
+
+
+def _show(value: float, way: Way) -> str:
+    if way.quantity == "ratio":
+        return f"{100 * abs(value):.2g} %"
+    return show(abs(value), way.quantity, 2)
+
+
+def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, noise: Array) -> tuple[Form, Trust]:
+    """The tests of a pooled fit, and its trust with what could hide.
+
+    `trust` is without that; `noise` (n,) [N] is what the channels explain of each segment.
+    """
+    own, after = noise_covariance(segments, fit, campaign.noise)
+    own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
+    scatter = _scatter(campaign, segments, fit.residual, own)
+    known = causes(campaign, segments, fit)
+    weights = weighed(campaign, order(campaign))
+    sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter)]
+    ratio, held_out = _ratio(segments, fit, own, scatter, [s.way for s in sizes if s.way.known], rms_of(noise))
+    pairs = np.flatnonzero(_neighbours(segments))
+    product = fit.residual[pairs] * fit.residual[pairs + 1] - after[pairs]
+    alike = float(np.sum(product) / np.sum(own[pairs])) if len(pairs) else 0.0
+    limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
+    found, moved = _matter([s for s in sizes if s.beyond > limit], fit, trust, campaign.tested)
+    form = Form(
+        ratio, held_out, alike, tuple(found), tuple(sizes), moved, weights,
+        max(MOST_ALIKE, SURE_ALIKE / sqrt(max(1, len(pairs)))),
+    )  # fmt: skip
+    return form, hiding(form, Scales.of(campaign.runs), segments, fit, trust, np.ones(len(segments), bool))
+
+
+def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: Trust, rows: NDArray[np.bool_]) -> Trust:
+    """The trust of a fit to these `segments`, with what could hide in it by the sizes of `form`.
+
+    `rows` says which of the segments of `form` they are.
+    """
+    lines = []
+    for cause in {id(size.cause): size.cause for size in form.sizes}.values():
+        mine = [size for size in form.sizes if size.cause is cause]
+        strength = np.array([0.5 * (size.size / size.error) ** 2 for size in mine])
+        likely = np.exp(strength - strength.max())
+        change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
+        lines.append(Hiding(cause.name, cause.part, change * [size.hidden for size in mine], likely / likely.sum()))
+    return replace(trust, hides=(*lines, *_cell(form.weighed, scales, segments, fit)))
+
+
+def _cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
+    """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
+    cell = np.where(segments.mass > 0, 0.0, 1.0)
+    kinds = (
+        ("gain of the force cell against the weights", weights.gain, scales.gains, segments.force * cell),
+        ("zero of the force cell against the weights", weights.offset, scales.offsets, cell),
+    )
+    lines = []
+    for name, found, told, column in kinds:
+        if found is not None:
+            size = max(0.0, abs(found[0]) + HIDES * found[1] - told.get("force", 0.0))
+            lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1)))
+    return lines
+
+
+def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array) -> float:
+    """Variance between repeats of a cell beyond that of noise, as a force that is constant in each trial [N^2]."""
+    trials, rows, count = np.unique(segments.trial, return_inverse=True, return_counts=True)
+    mean = np.bincount(rows, residual) / count
+    noise = np.bincount(rows, own) / count**2
+    _, cell, members = np.unique(campaign.cells[trials], return_inverse=True, return_counts=True)
+    freedom = len(trials) - len(members)
+    if freedom < FEWEST_REPEATS:
+        return 0.0
+    off = mean - (np.bincount(cell, mean) / members)[cell]
+    expected = float(np.sum(noise * (1 - 1 / members[cell])))
+    return max(0.0, (float(off @ off) - expected) / freedom)
+
+
+def _sizes(
+    segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float
+) -> list[Size]:
+    """Least squares of each column beside the coefficients, one at a time."""
+    members = [(cause, way) for cause in known for way in cause.ways]
+    if not members:
+        return []
+    columns = np.column_stack([way.column for _, way in members])
+    power = np.sum(columns**2, axis=0)
+    change = fit.change(columns)
+    left = power - np.sum((fit.design.T @ columns) * change, axis=0)
+    seen = left > ALONE * np.maximum(power, 1e-300)
+    columns, change, left = columns[:, seen], change[:, seen], left[seen]
+    size = fit.residual @ columns / left
+    alone = columns - fit.design @ change
+    variance = own @ alone**2 + 2 * (after @ (alone[1:] * alone[:-1]))
+    _, rows = np.unique(segments.trial, return_inverse=True)
+    whole = np.zeros((rows.max() + 1, alone.shape[1]))
+    np.add.at(whole, rows, alone)
+    variance += scatter * np.sum(whole**2, axis=0)
+    # noise that is larger than rest shows widens all; what the departure itself explains does not count
+    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own))
+    error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
+    kept = [member for member, one in zip(members, seen, strict=True) if one]
+    return [Size(c, w, float(a), float(s)) for (c, w), a, s in zip(kept, size, error, strict=True)]
+
+
+def _with_weights(size: Size, weights: Weighed) -> Size:
+    """The drift of the cell by the fit and by the weights together, where they agree."""
+    if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
+        return size
+    drift, error = weights.drift
+    if abs(drift - size.size) > 3 * sqrt(error**2 + size.error**2):
+        return size
+    one, other = 1 / size.error**2, 1 / error**2
+    return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
+
+
+def _ratio(
+    segments: Segments, fit: Fit, own: Array, scatter: float, allowed: Sequence[Way], expected: float
+) -> tuple[float, bool]:
+    """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of it.
+
+    Every `FOLDS`-th trial is left out at a time. Only what the others predict as well as one segment is known counts;
+    where that is little, the residual of the fit to all. `allowed` departures may have any size.
+    """
+    more = [way.column for way in allowed]
+    design = np.column_stack([fit.design, *more]) if more else fit.design
+    prior = prior_of(segments, fit.design, fit.knots, expected)
+    prior = np.hstack([prior, np.zeros((len(prior), len(more)))])
+    normal, right = design.T @ design + prior.T @ prior, design.T @ segments.force
+    scale = np.sqrt(np.diag(normal))
+    trials, rows = np.unique(segments.trial, return_inverse=True)
+    squares, count = 0.0, 0
+    for fold in range(min(FOLDS, len(trials))):
+        mine = rows % FOLDS == fold
+        out = design[mine] / scale
+        inverse = np.linalg.inv(normal / np.outer(scale, scale) - out.T @ out)
+        miss = segments.force[mine] - out @ (inverse @ ((right - design[mine].T @ segments.force[mine]) / scale))
+        lever = np.sum(out @ inverse * out, axis=1)
+        sure = (lever >= 0) & (lever <= 1)
+        squares += float(np.sum((miss**2 / (own[mine] * (1 + lever) + scatter))[sure]))
+        count += int(sure.sum())
+    if count >= ENOUGH:
+        return sqrt(squares / count), True
+    return fit.rms / sqrt(float(np.mean(own)) + scatter), False
+
+
+def _neighbours(segments: Segments) -> Array:
+    """Whether a segment is followed at once by the next, shape (n - 1,)."""
+    apart = segments.v.shape[1] * segments.dt
+    return np.asarray((np.diff(segments.trial) == 0) & (np.abs(np.diff(segments.t) - apart) < 0.5 * segments.dt))
+
+
+def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequence[float]) -> tuple[list[Size], str]:
+    """Those that move a coefficient by more than its interval, the clearest of each cause; the first one's effect."""
+    places = [(symbol, P) for symbol in SYMBOLS for P in tested]
+    combinations = {f"{symbol} at {show(P, 'pressure', 4)}": fit.row(symbol, P) for symbol, P in places}
+    if fit.friction:
+        combinations["F_c"] = fit.row("F_c", 0.0)
+    halves = {name: trust.parts(row)[0] for name, row in combinations.items()}
+    found: dict[int, Size] = {}
+    moves: dict[int, tuple[float, str]] = {}
+    for one in sorted(significant, key=lambda s: s.beyond, reverse=True):
+        change = fit.change(one.way.column[:, None])[:, 0] * (abs(one.size) - one.way.known)
+        share, text = max(
+            (_moved(name, row, change, halves[name].combined, fit) for name, row in combinations.items()),
+            default=(0.0, ""),
+        )
+        if share > 1.0 and id(one.cause) not in found:
+            found[id(one.cause)], moves[id(one.cause)] = one, (share, text)
+    return list(found.values()), next(iter(moves.values()))[1] if moves else ""
+
+
+def _moved(name: str, row: Array, change: Array, half: float | None, fit: Fit) -> tuple[float, str]:
+    """By how many half widths a coefficient is moved, and that in words."""
+    value, by = abs(float(row @ fit.theta)), abs(float(row @ change))
+    if not half or not value or half > 0.25 * value:
+        return 0.0, ""
+    text = f"the first moves {name} by {100 * by / value:.2g} %, where its interval is +-{100 * half / value:.2g} %"
+    return by / half, text
