@@ -36,6 +36,8 @@ FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
 """What hides is as large as it was found, and so many standard deviations more."""
+AGREE = 0.5
+"""A drift by the fit may differ by this share from that by the weights: noise in the columns makes it smaller."""
 FOLDS = 6
 ENOUGH = 50
 """Fewest segments that a fit to other trials predicts well for a comparison with noise."""
@@ -234,7 +236,8 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
     if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
         return size
     drift, error = weights.drift
-    if abs(drift - size.size) > 3 * sqrt(error**2 + size.error**2):
+    apart = abs(drift - size.size) - AGREE * max(abs(drift), abs(size.size))
+    if apart > 3 * sqrt(error**2 + size.error**2):
         return size
     one, other = 1 / size.error**2, 1 / error**2
     return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
