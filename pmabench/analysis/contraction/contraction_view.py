@@ -98,9 +98,8 @@ def _of_the_form(pooled: Pooled) -> Finding:
     form = pooled.form
     if form.reason:
         return Finding("doubt", f"form: {form.reason}")
-    what = "trials that are left out of the fit are missed by" if form.held_out else "the residual is"
     text = (
-        f"form: {what} {form.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree by"
+        f"form: {form.missed} {form.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree by"
         f" {form.alike:.2g} of the noise; no departure of {len(form.sizes)} moves a coefficient beyond its interval"
     )
     hidden = [one.text for one in sorted(form.sizes, key=lambda one: one.beyond, reverse=True) if one.beyond > 2][:1]

@@ -1,7 +1,7 @@
 """Ways in which a measurement can depart from the straight form, as forces at each segment; knows no interval.
 
 Each way is a column: the change of F_L [N] that a departure of size 1 makes of each segment, at first order. Columns
-are compared by `form` with what the fit leaves over. Sources: docs/analysis.md, "Is the form right?".
+are compared by `form` with what the fit leaves over. See docs/uncertainty.md, "Is the form right?".
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _hysteresis(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:
     ways = []
     for radius, stop in zip(RADII, _followed(campaign, segments, RADII, _stop), strict=True):
         for column, more in ((stop, ""), (stop * P / TYPICAL, ", in proportion to pressure")):
-            text = f"hysteresis of {{size}} that turns over {1e3 * radius:g} mm of contraction{more}"
+            text = f"there is hysteresis of {{size}} that turns over {1e3 * radius:g} mm of contraction{more}"
             ways.append(Way(text, "force", column - float(np.mean(column * segments.way)) * segments.way))
     return Cause("hysteresis that the fit does not exclude", "method", tuple(ways))
 

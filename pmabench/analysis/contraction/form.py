@@ -30,8 +30,8 @@ MOST_RATIO = 1.2
 """Rms of what trials that were left out are missed by, over what noise allows, from which on values are withheld."""
 MOST_ALIKE = 0.3
 """Mean product of neighbouring residuals, over the variance of the noise, from which on values are withheld."""
-SURE_ALIKE = 4.0
-"""The same counts only beyond so many standard deviations of it by chance."""
+SURE = 4.0
+"""Both count only beyond so many standard deviations of them by chance, which few segments make large."""
 FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
@@ -92,15 +92,21 @@ class Form:
     moved: str
     """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
     weighed: Weighed
-    most_alike: float = MOST_ALIKE
+    most_ratio: float
+    most_alike: float
+
+    @property
+    def missed(self) -> str:
+        """What the ratio is of, in words."""
+        return "trials that are left out of the fit are missed by" if self.held_out else "the residual is"
 
     @property
     def reason(self) -> str:
         """Why nothing of the fit may be reported, with numbers; empty where nothing speaks against the form."""
         parts = []
-        if self.ratio >= MOST_RATIO:
-            what = "trials that are left out of the fit are missed by" if self.held_out else "the residual is"
-            parts.append(f"{what} {self.ratio:.3g} times what the noise allows (below {MOST_RATIO:g} is expected)")
+        if self.ratio >= self.most_ratio:
+            limit = f"below {self.most_ratio:.3g} is expected"
+            parts.append(f"{self.missed} {self.ratio:.3g} times what the noise allows ({limit})")
         if self.alike >= self.most_alike:
             limit = f"below {self.most_alike:.2g} is expected"
             parts.append(f"residuals of neighbouring segments agree by {self.alike:.2g} of the noise ({limit})")
@@ -141,21 +147,27 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
 
     `trust` is without that; `noise` (n,) [N] is what the channels explain of each segment.
     """
-    own, after = noise_covariance(segments, fit, campaign.noise)
+    own, after = noise_covariance(segments, fit, campaign.noise_of_means)
     own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
-    scatter = _scatter(campaign, segments, fit.residual, own)
     known = causes(campaign, segments, fit)
     weights = weighed(campaign, order(campaign))
-    sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter)]
-    ratio, held_out = _ratio(segments, fit, own, scatter, [s.way for s in sizes if s.way.known], rms_of(noise))
+    allowed = np.array([way.column for cause in known for way in cause.ways if way.known]).reshape(-1, len(segments)).T
+    plain, freed = (_rows(segments, fit, columns, rms_of(noise)) for columns in (allowed[:, :0], allowed))
+    scatter = _scatter(campaign, segments, freed.residual, own)
+    sizes = [
+        _with_weights(size, weights)
+        for rows, of_known in ((plain, True), (freed, False))
+        for size in _sizes(segments, rows, known, of_known, own, after, scatter)
+    ]
+    ratio, free, held_out = _ratio(segments, freed, own, scatter)
     pairs = np.flatnonzero(_neighbours(segments))
-    product = fit.residual[pairs] * fit.residual[pairs + 1] - after[pairs]
-    alike = float(np.sum(product) / np.sum(own[pairs])) if len(pairs) else 0.0
+    product = freed.residual[pairs] * freed.residual[pairs + 1] - after[pairs] - scatter
+    alike = float(np.sum(product) / np.sum(own[pairs] + scatter)) if len(pairs) else 0.0
     limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
     found, moved = _matter([s for s in sizes if s.beyond > limit], fit, trust, campaign.tested)
     form = Form(
         ratio, held_out, alike, tuple(found), tuple(sizes), moved, weights,
-        max(MOST_ALIKE, SURE_ALIKE / sqrt(max(1, len(pairs)))),
+        max(MOST_RATIO, sqrt(1 + SURE * sqrt(2 / free))), max(MOST_ALIKE, SURE / sqrt(max(1, len(pairs)))),
     )  # fmt: skip
     return form, hiding(form, Scales.of(campaign.runs), segments, fit, trust, np.ones(len(segments), bool))
 
@@ -204,28 +216,55 @@ def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array
     return max(0.0, (float(off @ off) - expected) / freedom)
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The least squares of the fit, with columns that may have any size beside its coefficients."""
+
+    design: Array
+    normal: Array
+    inverse: Array
+    right: Array
+    residual: Array
+
+
+def _rows(segments: Segments, fit: Fit, columns: Array, expected: float) -> _Rows:
+    """The fit with `columns` (n, m) [N] beside it; `expected` [N] weighs its prior."""
+    design = np.hstack((fit.design, columns))
+    prior = prior_of(segments, fit.design, fit.knots, expected)
+    prior = np.hstack((prior, np.zeros((len(prior), columns.shape[1]))))
+    normal, right = design.T @ design + prior.T @ prior, design.T @ segments.force
+    inverse = _inverse(normal)
+    return _Rows(design, normal, inverse, right, segments.force - design @ (inverse @ right))
+
+
+def _inverse(normal: Array) -> Array:
+    """Inverse of a normal matrix, scaled to its diagonal first."""
+    scale = np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
+
+
 def _sizes(
-    segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float
+    segments: Segments, rows: _Rows, known: Sequence[Cause], of_known: bool, own: Array, after: Array, scatter: float
 ) -> list[Size]:
-    """Least squares of each column beside the coefficients, one at a time."""
-    members = [(cause, way) for cause in known for way in cause.ways]
+    """Least squares of each column beside the coefficients, one at a time; of ways of known size, or of the others."""
+    members = [(cause, way) for cause in known for way in cause.ways if bool(way.known) is of_known]
     if not members:
         return []
     columns = np.column_stack([way.column for _, way in members])
     power = np.sum(columns**2, axis=0)
-    change = fit.change(columns)
-    left = power - np.sum((fit.design.T @ columns) * change, axis=0)
+    change = rows.inverse @ (rows.design.T @ columns)
+    left = power - np.sum((rows.design.T @ columns) * change, axis=0)
     seen = left > ALONE * np.maximum(power, 1e-300)
     columns, change, left = columns[:, seen], change[:, seen], left[seen]
-    size = fit.residual @ columns / left
-    alone = columns - fit.design @ change
+    size = rows.residual @ columns / left
+    alone = columns - rows.design @ change
     variance = own @ alone**2 + 2 * (after @ (alone[1:] * alone[:-1]))
-    _, rows = np.unique(segments.trial, return_inverse=True)
-    whole = np.zeros((rows.max() + 1, alone.shape[1]))
-    np.add.at(whole, rows, alone)
+    _, trial = np.unique(segments.trial, return_inverse=True)
+    whole = np.zeros((trial.max() + 1, alone.shape[1]))
+    np.add.at(whole, trial, alone)
     variance += scatter * np.sum(whole**2, axis=0)
     # noise that is larger than rest shows widens all; what the departure itself explains does not count
-    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own))
+    more = (rows.residual @ rows.residual - size**2 * left) / (own.sum() + scatter * len(own))
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
     kept = [member for member, one in zip(members, seen, strict=True) if one]
     return [Size(c, w, float(a), float(s)) for (c, w), a, s in zip(kept, size, error, strict=True)]
@@ -243,34 +282,28 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
     return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
 
 
-def _ratio(
-    segments: Segments, fit: Fit, own: Array, scatter: float, allowed: Sequence[Way], expected: float
-) -> tuple[float, bool]:
-    """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of it.
+def _ratio(segments: Segments, rows: _Rows, own: Array, scatter: float) -> tuple[float, float, bool]:
+    """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of it;
+    degrees of freedom, and whether trials were left out.
 
     Every `FOLDS`-th trial is left out at a time. Only what the others predict as well as one segment is known counts;
-    where that is little, the residual of the fit to all. `allowed` departures may have any size.
+    where that is little, the residual of the fit to all.
     """
-    more = [way.column for way in allowed]
-    design = np.column_stack([fit.design, *more]) if more else fit.design
-    prior = prior_of(segments, fit.design, fit.knots, expected)
-    prior = np.hstack([prior, np.zeros((len(prior), len(more)))])
-    normal, right = design.T @ design + prior.T @ prior, design.T @ segments.force
-    scale = np.sqrt(np.diag(normal))
-    trials, rows = np.unique(segments.trial, return_inverse=True)
+    trials, trial = np.unique(segments.trial, return_inverse=True)
     squares, count = 0.0, 0
     for fold in range(min(FOLDS, len(trials))):
-        mine = rows % FOLDS == fold
-        out = design[mine] / scale
-        inverse = np.linalg.inv(normal / np.outer(scale, scale) - out.T @ out)
-        miss = segments.force[mine] - out @ (inverse @ ((right - design[mine].T @ segments.force[mine]) / scale))
-        lever = np.sum(out @ inverse * out, axis=1)
+        mine = trial % FOLDS == fold
+        design, force = rows.design[mine], segments.force[mine]
+        inverse = _inverse(rows.normal - design.T @ design)
+        miss = force - design @ (inverse @ (rows.right - design.T @ force))
+        lever = np.sum(design @ inverse * design, axis=1)
         sure = (lever >= 0) & (lever <= 1)
         squares += float(np.sum((miss**2 / (own[mine] * (1 + lever) + scatter))[sure]))
         count += int(sure.sum())
     if count >= ENOUGH:
-        return sqrt(squares / count), True
-    return fit.rms / sqrt(float(np.mean(own)) + scatter), False
+        return sqrt(squares / count), count, True
+    free = max(1.0, len(own) - float(np.sum(rows.design @ rows.inverse * rows.design)))
+    return sqrt(float(rows.residual @ rows.residual) / free / (float(np.mean(own)) + scatter)), free, False
 
 
 def _neighbours(segments: Segments) -> Array:
