@@ -50,7 +50,7 @@ MOST_NAMED = 3
 
 @dataclass(frozen=True, eq=False)
 class Size:
-    """How large a departure is by least squares beside the coefficients."""
+    """How large a departure is by least squares, fitted together with the coefficients."""
 
     cause: Cause
     way: Way
@@ -58,11 +58,13 @@ class Size:
     """[SI of the way]."""
     error: float
     """Standard deviation [SI of the way]."""
+    other: float
+    """What departures of known size may make of it [SI of the way]."""
 
     @property
     def beyond(self) -> float:
-        """Size beyond what other lines of the budget hold, in standard deviations."""
-        return max(0.0, abs(self.size) - self.way.known) / self.error
+        """Size in standard deviations, those that other lines of the budget hold among them."""
+        return abs(self.size) / sqrt(self.error**2 + self.other**2)
 
     @property
     def hidden(self) -> float:
@@ -150,19 +152,17 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
     own, after = noise_covariance(segments, fit, campaign.noise_of_means)
     own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
     known = causes(campaign, segments, fit)
+    allowed = np.array([way.known * way.column for cause in known for way in cause.ways if way.known])
+    allowed = allowed.reshape(-1, len(segments)).T
+    scatter = _scatter(campaign, segments, fit.residual, own)
     weights = weighed(campaign, order(campaign))
-    allowed = np.array([way.column for cause in known for way in cause.ways if way.known]).reshape(-1, len(segments)).T
-    plain, freed = (_rows(segments, fit, columns, rms_of(noise)) for columns in (allowed[:, :0], allowed))
-    scatter = _scatter(campaign, segments, freed.residual, own)
-    sizes = [
-        _with_weights(size, weights)
-        for rows, of_known in ((plain, True), (freed, False))
-        for size in _sizes(segments, rows, known, of_known, own, after, scatter)
-    ]
-    ratio, free, held_out = _ratio(segments, freed, own, scatter)
+    sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter, allowed)]
+    whole = own + np.sum(allowed**2, axis=1) + scatter
+    ratio, free, held_out = _ratio(segments, fit, whole, own, rms_of(noise))
     pairs = np.flatnonzero(_neighbours(segments))
-    product = freed.residual[pairs] * freed.residual[pairs + 1] - after[pairs] - scatter
-    alike = float(np.sum(product) / np.sum(own[pairs] + scatter)) if len(pairs) else 0.0
+    expected = after[pairs] + np.sum(allowed[pairs] * allowed[pairs + 1], axis=1) + scatter
+    product = fit.residual[pairs] * fit.residual[pairs + 1] - expected
+    alike = float(np.sum(product) / np.sum(whole[pairs])) if len(pairs) else 0.0
     limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
     found, moved = _matter([s for s in sizes if s.beyond > limit], fit, trust, campaign.tested)
     form = Form(
@@ -216,27 +216,6 @@ def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array
     return max(0.0, (float(off @ off) - expected) / freedom)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The least squares of the fit, with columns that may have any size beside its coefficients."""
-
-    design: Array
-    normal: Array
-    inverse: Array
-    right: Array
-    residual: Array
-
-
-def _rows(segments: Segments, fit: Fit, columns: Array, expected: float) -> _Rows:
-    """The fit with `columns` (n, m) [N] beside it; `expected` [N] weighs its prior."""
-    design = np.hstack((fit.design, columns))
-    prior = prior_of(segments, fit.design, fit.knots, expected)
-    prior = np.hstack((prior, np.zeros((len(prior), columns.shape[1]))))
-    normal, right = design.T @ design + prior.T @ prior, design.T @ segments.force
-    inverse = _inverse(normal)
-    return _Rows(design, normal, inverse, right, segments.force - design @ (inverse @ right))
-
-
 def _inverse(normal: Array) -> Array:
     """Inverse of a normal matrix, scaled to its diagonal first."""
     scale = np.sqrt(np.diag(normal))
@@ -244,30 +223,31 @@ def _inverse(normal: Array) -> Array:
 
 
 def _sizes(
-    segments: Segments, rows: _Rows, known: Sequence[Cause], of_known: bool, own: Array, after: Array, scatter: float
+    segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float, allowed: Array
 ) -> list[Size]:
-    """Least squares of each column beside the coefficients, one at a time; of ways of known size, or of the others."""
-    members = [(cause, way) for cause in known for way in cause.ways if bool(way.known) is of_known]
+    """Least squares of each column together with the coefficients, one at a time."""
+    members = [(cause, way) for cause in known for way in cause.ways]
     if not members:
         return []
     columns = np.column_stack([way.column for _, way in members])
     power = np.sum(columns**2, axis=0)
-    change = rows.inverse @ (rows.design.T @ columns)
-    left = power - np.sum((rows.design.T @ columns) * change, axis=0)
+    change = fit.change(columns)
+    left = power - np.sum((fit.design.T @ columns) * change, axis=0)
     seen = left > ALONE * np.maximum(power, 1e-300)
     columns, change, left = columns[:, seen], change[:, seen], left[seen]
-    size = rows.residual @ columns / left
-    alone = columns - rows.design @ change
+    size = fit.residual @ columns / left
+    alone = columns - fit.design @ change
     variance = own @ alone**2 + 2 * (after @ (alone[1:] * alone[:-1]))
     _, trial = np.unique(segments.trial, return_inverse=True)
     whole = np.zeros((trial.max() + 1, alone.shape[1]))
     np.add.at(whole, trial, alone)
     variance += scatter * np.sum(whole**2, axis=0)
     # noise that is larger than rest shows widens all; what the departure itself explains does not count
-    more = (rows.residual @ rows.residual - size**2 * left) / (own.sum() + scatter * len(own))
+    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(allowed**2))
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
+    other = np.sqrt(np.sum((allowed.T @ alone) ** 2, axis=0)) / left
     kept = [member for member, one in zip(members, seen, strict=True) if one]
-    return [Size(c, w, float(a), float(s)) for (c, w), a, s in zip(kept, size, error, strict=True)]
+    return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, strict=True)]
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
@@ -282,28 +262,31 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
     return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
 
 
-def _ratio(segments: Segments, rows: _Rows, own: Array, scatter: float) -> tuple[float, float, bool]:
+def _ratio(segments: Segments, fit: Fit, whole: Array, own: Array, expected: float) -> tuple[float, float, bool]:
     """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of it;
     degrees of freedom, and whether trials were left out.
 
     Every `FOLDS`-th trial is left out at a time. Only what the others predict as well as one segment is known counts;
-    where that is little, the residual of the fit to all.
+    where that is little, the residual of the fit to all. `whole` (n,) [N^2] is the variance of a row, `own` that by
+    noise alone.
     """
+    prior = prior_of(segments, fit.design, fit.knots, expected)
+    normal, right = fit.design.T @ fit.design + prior.T @ prior, fit.design.T @ segments.force
     trials, trial = np.unique(segments.trial, return_inverse=True)
     squares, count = 0.0, 0
     for fold in range(min(FOLDS, len(trials))):
         mine = trial % FOLDS == fold
-        design, force = rows.design[mine], segments.force[mine]
-        inverse = _inverse(rows.normal - design.T @ design)
-        miss = force - design @ (inverse @ (rows.right - design.T @ force))
+        design, force = fit.design[mine], segments.force[mine]
+        inverse = _inverse(normal - design.T @ design)
+        miss = force - design @ (inverse @ (right - design.T @ force))
         lever = np.sum(design @ inverse * design, axis=1)
         sure = (lever >= 0) & (lever <= 1)
-        squares += float(np.sum((miss**2 / (own[mine] * (1 + lever) + scatter))[sure]))
+        squares += float(np.sum((miss**2 / (whole[mine] + own[mine] * lever))[sure]))
         count += int(sure.sum())
     if count >= ENOUGH:
         return sqrt(squares / count), count, True
-    free = max(1.0, len(own) - float(np.sum(rows.design @ rows.inverse * rows.design)))
-    return sqrt(float(rows.residual @ rows.residual) / free / (float(np.mean(own)) + scatter)), free, False
+    free = max(1.0, len(own) - float(np.sum(fit.design @ fit.inverse * fit.design)))
+    return sqrt(float(fit.residual @ fit.residual) / free / float(np.mean(whole))), free, False
 
 
 def _neighbours(segments: Segments) -> Array:
@@ -322,7 +305,7 @@ def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequenc
     found: dict[int, Size] = {}
     moves: dict[int, tuple[float, str]] = {}
     for one in sorted(significant, key=lambda s: s.beyond, reverse=True):
-        change = fit.change(one.way.column[:, None])[:, 0] * (abs(one.size) - one.way.known)
+        change = fit.change(one.way.column[:, None])[:, 0] * max(0.0, abs(one.size) - one.way.known)
         share, text = max(
             (_moved(name, row, change, halves[name].combined, fit) for name, row in combinations.items()),
             default=(0.0, ""),
