@@ -29,6 +29,7 @@ from pmabench.analysis.contraction.intervals import Pooled, Trust, assess, repla
 from pmabench.analysis.contraction.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
 from pmabench.analysis.contraction.regulator_response import regulator
 from pmabench.analysis.contraction.segments import Gate, Samples, Segments, cut, moved
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.analysis.shared import reference, skew
 from pmabench.analysis.shared.calibration import Scales
@@ -36,6 +37,19 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
+    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency"),
+    Result("tau_P", "rise time of the pressure", "time"),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "measured-pressure"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
@@ -66,7 +80,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
+        return Analysis.of(
+            KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", reason)], facts=facts
+        )
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)
@@ -77,12 +93,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     runs_free = free_run.free_runs(campaign, pooled, estimates)
     every = (*estimates, *joint.estimates, *polished.estimates, *beside.estimates)
-    reason = pooled.form.reason
+    reported = withheld(every, pooled.form)
+    gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
         KIND,
         runs,
-        estimates=(*(withheld(every, reason) if reason else every), *response),
-        curves=() if reason else (*curves, *joint.curves, *beside.curves),
+        results=RESULTS,
+        estimates=(*reported, *response),
+        curves=[curve for curve in (*curves, *joint.curves, *beside.curves) if curve.symbol not in gone],
         dropped=dropped,
         findings=(
             *contraction_view.findings(campaign, pooled, estimates),
@@ -107,9 +125,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def withheld(estimates: Sequence[Estimate], reason: str) -> list[Estimate]:
-    """The estimates, without the values that assume the form of the model."""
-    return [withhold(e, reason) if e.symbol in OF_THE_FORM and e.value is not None else e for e in estimates]
+def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
+    """The estimates without the values whose form the data contradict; other methods follow the first one."""
+    reasons: dict[tuple[str, float | None], str] = {}
+    result = []
+    for e in estimates:
+        key = (e.symbol, e.at.get("pressure"))
+        why = found.reason or reasons.get(key) or found.hides(e)
+        if e.symbol not in OF_THE_FORM or e.value is None or not why:
+            result.append(e)
+            continue
+        reasons[key] = why
+        result.append(withhold(e, why))
+    return result
 
 
 def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:

@@ -100,11 +100,11 @@ def _of_the_form(pooled: Pooled) -> Finding:
         return Finding("doubt", f"form: {form.reason}")
     text = (
         f"form: {form.missed} {form.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree by"
-        f" {form.alike:.2g} of the noise; no departure of {len(form.sizes)} moves a coefficient beyond its interval"
+        f" {form.alike:.2g} of the noise"
     )
-    hidden = [one.text for one in sorted(form.sizes, key=lambda one: one.beyond, reverse=True) if one.beyond > 2][:1]
-    more = f"; the clearest is that {hidden[0]}, and its effect is in the intervals" if hidden else ""
-    return Finding("note", text + more)
+    if form.found:
+        return Finding("doubt", f"{text}; but it fits that {form.fits}. {form.moved}; it is a line of each interval")
+    return Finding("note", f"{text}; no departure of {len(form.sizes)} moves a coefficient beyond its interval")
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:

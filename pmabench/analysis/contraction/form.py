@@ -22,6 +22,7 @@ from pmabench.analysis.contraction.intervals import Hiding, Trust
 from pmabench.analysis.contraction.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
 from pmabench.analysis.contraction.segments import Segments
 from pmabench.analysis.contraction.weights import Weighed, weighed
+from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
@@ -38,6 +39,11 @@ HIDES = 2.0
 """What hides is as large as it was found, and so many standard deviations more."""
 AGREE = 0.5
 """A drift by the fit may differ by this share from that by the weights: noise in the columns makes it smaller."""
+EVEN = 2.0
+"""A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
+two more coefficients cost by Akaike's criterion."""
+MOST_HIDDEN = 0.02
+"""A significant departure that could change a coefficient by more than this share is not left to its interval."""
 FOLDS = 6
 ENOUGH = 50
 """Fewest segments that a fit to other trials predicts well for a comparison with noise."""
@@ -46,6 +52,7 @@ ALONE = 1e-6
 FEWEST_REPEATS = 10
 """Fewest repetitions in all that tell how much trials scatter by themselves."""
 MOST_NAMED = 3
+REMEDY = "Look for the cause, mend it and measure again, or repeat trials if they differ by themselves"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +110,11 @@ class Form:
         return "trials that are left out of the fit are missed by" if self.held_out else "the residual is"
 
     @property
+    def fits(self) -> str:
+        """The significant departures in words, the clearest first; empty without."""
+        return "; or that ".join(one.text for one in self.found[:MOST_NAMED])
+
+    @property
     def reason(self) -> str:
         """Why nothing of the fit may be reported, with numbers; empty where nothing speaks against the form."""
         parts = []
@@ -112,17 +124,22 @@ class Form:
         if self.alike >= self.most_alike:
             limit = f"below {self.most_alike:.2g} is expected"
             parts.append(f"residuals of neighbouring segments agree by {self.alike:.2g} of the noise ({limit})")
-        if self.found:
-            named = "; or that ".join(one.text for one in self.found[:MOST_NAMED])
-            parts.append(f"it fits that {named}; {self.moved}")
-        elif parts:
-            parts.append("none of the departures that are looked for fits it better than the others")
         if not parts:
             return ""
-        return (
-            f"the data do not have the form of the model: {'; '.join(parts)}. Look for the cause, mend it and measure"
-            " again, or repeat trials if they differ by themselves"
-        )
+        fits = f"it fits that {self.fits}" if self.found else "no departure that is looked for fits it"
+        return f"the data do not have the form of the model: {'; '.join([*parts, fits])}. {REMEDY}"
+
+    def hides(self, estimate: Estimate) -> str:
+        """Why this value may not be reported although the form holds as a whole; empty where it may."""
+        names = {one.cause.name for one in self.found}
+        lines = [s for s in estimate.budget if s.name in names and s.half]
+        worst = max(lines, key=lambda s: s.half or 0.0, default=None)
+        if worst is None or estimate.value is None or (worst.half or 0.0) <= MOST_HIDDEN * abs(estimate.value):
+            return ""
+        one = next(one for one in self.found if one.cause.name == worst.name)
+        share = f"{100 * (worst.half or 0.0) / abs(estimate.value):.2g} %"
+        limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
+        return f"it fits that {one.text}, which could change this value by {share} ({limit}). {REMEDY}"
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -180,10 +197,13 @@ def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: T
     lines = []
     for cause in {id(size.cause): size.cause for size in form.sizes}.values():
         mine = [size for size in form.sizes if size.cause is cause]
-        strength = np.array([0.5 * (size.size / size.error) ** 2 for size in mine])
-        likely = np.exp(strength - strength.max())
+        strength = np.array([0.5 * (one.beyond**2 - EVEN**2) for one in mine])
+        likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
+        none = np.exp(-max(0.0, strength.max()))
         change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
-        lines.append(Hiding(cause.name, cause.part, change * [size.hidden for size in mine], likely / likely.sum()))
+        lines.append(
+            Hiding(cause.name, cause.part, change * [size.hidden for size in mine], likely / (none + likely.sum()))
+        )
     return replace(trust, hides=(*lines, *_cell(form.weighed, scales, segments, fit)))
 
 
@@ -320,5 +340,5 @@ def _moved(name: str, row: Array, change: Array, half: float | None, fit: Fit) -
     value, by = abs(float(row @ fit.theta)), abs(float(row @ change))
     if not half or not value or half > 0.25 * value:
         return 0.0, ""
-    text = f"the first moves {name} by {100 * by / value:.2g} %, where its interval is +-{100 * half / value:.2g} %"
-    return by / half, text
+    moved, interval = 100 * by / value, 100 * half / value
+    return by / half, f"it would move {name} by {moved:.2g} %, where its interval without that is +-{interval:.2g} %"

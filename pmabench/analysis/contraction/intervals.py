@@ -40,7 +40,7 @@ FEW = 10
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """A departure from the form that the data do not exclude; of its ways one is there, none is known to be."""
+    """A departure from the form that the data do not exclude: one of its ways is there, or none."""
 
     name: str
     part: str
@@ -48,7 +48,7 @@ class Hiding:
     change: Array
     """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
     likely: Array
-    """How likely each way is by the data, shape (ways,); they add up to 1."""
+    """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
 
     def half(self, combination: Array) -> float:
         """Root of the mean square change of a linear combination (p,) over the ways."""

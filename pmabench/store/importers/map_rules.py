@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,18 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.map_file import TIME, AnalysisRule, ColumnFile, Layout, Line, MapFile, TextLayout, Trials
+from pmabench.store.importers.map_file import (
+    PLACE,
+    TIME,
+    AnalysisRule,
+    ColumnFile,
+    Layout,
+    Line,
+    MapFile,
+    TextLayout,
+    Trials,
+)
+from pmabench.store.importers.times import Stamps
 
 POINT_QUANTITY = {
     "contraction": "length",
@@ -91,6 +102,14 @@ class NameRule:
 
 
 @dataclass(frozen=True)
+class TestRule:
+    """One of several tests in a file: its name and its point [SI]."""
+
+    name: str
+    point: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class ImportMap:
     """A map, ready to use."""
 
@@ -115,6 +134,37 @@ class ImportMap:
     siblings: Mapping[str, float]
     specimen: Mapping[str, Any]
     analysis: AnalysisRule
+    stamps: Stamps
+    tests: tuple[TestRule, ...]
+
+    def each_test(self) -> list[ImportMap]:
+        """A map for each test whose columns have names of their own; else the map itself."""
+        if not any(PLACE in column.column for column in self.columns):
+            return [self]
+        return [self._named(test.name) for test in self.tests]
+
+    def of_test(self, number: int, rules: ImportMap) -> ImportMap:
+        """`rules` with the point of a test."""
+        if not self.tests:
+            return rules
+        return replace(rules, point={**rules.point, **self.tests[number].point})
+
+    def _named(self, test: str) -> ImportMap:
+        """The columns of one test; those of the others are ignored."""
+
+        def named(column: str) -> str:
+            return column.replace(PLACE, test)
+
+        columns = tuple(replace(column, column=named(column.column)) for column in self.columns)
+        own = {column.column for column in columns}
+        all_names = [
+            name.replace(PLACE, each.name)
+            for name in (*(column.column for column in self.columns), *self.ignored)
+            for each in self.tests
+        ]
+        stamps = replace(self.stamps, column=named(self.stamps.column), date=named(self.stamps.date))
+        ignored = tuple(dict.fromkeys(name for name in all_names if name not in own))
+        return replace(self, columns=columns, ignored=ignored, stamps=stamps)
 
     def column(self, role: str) -> ColumnRule | None:
         """The column with a role, where there is one."""
@@ -201,6 +251,17 @@ class _Rules:
             siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
+            stamps=self.stamps(),
+            tests=tuple(
+                TestRule(
+                    test.name,
+                    {
+                        name: self.si(reading, POINT_QUANTITY[name], ("tests", number, "point", name))
+                        for name, reading in test.point.items()
+                    },
+                )
+                for number, test in enumerate(file.tests)
+            ),
         )
         if self.problems:
             raise InvalidFile(self.problems)
@@ -210,8 +271,10 @@ class _Rules:
         at: Location = ("columns", name)
         if file.is_ == "phase":
             return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ == "date":
+            return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
-            slope = self.si((1.0, file.unit), "time", (*at, "unit"))
+            slope = self.si((1.0, file.unit), "time", (*at, "unit")) if file.written == "number" else 1.0
             return ColumnRule(name, "time", file.unit, slope, optional=False)
         quantity = CHANNEL_QUANTITY[file.is_]
         slope, offset, bend = self.scale(file, quantity, at)
@@ -264,6 +327,16 @@ class _Rules:
                 "sha256": "",
             },
         )
+
+    def stamps(self) -> Stamps:
+        """How the column of time is written, and which one holds its dates."""
+        names = {c.is_: name for name, c in self.file.columns.items() if c.is_ in ("time", "date")}
+        time = self.file.columns[names["time"]]
+        dated = self.file.columns.get(names.get("date", ""), time)
+        unit = 1.0
+        if time.written == "epoch":
+            unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
+        return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
         """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""
