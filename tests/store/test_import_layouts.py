@@ -44,7 +44,7 @@ def imported(tmp_path, content, fill=()):
     for old, new in fill:
         assert old in text
         text = text.replace(old, new)
-    (tmp_path / "map.yaml").write_text(text)
+    (tmp_path / "map.yaml").write_text(text.replace('contraction: "??"', "contraction: 0 mm"))
     return prepare_all(path, read_map(tmp_path / "map.yaml"))
 
 
@@ -79,7 +79,7 @@ RIGHT = {
     "old Macintosh": (HEAD + rows(plain)).replace("\n", "\r"),
     "delimiter at the end": HEAD.replace(",", ";").replace("\n", ";\n")
     + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{f:.3f};"),
-    "blanks between date and clock": "t P F\n"
+    "blanks between date and clock": "date time P_kPa F_N\n"
     + rows(lambda t, p, f: f"{stamp(t):%Y-%m-%d %H:%M:%S.%f} {p:.3f} {f:.3f}"),
 }
 
@@ -115,12 +115,12 @@ REFUSED = {
     ),
     "an index without a rate": (
         "Sample,P (kPa),F (N)\n" + rows(lambda t, p, f: f"{round(t / 0.02)},{p:.3f},{f:.3f}"),
-        "left open",
+        "not answered: how long is it from one sample to the next",
     ),
-    "no time at all": ("P (kPa),F (N)\n" + rows(lambda t, p, f: f"{p:.3f},{f:.3f}"), "left open"),
+    "no time at all": ("P (kPa),F (N)\n" + rows(lambda t, p, f: f"{p:.3f},{f:.3f}"), "how long is it from one sample"),
     "a date either way round": (
         "When,P (kPa),F (N)\n" + rows(lambda t, p, f: f"{stamp(t):%d/%m/%Y %H:%M:%S.%f},{p:.3f},{f:.3f}"),
-        "left open",
+        "which comes first in the dates",
     ),
 }
 

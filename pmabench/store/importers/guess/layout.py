@@ -63,6 +63,8 @@ class TextGuess:
     """The column whose texts are times, or that counts the steps of the header."""
     open_order: bool = False
     """Day and month of its dates may be the other way round."""
+    tests: int = 0
+    """How often the line of names was found; 0 where it is not repeated."""
     interval: float = 0.0
     """Distance of the samples that the header gives [s]; 0 where it gives none."""
 
@@ -137,6 +139,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
         layout = layout.model_copy(update=more)
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
     guess.interval = interval_in(lines[:first])
+    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")
