@@ -163,6 +163,22 @@ def test_a_time_that_counts_samples_is_a_question(tmp_path):
     assert "or the number of the sample" in asked(path)["columns.t.unit"].question
 
 
+@pytest.mark.parametrize(("left", "role"), [("P [kPa]", "force"), ("F [N]", "pressure")])
+def test_a_channel_that_no_name_gives_is_the_one_question(tmp_path, left, role):
+    columns = {"t [s]": T, "ch0": NOISE[2], left: P, "ch1": 0.1 * RISE}
+    (tmp_path / "monday.csv").unlink(missing_ok=True)
+    found = asked(file(tmp_path / "monday.csv", columns))
+    assert list(found) == ["columns.ch0"]
+    assert found["columns.ch0"].question.startswith(
+        f'which column is the {role}? No name says it; there is "ch0", "ch1"'
+    )
+
+
+def test_a_file_without_a_time_is_asked_for_its_period(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"P [kPa]": P, "F [N]": F})
+    assert list(asked(path)) == ["file.period"]
+
+
 def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
     told = call("import", "--guess", path, "-o", tmp_path / "map.yaml")

@@ -145,7 +145,7 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
                 told = (
                     f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
                 )
-                proposal.question = f"{told}: force, displacement, or ignore (then it is left out)?"
+                proposal.question = f"{told}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
         else:
             proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
 
@@ -239,7 +239,7 @@ def _which_time(time: Proposal, step: float) -> None:
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
     if bool(np.all(steps == 1.0)):
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or the number of the sample'
-        time.question = f"{head} (then ignore it, and write the time between samples as period: under file)? {told}"
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with its distance)? {told}"
     elif len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 

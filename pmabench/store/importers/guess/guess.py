@@ -64,6 +64,8 @@ class Guess:
     """Name of a shipped map that takes these files as they are."""
     frequency: float = 0.0
     """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    lacks: str = ""
+    """A channel without which nothing can be fitted, and that was not found."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
 
@@ -89,6 +91,7 @@ def _guess(files: Sequence[Path]) -> Guess:
     _kind(guess)
     _names(guess)
     _frequency(guess)
+    _lacking(guess)
     guess.known = _known(files[0])
     for role in ("time", "pressure"):
         if guess.role(role) is None:
@@ -250,7 +253,7 @@ def _kind(guess: Guess) -> None:
         told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
     elif command is not None and (edge := _edge(command.values)) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
-        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": _lead(guess)}
         told.append("the command goes in steps: each is a trial")
     elif (waves := _found(guess, "sine")) > 0:
         guess.kind, guess.smallest_of = "recorded-sine", "pressure_command" if command is not None else "pressure"
@@ -258,13 +261,18 @@ def _kind(guess: Guess) -> None:
         told.append(f"{waves} stretches of one frequency each, found in the {guess.smallest_of.replace('_', ' ')}")
     elif command is None and (steps := _found(guess, "step")) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure"
-        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         told.append(
             f"no command was recorded; the measured pressure makes {steps} steps: each is a trial, without dead time"
         )
     else:
         guess.kind, guess.trials = "recorded-step", {"by": "file"}
         told.append("neither steps nor sines were found: the file is one trial")
+
+
+def _lead(guess: Guess) -> str:
+    """So long before its step a trial begins: 1 s, more where that is less than 50 samples."""
+    return f"{max(1.0, 50.0 / (guess.rate[0] / 0.7)):.2g} s"
 
 
 def _share(guess: Guess, role: str) -> float:
@@ -349,6 +357,23 @@ def _frequency(guess: Guess) -> None:
         guess.frequency, guess.smallest_of = 0.0, "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
         guess.reasons["trials"].append("no name tells its frequency, so it is fitted to each file")
+
+
+def _lacking(guess: Guess) -> None:
+    """Without a pressure, or a force of an isometric test, one of the columns that are left is asked to be it."""
+    needed = ("pressure", "force") if guess.kind == "isometric" else ("pressure",)
+    lacks = next((role for role in needed if guess.role(role) is None), None)
+    left = [column for column in guess.columns if column.role == "ignore" and len(column.values)]
+    if lacks is not None and left:
+        names = ", ".join(f'"{column.name[:40]}"' for column in left[:8])
+        guess.lacks, form = lacks, f"as {{is: {lacks}, unit: {'bar' if lacks == 'pressure' else 'N'}}}"
+        for column in left:
+            column.question = ""
+        left[
+            0
+        ].question = (
+            f"which column is the {lacks}? No name says it; there is {names}: write what it is and its unit, {form}"
+        )
 
 
 CONTRACTED = re.compile(

@@ -59,7 +59,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
-    lines += _analysis(guess)
+    lines += _siblings(guess) + _analysis(guess)
     lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
@@ -103,8 +103,7 @@ def _text(text: str) -> str:
 def _file(guess: Guess) -> list[str]:
     layout, told = guess.layout, [f"  {_comment(text)}" for text in guess.reasons.get("file", [])]
     if not isinstance(layout, TextLayout):
-        period = ', period: "??"' if guess.role("time") is None else ""
-        return ["file:", *told, f"  format: {layout.format}{period.replace(', ', chr(10) + '  ')}"]
+        return ["file:", *told, f"  format: {layout.format}", *_period(guess)]
     lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
         lines.append(f"  names: [{', '.join(_text(name) for name in layout.names)}]")
@@ -116,7 +115,18 @@ def _file(guess: Guess) -> list[str]:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
     if layout.missing:
         lines.append(f"  missing: {json.dumps(layout.missing)}")
-    return lines
+    return lines + _period(guess)
+
+
+def _period(guess: Guess) -> list[str]:
+    """What is asked where no column is a time, and the layout does not make one."""
+    if guess.role("time") is not None or getattr(guess.layout, "period", None):
+        return []
+    text = "no column is a time: were the samples taken at even distances, and at which? For instance 2 ms"
+    return [
+        f"  {_question(Asked('', f'{text}. A table of points is no recording: report --overlay draws it'))}",
+        f'  period: "{OPEN}"',
+    ]
 
 
 def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
@@ -314,6 +324,16 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
         trials["point"] = f"{{frequency: {which.scalar}}}"
         lines.append(_question(which))
     return [*lines, f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"]
+
+
+def _siblings(guess: Guess) -> list[str]:
+    """Repeats of an isometric test have the same peaks; a file in another scale has not."""
+    repeats = any("{test}" in form for form in guess.forms) and len(guess.files) > 1
+    if guess.kind != "isometric" or guess.role("force") is None or not repeats:
+        return []
+    return [
+        "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
+    ]
 
 
 def _analysis(guess: Guess) -> list[str]:
