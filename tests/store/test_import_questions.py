@@ -160,7 +160,7 @@ def test_two_clocks_that_disagree_are_a_question(tmp_path):
 
 def test_a_time_that_counts_samples_is_a_question(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t": np.arange(len(T)), "P [kPa]": P, "F [N]": F})
-    assert "or the number of the sample" in asked(path)["columns.t.unit"].question
+    assert "counts the samples: how far apart are they?" in asked(path)["columns.t.period"].question
 
 
 @pytest.mark.parametrize(("left", "role"), [("P [kPa]", "force"), ("F [N]", "pressure")])
