@@ -67,6 +67,8 @@ class Guess:
     """Name of a shipped map that takes these files as they are."""
     frequency: float = 0.0
     """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits."""
     lacks: str = ""
     """A channel without which nothing can be fitted, and that was not found."""
     tests: list[str] = field(default_factory=list)
@@ -202,7 +204,7 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     time = guess.role("time")
     if time is not None and time.written == "index":
         time.period = told.interval
-    guess.period = told.interval
+    guess.period, guess.either = told.interval, told.either
     if not told.named:
         _call_by_role(guess)
     return guess
@@ -400,28 +402,48 @@ def _names(guess: Guess) -> None:
 
 
 def _frequency(guess: Guess) -> None:
-    """A sine whose frequency no name tells is fitted in each file, where that can be done."""
-    if guess.frequency and not any("{frequency}" in form for form in guess.forms) and _found(guess, "sine") > 0:
-        guess.frequency, guess.smallest_of = 0.0, "pressure_command"
+    """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
+    if not guess.frequency:
+        return
+    told = _frequency_told(guess)
+    slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
+    if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and _found(guess, "sine") > 0:
+        why = (
+            "no name tells its frequency" if told is None else f"its name tells {told:.4g} Hz, and its command does not"
+        )
+        guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
-        guess.reasons["trials"].append("no name tells its frequency, so it is fitted to each file")
+        guess.reasons["trials"].append(f"{why}: it is fitted to each file")
+
+
+def _frequency_told(guess: Guess) -> float | None:
+    """The frequency in the name of the first file [Hz]."""
+    name = guess.files[0].resolve().parent.name if guess.form_of == "folder" else guess.files[0].stem
+    for pattern, key, unit in _PARTS:
+        match = pattern.search(name) if key == "frequency" and guess.form_units.get(key) == unit else None
+        if match is not None:
+            return float(match[0].replace(",", ".")) / (2 * np.pi if unit == "rad/s" else 1.0)
+    return None
 
 
 def _lacking(guess: Guess) -> None:
     """Without a pressure, or a force of an isometric test, one of the columns that are left is asked to be it."""
     needed = ("pressure", "force") if guess.kind == "isometric" else ("pressure",)
-    lacks = next((role for role in needed if guess.role(role) is None), None)
-    left = [column for column in guess.columns if column.role == "ignore" and len(column.values)]
-    if lacks is not None and left:
-        names = ", ".join(f'"{column.name[:40]}"' for column in left[:8])
-        guess.lacks, form = lacks, f"as {{is: {lacks}, unit: {'bar' if lacks == 'pressure' else 'N'}}}"
-        for column in left:
+    guess.lacks = next((role for role in needed if guess.role(role) is None), "")
+    ignored = [column for column in guess.columns if column.role == "ignore"]
+    spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
+    if guess.lacks:
+        for column in ignored:
             column.question = ""
-        left[
-            0
-        ].question = (
-            f"which column is the {lacks}? No name says it; there is {names}: write what it is and its unit, {form}"
-        )
+    if guess.lacks == "pressure" and spare is not None:
+        text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
+        spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
+    elif guess.lacks and ignored:
+        ignored.sort(key=lambda column: len(column.values) == 0)
+        names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
+        form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
+        text = f"which column is the {guess.lacks}? No name says it; there is {names}"
+        ignored[0].question = f"{text}: write what it is and its unit, {form}"
 
 
 CONTRACTED = re.compile(

@@ -65,6 +65,8 @@ class TextGuess:
     """Day and month of its dates may be the other way round."""
     interval: float = 0.0
     """Distance of the samples that the header gives [s]; 0 where it gives none."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits, as all others; empty where one shows which."""
 
 
 def guess_layout(path: str, content: bytes) -> TextGuess:
@@ -137,6 +139,8 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
         layout = layout.model_copy(update=more)
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
     guess.interval = interval_in(lines[:first])
+    if decimal == "comma" and not thousands:
+        guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")
@@ -241,7 +245,8 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
     The pair with most numbers wins. A field that is a date or a clock may stand in a row. `above`: lines before the
     first row that are none.
     """
-    best: tuple[tuple[int, int], str, str, list[tuple[int, int]], str] | None = None
+    best: tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str] | None = None
+    even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
     for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
         cut = [split(line, delimiter, quoted=quoted) for line in lines]
         for decimal, number in (("point", _POINT), ("comma", _COMMA)):
@@ -262,7 +267,7 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
                 continue
             width = Counter(count for _, count in rows).most_common(1)[0][0]
             alike = [row for row in rows if row[1] == width]
-            score = (numbers * len(alike) // len(rows), decimal == "point")
+            score = (numbers * len(alike) // len(rows), delimiter in even, decimal == "point")
             if best is None or score > best[0]:
                 best = (score, delimiter, decimal, alike, thousands)
     if best is None:
@@ -272,9 +277,14 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
     if count < TABLE * below:
         told = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
         raise invalid(path, f"is no table of numbers ({told}): nothing can be guessed")
-    if best[2] == "comma" and not best[4]:
-        _may_be_thousands(path, [split(lines[row], best[1], quoted=quoted) for row, _ in best[3]], first)
     return best[1], best[2], best[3], best[4]
+
+
+def _in_each(lines: Sequence[str], mark: str) -> bool:
+    """Whether a sign stands equally often in nearly all lines: it parts columns, rather than digits."""
+    counts = Counter(line.count(mark) for line in lines if line.strip())
+    usual, many = counts.most_common(1)[0] if counts else (0, 0)
+    return usual > 0 and many > 0.9 * sum(counts.values())
 
 
 def _is_number(text: str, plain: re.Pattern[str], decimal: str, thousands: str) -> bool:
@@ -292,12 +302,11 @@ def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
     return ""
 
 
-def _may_be_thousands(path: str, rows: Sequence[Sequence[str]], first: int) -> None:
-    """Raises InvalidFile where every comma stands before three digits and none after a zero."""
+def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
+    """A number of a file in which every comma stands before three digits and none after a zero; else an empty text."""
     with_comma = [text.strip() for row in rows for text in row if "," in text]
-    if with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma):
-        told = f'numbers such as "{with_comma[0]}" may hold decimals or thousands: write a map that says which'
-        raise invalid(path, told, first + 1, 1)
+    either = with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
+    return with_comma[0] if either else ""
 
 
 def _told(delimiter: str, decimal: str, width: int, rows: int) -> str:

@@ -89,7 +89,13 @@ def _file(guess: Guess) -> list[str]:
     keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
     for key in (*keys, "lines_below_header", "repeated_header"):
         value = getattr(layout, key)
-        if value != TextLayout.model_fields[key].default:
+        if key == "decimal" and guess.either:
+            text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
+            which = Asked(
+                value, f"{text} For groups write decimal: point and thousands: comma; all numbers change by 1000"
+            )
+            lines += [f"  {question(which)}", f"  decimal: {which.scalar}"]
+        elif value != TextLayout.model_fields[key].default:
             lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
