@@ -1,4 +1,4 @@
-"""Campaigns of the independent simulator `tests.judge` as runs of the project, and the limits of the shipped protocol."""
+"""Campaigns of the independent simulator `tests.judge` as runs of the project, with the limits of its protocol."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "fo
 @lru_cache(maxsize=1)
 def accepted() -> dict[str, object]:
     """The limits of the shipped protocol, as a plan has them: K +- 2 %."""
-    told = read_document(PROTOCOL).data["accept"]
+    asked = read_document(PROTOCOL).data["accept"]
     return {
         "limits": [
             {"what": what, "measure": measure, "limit": float(str(limit).removesuffix("%")) / 100, "place": ""}
-            for what, limits in told.items()
+            for what, limits in asked.items()
             for measure, limit in limits.items()
         ]
     }

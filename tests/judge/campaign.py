@@ -92,7 +92,7 @@ def _motion(muscle: Muscle, slack: float) -> Motion:
 
 
 def campaign(cause: str, size: float, seed: int) -> list[Trial]:
-    """The trials of a campaign with a cause at `size` times its full size (`FULL`); the seed draws all that chance does.
+    """The trials of a campaign with a cause at `size` times its full size (`FULL`); chance is drawn from the seed.
 
     cell-drift
         The zero of the cell goes evenly with time, up with even seeds and down with odd ones; at rest the cell reads

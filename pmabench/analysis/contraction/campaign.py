@@ -108,6 +108,8 @@ def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
         return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
     if len(trial.t) < 2 or not trial.usable.any():
         return "no sample is usable"
+    if not strokes(trial):
+        return "no pressure command lies within its samples"
     return ""
 
 

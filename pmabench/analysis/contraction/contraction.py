@@ -244,8 +244,10 @@ def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:
         pull = float(pooled.fit.values("F_ce", np.array([P]))[0])
         if load >= pull:
             reason = f"the load, {show(load, 'force', 4)}, is not below F_ce = {show(pull, 'force', 4)}"
+        elif not samples.ok.any():
+            reason = "no sample of its strokes is usable"
         else:
-            moved = float(np.max(samples.x[samples.ok])) - float(np.min(samples.x[samples.ok]))
+            moved = float(np.ptp(samples.x[samples.ok]))
             reason = f"too little motion: {show(moved, 'length', 3)} with F_ce - F_L = {show(pull - load, 'force', 3)}"
         dropped.append(Dropped(campaign.name(number), trial.point, reason))
     return dropped

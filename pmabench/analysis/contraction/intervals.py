@@ -93,7 +93,7 @@ class Trust:
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
         """The same, and every source behind them, largest first."""
         variance = max(0.0, float(combination @ self.covariance @ combination))
-        steps = {name: float(combination @ part @ combination) for name, part in self.steps.items()}
+        steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
         unsure = float(np.linalg.norm(combination * self.mean_error))
         shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
         shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
