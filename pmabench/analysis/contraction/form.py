@@ -193,16 +193,16 @@ def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: T
 
     `rows` says which of the segments of `form` they are.
     """
-    lines, clear = [], {one.cause.name for one in form.found}
+    lines: list[Hiding] = []
+    clear = {one.cause.name for one in form.found}
     for cause in {id(size.cause): size.cause for size in form.sizes}.values():
         mine = [size for size in form.sizes if size.cause is cause]
         strength = np.array([0.5 * (one.beyond**2 - EVEN**2) for one in mine])
         likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
         none = np.exp(-max(0.0, strength.max()))
         change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
-        lines.append(
-            Hiding(cause.name, cause.part, change * [size.hidden for size in mine], likely / (none + likely.sum()))
-        )
+        most = change * [size.hidden for size in mine]
+        lines.append(Hiding(cause.name, cause.part, most, likely / (none + likely.sum()), cause.name in clear))
     return replace(trust, hides=(*lines, *_cell(form.weighed, scales, segments, fit)))
 
 
@@ -245,7 +245,10 @@ def _inverse(normal: Array) -> Array:
 def _sizes(
     segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float, may: Array
 ) -> list[Size]:
-    """Least squares of each column together with the coefficients, one at a time; `may` (n, m) as `allowed` gives it."""
+    """Least squares of each column together with the coefficients, one at a time.
+
+    `may` (n, m) is as `allowed` gives it.
+    """
     members = [(cause, way) for cause in known for way in cause.ways]
     if not members:
         return []
