@@ -37,8 +37,8 @@ FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
 """What hides is as large as it was found, and so many standard deviations more."""
-AGREE = 0.5
-"""A drift by the fit may differ by this share from that by the weights: noise in the columns makes it smaller."""
+NEAR = 5e-4
+"""A residual this small, as a share of the typical force, says nothing against the form."""
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""
@@ -173,7 +173,7 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
     scatter = _scatter(campaign, segments, fit.residual, own)
     weights = weighed(campaign, order(campaign))
     sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter, may)]
-    whole = own + np.sum(may**2, axis=1) + scatter
+    whole = own + np.sum(may**2, axis=1) + scatter + (NEAR * rms_of(segments.force)) ** 2
     ratio, free, held_out = _ratio(segments, fit, whole, own, rms_of(noise))
     pairs = np.flatnonzero(_neighbours(segments))
     expected = after[pairs] + np.sum(may[pairs] * may[pairs + 1], axis=1) + scatter
@@ -274,13 +274,10 @@ def _sizes(
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
-    """The drift of the cell by the fit and by the weights together, where they agree."""
+    """The drift of the cell by the fit and by the weights together, each as sure as it is."""
     if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
         return size
     drift, error = weights.drift
-    apart = abs(drift - size.size) - AGREE * max(abs(drift), abs(size.size))
-    if apart > 3 * sqrt(error**2 + size.error**2):
-        return size
     one, other = 1 / size.error**2, 1 / error**2
     return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
 
