@@ -292,7 +292,8 @@ class Cell:
         known = [(m.speed, m.loop.apart) for m in self.members if not isnan(m.loop.apart)]
         if self.one_speed or len({speed for speed, _ in known}) < 2:
             return 0.0
-        return abs(float(np.polyfit(*np.array(known).T, 1)[0])) * self._force_per_pressure(dF_dP)
+        speeds, aparts = np.array(known).T
+        return abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
 
     def _force_per_pressure(self, dF_dP: float | None) -> float:
         """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""

@@ -235,8 +235,8 @@ def _along(trace: Trace, local: list[Estimate]) -> Offer:
 
 def _scaled(parts: Parts, half: float) -> Parts:
     """The parts with a combined half width of `half`."""
-    whole = parts.combined or half
-    return Parts(**{name: None if part is None else part * half / whole for name, part in vars(parts).items()})
+    factor = half / (parts.combined or half)
+    return Parts(*(None if part is None else part * factor for part in vars(parts).values()))  # type: ignore[arg-type]
 
 
 def _is_straight(trace: Trace) -> bool:
