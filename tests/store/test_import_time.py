@@ -224,8 +224,9 @@ def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zero
     savemat(tmp_path / "log.mat", {"zero": zero, "slow": matrix(0.02), "fast": matrix(0.005)})
     text = map_text(guess_files([tmp_path / "log.mat"]), {})
     assert "nothing moves in zero" in text
-    (tmp_path / "map.yaml").write_text(text.replace('"??"', "0 mm"))
-    slow, fast = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", unresolved=True))
+    (tmp_path / "map.yaml").write_text(text)
+    answers = [(f"tests.{test}.point.contraction", "0 mm") for test in (0, 1)]
+    slow, fast = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", answers, unresolved=True))
     assert (slow.name, fast.name) == ("slow", "fast")
     assert (slow.period, fast.period) == (pytest.approx(0.02), pytest.approx(0.005))
     assert not [f for each in (slow, fast) for f in each.findings if f.kind in ("rate", "gap")]

@@ -103,14 +103,14 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    question: str = ""
+    """What is asked about its role, where the choice is open."""
     written: str = "number"
     """How a time is written, as the map says it; empty where it may be days or a plain number."""
     order: str = ""
     """Order of day and month in its dates, where the year comes last; `??` where the file leaves it open."""
     period: float = 0.0
     """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
-    question: str = ""
-    """What is asked about its role, where the choice is open."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
 
@@ -177,7 +177,7 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
                 told = (
                     f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
                 )
-                proposal.question = f"{told}: force, displacement, or ignore (then it is left out)?"
+                proposal.question = f"{told}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
         else:
             proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
 
@@ -270,16 +270,12 @@ def _time_unit(time: Proposal) -> None:
 
 
 def _which_time(time: Proposal, step: float) -> None:
-    """A time without unit that may be in several, or that only counts the samples, is asked for."""
-    steps = np.diff(time.values)
+    """A time without unit that may be in several is asked for."""
     rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
-    if bool(np.all(steps == 1.0)):
-        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or the number of the sample'
-        time.question = f"{head} (then ignore it, and write the time between samples as period: under file)? {told}"
-    elif len(possible) > 1:
+    if len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 

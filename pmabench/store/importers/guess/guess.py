@@ -65,14 +65,18 @@ class Guess:
     doubts: list[str] = field(default_factory=list)
     known: str = ""
     """Name of a shipped map that takes these files as they are."""
+    frequency: float = 0.0
+    """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits."""
+    lacks: str = ""
+    """A channel without which nothing can be fitted, and that was not found."""
     tests: list[str] = field(default_factory=list)
     """Names of several tests in each file, in their order."""
     slower: tuple[float, float] = (1.0, 1.0)
     """Least and largest step of the clocks of the tests, against that of the test that is shown."""
     period: float = 0.0
     """Distance of the samples that a header gives [s]; 0 where none does."""
-    frequency: float = 0.0
-    """Of a command that is one sine [Hz], to the resolution of its spectrum."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
 
@@ -98,6 +102,7 @@ def _guess(files: Sequence[Path]) -> Guess:
     _kind(guess)
     _names(guess)
     _frequency(guess)
+    _lacking(guess)
     guess.known = _known(files[0])
     for role in ("time", "pressure"):
         if guess.role(role) is None:
@@ -175,6 +180,11 @@ def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
     stamps = told.stamps
+    if told.tests and _goes_on(path, told, numbers):
+        told.tests, told.layout = 0, told.layout.model_copy(update={"repeated_header": "page"})
+        told.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
+    elif told.tests:
+        told.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
     asked = [name for name in told.names if name in numbers]
     table = read_table(path, told.layout, asked, (), told.texts, stamps, LOOKED_AT)
     if table.starts:
@@ -193,17 +203,33 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if stamps is not None and stamps.date:
         order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
+    if falls and all(column.role != "time" for column in columns):
+        backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
+        raise invalid(path, backward)
     every = {column.name: column for column in [*columns, *words]}
     reasons = {"file": told.reasons}
     guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons=reasons)
     time = guess.role("time")
     if time is not None and time.written == "index":
         time.period = told.interval
-    guess.period = told.interval
+    guess.period, guess.either = told.interval, told.either
     guess.tests = [str(number) for number in range(1, told.tests + 1)]
     if not told.named:
         _call_by_role(guess)
     return guess
+
+
+def _goes_on(path: Path, told: TextGuess, numbers: Sequence[str]) -> bool:
+    """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
+    layout = told.layout.model_copy(update={"repeated_header": "page"})
+    starts = read_table(path, told.layout, numbers, (), told.texts, told.stamps, LOOKED_AT).starts
+    table = read_table(path, layout, numbers, (), told.texts, told.stamps, LOOKED_AT)
+    over = np.array(starts, dtype=int) - 1
+    return len(over) > 0 and any(
+        is_clock(values) and float(np.diff(values)[over].max()) < 2.0 * float(np.median(np.diff(values)))
+        for values in table.columns.values()
+    )
 
 
 def _call_by_role(guess: Guess) -> None:
@@ -299,7 +325,7 @@ def _kind(guess: Guess) -> None:
         told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
     elif command is not None and (edge := _edge(command.values)) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
-        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": _lead(guess)}
         told.append("the command goes in steps: each is a trial")
     elif (waves := _found(guess, "sine")) > 0:
         guess.kind, guess.smallest_of = "recorded-sine", "pressure_command" if command is not None else "pressure"
@@ -307,13 +333,18 @@ def _kind(guess: Guess) -> None:
         told.append(f"{waves} stretches of one frequency each, found in the {guess.smallest_of.replace('_', ' ')}")
     elif command is None and (steps := _found(guess, "step")) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure"
-        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         told.append(
             f"no command was recorded; the measured pressure makes {steps} steps: each is a trial, without dead time"
         )
     else:
         guess.kind, guess.trials = "recorded-step", {"by": "file"}
         told.append("neither steps nor sines were found: the file is one trial")
+
+
+def _lead(guess: Guess) -> str:
+    """So long before its step a trial begins: 1 s, more where that is less than 50 samples."""
+    return f"{max(1.0, 50.0 / (guess.rate[0] / 0.7)):.2g} s"
 
 
 def _share(guess: Guess, role: str) -> float:
@@ -393,11 +424,48 @@ def _names(guess: Guess) -> None:
 
 
 def _frequency(guess: Guess) -> None:
-    """A sine whose frequency no name tells is fitted in each file, where that can be done."""
-    if guess.frequency and not any("{frequency}" in form for form in guess.forms) and _found(guess, "sine") > 0:
-        guess.frequency, guess.smallest_of = 0.0, "pressure_command"
+    """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
+    if not guess.frequency:
+        return
+    told = _frequency_told(guess)
+    slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
+    if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and _found(guess, "sine") > 0:
+        why = (
+            "no name tells its frequency" if told is None else f"its name tells {told:.4g} Hz, and its command does not"
+        )
+        guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
-        guess.reasons["trials"].append("no name tells its frequency, so it is fitted to each file")
+        guess.reasons["trials"].append(f"{why}: it is fitted to each file")
+
+
+def _frequency_told(guess: Guess) -> float | None:
+    """The frequency in the name of the first file [Hz]."""
+    name = guess.files[0].resolve().parent.name if guess.form_of == "folder" else guess.files[0].stem
+    for pattern, key, unit in _PARTS:
+        match = pattern.search(name) if key == "frequency" and guess.form_units.get(key) == unit else None
+        if match is not None:
+            return float(match[0].replace(",", ".")) / (2 * np.pi if unit == "rad/s" else 1.0)
+    return None
+
+
+def _lacking(guess: Guess) -> None:
+    """Without a pressure, or a force of an isometric test, one of the columns that are left is asked to be it."""
+    needed = ("pressure", "force") if guess.kind == "isometric" else ("pressure",)
+    guess.lacks = next((role for role in needed if guess.role(role) is None), "")
+    ignored = [column for column in guess.columns if column.role == "ignore"]
+    spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
+    if guess.lacks:
+        for column in ignored:
+            column.question = ""
+    if guess.lacks == "pressure" and spare is not None:
+        text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
+        spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
+    elif guess.lacks and ignored:
+        ignored.sort(key=lambda column: len(column.values) == 0)
+        names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
+        form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
+        text = f"which column is the {guess.lacks}? No name says it; there is {names}"
+        ignored[0].question = f"{text}: write what it is and its unit, {form}"
 
 
 CONTRACTED = re.compile(

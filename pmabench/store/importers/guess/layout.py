@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pmabench.base.errors import invalid
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
 from pmabench.store.importers.map_file import TextLayout
+from pmabench.store.importers.text import MINUS
 from pmabench.store.importers.times import Stamps, step_in
 
 TABLE = 0.5
@@ -20,11 +21,18 @@ LOOKED_AT = 400
 """Lines from the beginning."""
 MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
-NO_VALUE = {"nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"}
+NO_VALUE = {
+    *("nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"),
+    *("1.#inf", "-1.#inf", "1.#ind", "-1.#ind", "1.#qnan", "-1.#qnan", "+inf", "infinity", "-infinity", "-nan"),
+    *("nan(ind)", "-nan(ind)", "ol", "ovld", "over", "overload", "over range", "overrange", "open", "?", "invalid"),
+    *("missing", "---", "----", "-.-", "--.-", "--.--", "#div/0!", "#value!", "#num!", "#ref!", "no data", "bad"),
+}
 MOST_MISSING = 12
+FAULTS = 0.05
+"""Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
-_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?\s*")
-_COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d{1,3})?\s*")
+_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
+_COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 
 
 _GROUPED = {
@@ -67,12 +75,14 @@ class TextGuess:
     """How often the line of names was found; 0 where it is not repeated."""
     interval: float = 0.0
     """Distance of the samples that the header gives [s]; 0 where it gives none."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits, as all others; empty where one shows which."""
 
 
 def guess_layout(path: str, content: bytes) -> TextGuess:
     """The layout that makes most cells of the first lines numbers; raises InvalidFile where none does."""
-    text, encoding, why = _decoded(path, content)
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text, encoding, why = _decoded(path, content.rstrip(b"\0") or content)
+    text = text.replace(MINUS, "-").replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
@@ -113,7 +123,6 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     again = _again(text, lines, first, called) if names and not _twice(called) else 0
     called = _apart(called)
     if again:
-        reasons.append("the line of names is repeated: another test begins there, which makes a run too")
         header_line = True
     layout = TextLayout.model_validate(
         {
@@ -140,6 +149,8 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
     guess.interval = interval_in(lines[:first])
     guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
+    if decimal == "comma" and not thousands:
+        guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")
@@ -244,7 +255,8 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
     The pair with most numbers wins. A field that is a date or a clock may stand in a row. `above`: lines before the
     first row that are none.
     """
-    best: tuple[tuple[int, int], str, str, list[tuple[int, int]], str] | None = None
+    best: tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str] | None = None
+    even = [mark for mark in ("tab", "semicolon", "bar") if _in_each(lines[above:], MARKS[mark])]
     for delimiter in ("tab", "semicolon", "comma", "bar", *(() if quoted else ("blank",))):
         cut = [split(line, delimiter, quoted=quoted) for line in lines]
         for decimal, number in (("point", _POINT), ("comma", _COMMA)):
@@ -265,7 +277,7 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
                 continue
             width = Counter(count for _, count in rows).most_common(1)[0][0]
             alike = [row for row in rows if row[1] == width]
-            score = (numbers * len(alike) // len(rows), decimal == "point")
+            score = (numbers * len(alike) // len(rows), delimiter in even, decimal == "point")
             if best is None or score > best[0]:
                 best = (score, delimiter, decimal, alike, thousands)
     if best is None:
@@ -275,9 +287,14 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
     if count < TABLE * below:
         told = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
         raise invalid(path, f"is no table of numbers ({told}): nothing can be guessed")
-    if best[2] == "comma" and not best[4]:
-        _may_be_thousands(path, [split(lines[row], best[1], quoted=quoted) for row, _ in best[3]], first)
     return best[1], best[2], best[3], best[4]
+
+
+def _in_each(lines: Sequence[str], mark: str) -> bool:
+    """Whether a sign stands equally often in nearly all lines: it parts columns, rather than digits."""
+    counts = Counter(line.count(mark) for line in lines if line.strip())
+    usual, many = counts.most_common(1)[0] if counts else (0, 0)
+    return usual > 0 and many > 0.9 * sum(counts.values())
 
 
 def _is_number(text: str, plain: re.Pattern[str], decimal: str, thousands: str) -> bool:
@@ -295,12 +312,11 @@ def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
     return ""
 
 
-def _may_be_thousands(path: str, rows: Sequence[Sequence[str]], first: int) -> None:
-    """Raises InvalidFile where every comma stands before three digits and none after a zero."""
+def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
+    """A number of a file in which every comma stands before three digits and none after a zero; else an empty text."""
     with_comma = [text.strip() for row in rows for text in row if "," in text]
-    if with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma):
-        told = f'numbers such as "{with_comma[0]}" may hold decimals or thousands: write a map that says which'
-        raise invalid(path, told, first + 1, 1)
+    either = with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
+    return with_comma[0] if either else ""
 
 
 def _told(delimiter: str, decimal: str, width: int, rows: int) -> str:
@@ -377,12 +393,13 @@ def _words(
         ]
         if not strange:
             continue
-        if len(strange) > len(cells) / 2 or any(text.lower() not in NO_VALUE for text in strange):
+        known = sum(text.lower() in NO_VALUE for text in strange)
+        if len(strange) > len(cells) / 2 or len(strange) - known > max(1.0, FAULTS * len(cells)):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
                 other.append(column)
         else:
-            missing |= set(strange)
+            missing |= {text for text in strange if text.lower() in NO_VALUE}
     return texts, sorted(missing)[:MOST_MISSING], other
 
 
