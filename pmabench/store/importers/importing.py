@@ -6,6 +6,7 @@ All files are read and checked before anything is written; what is written befor
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,9 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import Exported, read_record
+from pmabench.store.folder import PLAN
 from pmabench.store.importers import quality, units
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
@@ -27,17 +31,26 @@ from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
 from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.trials import trial_spans
 from pmabench.store.writer import RunWriter
 
 NOTES_BYTES = 100_000
 FOLLOWS = {
     "isometric": "force",
     "recorded-pull": "force",
+    "isometric-pressurisation": "force",
     "recorded-step": "displacement",
     "recorded-sine": "displacement",
+    "contraction-relaxation": "displacement",
+    "static-load": "displacement",
+    "free-contraction": "displacement",
 }
 """Kind of run -> channel that rises with pressure."""
 MOST_FILES = 10_000
+PAUSED = ("record", "column")
+"""Ways to cut a file whose trials are marked: between them nothing need be recorded."""
+UNTOLD = "not told"
+"""What a proposed map says of a specimen that no file names."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +90,9 @@ class _Prepared:
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
+    record: Exported | None
+    """What the run that the file was exported from said beyond its columns."""
+    simulated: bool
 
 
 def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[ImportedRun]:
@@ -139,7 +155,12 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
         row = int(np.argmax(~(np.abs(t) <= 9e9)))
         raise invalid(path, "a row has no time, or one out of all range", int(table.lines[row]), 1)
     checked = tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
-    flags, found = quality.inspect(t, checked, rules.rate, rules.gap, rules.leap)
+    record = _record_of(path, rules)
+    others = {c.role: table.columns[c.column] for c in rules.columns if not c.is_channel and c.column in table.columns}
+    gap, leap = (np.inf, np.inf) if rules.trials.by in PAUSED else (rules.gap, rules.leap)
+    flags, found = quality.inspect(t, checked, rules.rate, gap, leap)
+    if "flags" in others:
+        flags |= _flags_told(path, others["flags"])
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
         text = "the file ends within its last row or part: the last number may be cut"
@@ -149,21 +170,62 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
         text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
         found.append(Found("note", "left-out", text))
     values = {channel.rule.role: channel.si for channel in checked}
-    follower = FOLLOWS[rules.kind]
+    follower = FOLLOWS.get(rules.kind, "")
     if follower in values and rules.trials.by != "gap":
         doubt = quality.against_sign(flags, values, follower)
         found += [doubt] if doubt else []
     declared = rules.column("pressure")
     if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
-    phase = rules.column("phase")
-    if phase is not None and phase.column in table.columns:
-        values["phase"] = table.columns[phase.column]
-    parts = segments(t, values, flags, rules, named.point)
+    if "phase" in others:
+        values["phase"] = others["phase"]
+    if record is None:
+        points = {c.role: c.slope * others[c.role] for c in rules.columns if c.role in others}
+        parts, doubts = segments(t, {**points, **values}, flags, rules, named.point)
+        found += [Found("doubt", "trial", text) for text in doubts]
+    else:
+        parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
+    if rules.trials.by in PAUSED:
+        _gaps_within(t, flags, parts, rules.gap)
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     told = tuple(_placed(each, t) for each in found)
-    return _Prepared(table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes))
+    simulated = rules.simulated or (record is not None and record.simulated)
+    simulated = simulated or bool(np.any(others.get("simulated", 0.0)))
+    if record is not None and named.started is None and record.started:
+        named = replace(named, started=datetime.fromisoformat(record.started))
+    return _Prepared(table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes), record, simulated)
+
+
+def _record_of(path: Path, rules: ImportMap) -> Exported | None:
+    """The record next to an exported file, where the map asks for it."""
+    if rules.trials.by != "record":
+        return None
+    place = path.resolve().parent / RECORD
+    record = read_record(place)
+    if record.file != path.name:
+        raise invalid(place, f"is the record of {record.file}, not of {path.name}")
+    if record.kind != rules.kind:
+        raise invalid(place, f'is of a run of kind "{record.kind}", the map says "{rules.kind}"')
+    return record
+
+
+def _flags_told(path: Path, values: Array) -> Flags:
+    """Flags that the file itself gives its samples, as `pmabench export` writes them."""
+    most = sum(Flag)
+    if not np.all((values >= 0) & (values <= most) & (values == np.round(values))):
+        raise invalid(path, f"a value of its flags is no whole number from 0 to {most}")
+    return np.asarray(values.astype(np.uint16))
+
+
+def _gaps_within(t: Array, flags: Flags, parts: Sequence[Segment], gap: float) -> None:
+    """Flag gaps within trials; between them nothing was recorded, and that is none."""
+    late = np.concatenate([[False], np.diff(t) > gap])
+    for part in parts:
+        inside = (t > part.begin) & (t <= part.end)
+        if inside.any():
+            inside[int(np.argmax(inside))] = False
+        flags[late & inside] |= np.uint16(Flag.GAP)
 
 
 def _placed(found: Found, t: Array) -> Found:
@@ -172,7 +234,7 @@ def _placed(found: Found, t: Array) -> Found:
 
 
 def _is_channel(column: ColumnRule, table: Table) -> bool:
-    return column.role not in {"time", "phase"} and column.column in table.columns
+    return column.is_channel and column.column in table.columns
 
 
 def _checked(table: Table, rule: ColumnRule) -> Checked:
@@ -252,14 +314,17 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
-    name = run_name(started, f"{rules.specimen['type']}-{rules.specimen['serial']}", rules.kind, simulated=False)
+    specimen = _specimen(prepared, rules)
+    title = f"{specimen.get('type', '')}-{specimen.get('serial', '')}"
+    name = run_name(started, title, rules.kind, simulated=prepared.simulated)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
         columns = [channel.rule.record(_is_int(channel)) for channel in prepared.checked]
         period = float(np.median(np.abs(np.diff(prepared.t)))) if len(prepared.t) > 1 else 0.0
-        writer.open_stream("file", columns, 1.0 / period if period > 0 else 0.0)
+        rate = 1.0 / period if period > 0 else 0.0
+        writer.open_stream("file", columns, prepared.record.rate if prepared.record is not None else rate)
         time_ns = np.round(prepared.t * 1e9).astype(np.int64)
         raw = {c.rule.role: c.raw.astype(np.int32) if _is_int(c) else c.raw for c in prepared.checked}
         writer.append("file", time_ns, raw, flags)
@@ -288,7 +353,20 @@ def _is_int(channel: Checked) -> bool:
     return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1
 
 
+def _specimen(prepared: _Prepared, rules: ImportMap) -> Mapping[str, Any]:
+    """As the record of an exported run says, unless the map names another one."""
+    told = prepared.record.about.get("specimen") if prepared.record is not None else None
+    if not isinstance(told, Mapping):
+        return rules.specimen
+    same = all(str(told.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
+    return told if same or rules.specimen["type"] == UNTOLD else rules.specimen
+
+
 def _events(writer: RunWriter, prepared: _Prepared) -> None:
+    if prepared.record is not None:
+        for event in prepared.record.events:
+            writer.event(event.kind, event.t, **event.data)
+        return
     for index, part in enumerate(prepared.parts):
         told = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **told)
@@ -306,6 +384,11 @@ def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes]:
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
+    plan = {**(prepared.record.plan if prepared.record is not None else {})}
+    if settings := {**(plan.get("settings") or {}), **rules.settings}:
+        plan["settings"] = settings
+    if plan:
+        kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()
     return kept
 
 
@@ -325,11 +408,11 @@ def _manifest(
         "kind": rules.kind,
         "protocol": rules.name,
         "source": rules.source,
-        "simulated": False,
+        "simulated": prepared.simulated,
         "started_utc": started.isoformat(timespec="milliseconds"),
         "operator": "",
         "bench": rules.bench,
-        "specimen": dict(rules.specimen),
+        "specimen": dict(_specimen(prepared, rules)),
         "trials_planned": len(prepared.parts),
         "imported": {
             "file": table.path.name,
@@ -338,6 +421,7 @@ def _manifest(
             "bytes": len(table.content),
             "rows": len(prepared.t),
             "started_known": prepared.named.started is not None,
+            **({"exported_from": prepared.record.run} if prepared.record is not None else {}),
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,

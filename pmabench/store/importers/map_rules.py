@@ -18,7 +18,17 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.map_file import TIME, AnalysisRule, ColumnFile, Layout, Line, MapFile, TextLayout, Trials
+from pmabench.store.importers.map_file import (
+    NUMBERS,
+    TIME,
+    AnalysisRule,
+    ColumnFile,
+    Layout,
+    Line,
+    MapFile,
+    TextLayout,
+    Trials,
+)
 
 POINT_QUANTITY = {
     "contraction": "length",
@@ -26,7 +36,21 @@ POINT_QUANTITY = {
     "mass": "mass",
     "pressure": "pressure",
     "frequency": "frequency",
+    "speed": "speed",
+    "lower": "length",
+    "upper": "length",
+    "start": "length",
+    "step": "length",
+    "mean": "length",
+    "amplitude": "length",
+    "cycles": "count",
+    "side": "count",
+    "setpoint": "length",
+    "bias": "pressure",
+    "tip_mass": "mass",
 }
+G = 9.80665
+"""Standard gravity [m/s2], for a load that is given as a mass."""
 OPEN = "??"
 """What a proposed map begins a value with that no file tells."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
@@ -61,6 +85,11 @@ class ColumnRule:
     def quantity(self) -> str:
         """Key of `QUANTITIES`."""
         return CHANNEL_QUANTITY[self.role]
+
+    @property
+    def is_channel(self) -> bool:
+        """Whether it is measured or commanded, and so is stored as a channel of the run."""
+        return self.role in CHANNEL_QUANTITY
 
     def record(self, whole: bool) -> dict[str, Any]:
         """The column as `RunWriter.open_stream` wants it; `whole`: stored as int32 counts."""
@@ -99,6 +128,8 @@ class ImportMap:
     name: str
     source: str
     kind: str
+    simulated: bool
+    settings: Mapping[str, float | str]
     bench: str
     recorded: str
     layout: Layout
@@ -183,6 +214,8 @@ class _Rules:
             name=file.name,
             source=file.source,
             kind=file.kind,
+            simulated=file.simulated,
+            settings=dict(file.settings),
             bench=file.bench,
             recorded=file.recorded.isoformat() if file.recorded else "",
             layout=file.file,
@@ -195,7 +228,7 @@ class _Rules:
             leap=file.sampling.leap,
             trials=file.trials,
             point={
-                name: self.si(reading, POINT_QUANTITY[name], ("trials", "point", name))
+                name: reading[0] * self.of_point(name, reading[1], ("trials", "point", name))
                 for name, reading in file.trials.point.items()
             },
             siblings={str(name): share for name, share in file.siblings.items()},
@@ -208,8 +241,13 @@ class _Rules:
 
     def column(self, name: str, file: ColumnFile) -> ColumnRule:
         at: Location = ("columns", name)
-        if file.is_ == "phase":
-            return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ in NUMBERS:
+            return ColumnRule(
+                name, file.is_, optional=file.optional, marks={float(v): k for k, v in file.marks.items()}
+            )
+        if file.is_ == "point" and file.of is not None:
+            slope = self.of_point(file.of, file.unit, (*at, "unit"))
+            return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
         if file.is_ == "time":
             slope = self.si((1.0, file.unit), "time", (*at, "unit"))
             return ColumnRule(name, "time", file.unit, slope, optional=False)
@@ -260,10 +298,18 @@ class _Rules:
                 "valid_until": "",
                 "offset_uncertainty": uncertainty,
                 "gain_uncertainty": file.gain_uncertainty,
-                "sensor_lag": 0.0,
+                "sensor_lag": file.sensor_lag,
                 "sha256": "",
             },
         )
+
+    def of_point(self, name: str, unit: str, location: Location) -> float:
+        """SI units in one `unit` of a coordinate of the operating point; a load in kg or g is a weight."""
+        if name == "load" and unit in ("kg", "g"):
+            return G * self.si((1.0, unit), "mass", location)
+        if POINT_QUANTITY[name] == "count" and unit in ("", "1"):
+            return 1.0
+        return self.si((1.0, unit), POINT_QUANTITY[name], location)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
         """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""

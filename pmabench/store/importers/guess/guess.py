@@ -14,6 +14,7 @@ from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
+from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.map_file import BinaryLayout, TextLayout
 from pmabench.store.importers.map_rules import ImportMap, read_map
@@ -62,6 +63,9 @@ class Guess:
     """Name of a shipped map that takes these files as they are."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
+    simulated: bool = False
+    specimen: dict[str, str] = field(default_factory=dict)
+    """Where a file tells it."""
 
     def role(self, role: str) -> Proposal | None:
         """The column with a role, where there is one."""
@@ -78,6 +82,9 @@ def guess_files(files: Sequence[Path]) -> Guess:
 
 def _guess(files: Sequence[Path]) -> Guess:
     guess = _look(files[0])
+    if as_exported(guess, files):
+        _sampling(guess)
+        return guess
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)
@@ -241,6 +248,10 @@ def _kind(guess: Guess) -> None:
     elif command is not None and (edge := _edge(command.values)) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
         guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
+        if guess.role("trial") is not None:
+            guess.kind, guess.trials = "contraction-relaxation", {"by": "column"}
+            told.append("the command goes in steps, and a column numbers the trials")
+            return
         told.append("the command goes in steps: each is a trial")
     elif (waves := _found(guess, "sine")) > 0:
         guess.kind, guess.smallest_of = "recorded-sine", "pressure_command" if command is not None else "pressure"

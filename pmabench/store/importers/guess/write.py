@@ -42,6 +42,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         f"name: {_text('guessed from ' + guess.files[0].name)}",
         "source: not told  # who recorded these files, when and where",
         f"kind: {guess.kind}{_why(guess, 'trials')}",
+        *(["simulated: true  # as the file says"] if guess.simulated else []),
         "",
         *_file(guess),
         "",
@@ -55,7 +56,9 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines.append(_trials(guess, spans))
-    lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
+    specimen = {"type": "not told", "serial": "unknown"} | guess.specimen
+    told = ", ".join(f"{key}: {_text(value)}" for key, value in specimen.items())
+    lines.append(f"specimen: {{{told}}}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
 
@@ -127,6 +130,11 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         told = ", ".join(f"{_text(key)}: {mark:g}" for key, mark in called.items())
         optional = ", optional: true" if column.name in guess.optional else ""
         return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
+    if column.role == "point":
+        unit = f", unit: {_unit_of(column.name)}" if _unit_of(column.name) else ""
+        return [*head, f"  {name}: {{is: point, {', '.join(column.extra)}{unit}}}"]
+    if column.role in ("flags", "simulated", "trial"):
+        return [*head, f"  {name}: {{is: {column.role}}}"]
     if column.role == "time":
         return [*head, f"  {name}: {{is: time, unit: {column.unit or 's'}}}"]
     body, why = _scale(column, spans.get(column.role))
@@ -147,8 +155,14 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         *head,
         *(f"  {_comment(text)}" for text in why),
         f"  {name}:",
-        *(f"    {line}" for line in [f"is: {column.role}", *body]),
+        *(f"    {line}" for line in [f"is: {column.role}", *body, *column.extra]),
     ]
+
+
+def _unit_of(head: str) -> str:
+    """The unit in the head of an exported column, as it stands there."""
+    found = re.fullmatch(r".* \[([^\[\]]*)\]", head)
+    return found[1] if found else ""
 
 
 def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
