@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result, check_declared
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -271,6 +272,13 @@ class Analysis:
     """Numbers of trials and cells used, residual rms, options, in SI."""
     refusals: tuple[str, ...] = ()
     """Why these results are not accepted, whatever limits the protocol sets: one sentence each, with numbers."""
+    results: tuple[Result, ...] = ()
+    """What its kind of test can give, as declared there; empty where nobody declared it (a foreign or old file)."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a result is not declared; without any declaration symbols are taken as they are."""
+        if self.results:
+            check_declared(self.kind, self.results, self.estimates, self.curves)
 
     @classmethod
     def of(
@@ -278,6 +286,7 @@ class Analysis:
         kind: str,
         runs: Sequence[RunData],
         *,
+        results: Sequence[Result],
         estimates: Iterable[Estimate] = (),
         curves: Iterable[Curve] = (),
         dropped: Iterable[Dropped] = (),
@@ -286,7 +295,7 @@ class Analysis:
         facts: Mapping[str, Any] | None = None,
         refusals: Iterable[str] = (),
     ) -> Analysis:
-        """What was found in `runs`, of which one that is simulated makes all simulated."""
+        """What was found in `runs`, of which one that is simulated makes all simulated; `results` as declared."""
         return cls(
             kind,
             tuple(run.id for run in runs),
@@ -298,6 +307,7 @@ class Analysis:
             tuple(traces),
             facts or {},
             tuple(refusals),
+            tuple(results),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -323,4 +333,5 @@ class Analysis:
             ],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
+            "results": [asdict(result) for result in self.results],
         }

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
+from pmabench.report.words.names import declared
 from pmabench.report.words.wording import (
     AGREEMENT,
-    HEADLINES,
     POINTS,
-    SYMBOLS,
     clean,
     in_order,
     kind_title,
@@ -34,8 +34,9 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
         shown_estimates, beside = _without_comparison(analysis)
-        for names, (members, constant) in _for_terminal(shown_estimates).items():
-            frame = pivot_table(members) if names else whole_table(members).drop(columns="quantity")
+        results = declared([analysis])
+        for names, (members, constant) in _for_terminal(shown_estimates, results).items():
+            frame = pivot_table(members, results) if names else whole_table(members, results).drop(columns="quantity")
             over = in_order(members[0].at, POINTS)
             by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
             at = f", at {point_text(constant)}" if constant else ""
@@ -73,11 +74,13 @@ def _reasons(estimates: Sequence[Estimate]) -> list[str]:
     return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
 
 
-def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
-    """The estimates that fit the terminal: headline symbols by kind of operating point, and what is constant in it."""
+def _for_terminal(
+    estimates: Sequence[Estimate], results: Mapping[str, Result]
+) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
+    """The estimates for the terminal by kind of operating point: headlines and what is withheld; what is constant."""
     groups: dict[tuple[str, ...], list[Estimate]] = {}
     for e in estimates:
-        if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
+        if e.withheld or results[e.symbol].headline:
             groups.setdefault(tuple(sorted(e.at)), []).append(e)
     told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
     for names, members in groups.items():

@@ -604,6 +604,29 @@ def test_what_a_hung_line_cannot_say_is_not_held_against_the_second_way():
     assert "set pressure: sent over the second way" in vent.actions
 
 
+def test_an_acknowledged_command_of_which_nobody_knows_whether_it_is_held_is_not_called_sent():
+    guard, rig = armed(threads=True)
+    guard.set("pressure", 300e3)
+    rig.wrong |= {"is_on": (hangs := threading.Event()), "rescue": "no second way"}
+    guard.begin_safe()
+    vent = until_over(guard, 0.02, LOW)
+    hangs.set()
+    assert "open dump_valve: failed (dac: no second way)" in vent.actions
+
+
+def test_a_question_that_fails_is_asked_again_before_a_command_over_the_second_way_is_called_sent():
+    """Its new connection may end a question under way: a valve that did not obey was called sent."""
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    rig.ignores, rig.wrong["is_on"] = "both ways", "the connection was closed"
+    guard.begin_safe()
+    for _ in range(3):
+        advance(guard, 0.05, LOW)
+    del rig.wrong["is_on"]
+    vent = until_over(guard, 0.05, LOW)
+    assert any(text.startswith("open dump_valve: failed") for text in vent.actions), vent.actions
+
+
 def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():
     """S7: the next run must not begin with a dump valve that did not obey."""
     guard, rig = armed()

@@ -28,6 +28,7 @@ from pmabench.analysis.contraction.intervals import Pooled, Trust, assess, repla
 from pmabench.analysis.contraction.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
 from pmabench.analysis.contraction.regulator_response import regulator
 from pmabench.analysis.contraction.segments import Gate, Samples, Segments, cut, moved
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
 from pmabench.analysis.shared import reference, skew
 from pmabench.analysis.shared.calibration import Scales
@@ -35,6 +36,19 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
+    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency"),
+    Result("tau_P", "rise time of the pressure", "time"),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "measured-pressure"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
@@ -64,7 +78,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(KIND, runs, dropped=dropped, findings=findings, facts=facts)
+        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)
@@ -77,6 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=(*estimates, *joint.estimates, *polished.estimates, *beside.estimates, *response),
         curves=(*curves, *joint.curves, *beside.curves),
         dropped=dropped,

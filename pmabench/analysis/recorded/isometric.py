@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.analysis.shared.calibration import Scales
@@ -28,6 +29,12 @@ from pmabench.analysis.statics.isometric_lines import (
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
+RESULTS = (
+    Result("F", "force", "force"),
+    Result("m", "slope of force over pressure", "force per pressure", headline=True),
+    Result("c", "intercept of force over pressure", "force"),
+)
+"""What it can give; columns and figures have this order."""
 LONGEST_TRACE = 1500
 SENSITIVE = 0.05
 """Relative change of the slope over the thresholds that is doubted."""
@@ -90,6 +97,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         runs[0].kind if runs else "isometric",
         runs,
+        results=RESULTS,
         estimates=(*estimates, *others),
         curves=curves,
         dropped=dropped,

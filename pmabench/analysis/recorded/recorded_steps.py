@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.driven_motion import (
     DAMPING,
     FREQUENCY,
@@ -32,6 +33,15 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"
+RESULTS = (
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d"),
+    Result("tau_P", "rise time of the pressure", "time", headline=True),
+    Result("X", "stroke", "length", headline=True),
+    Result("dP/dx", "pressure per contraction", "gain", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 STEP, RINGING = "recorded-step", "ringing-of-known-mass"
 BEFORE, AFTER = 0.5, 0.8
 """Samples so long before and after the command [s] enter the fit of the motion."""
@@ -141,6 +151,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=(*import_findings(runs), *findings),

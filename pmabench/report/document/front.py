@@ -10,6 +10,7 @@ import pandas as pd
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.document import tables
 from pmabench.report.words import wording
+from pmabench.report.words.names import declared, is_headline
 from pmabench.report.words.rounding import rounded
 from pmabench.store.records import RunData
 
@@ -45,20 +46,20 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
     Where that method found none (no limit cycle) there is none: what others give, as a simulation, is no key number.
     """
     found = []
-    for symbol in wording.HEADLINES:
-        for analysis in analyses:
+    for symbol, result in declared(analyses).items():
+        for analysis in (a for a in analyses if is_headline(a, symbol)):
             told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
             known = [e for e in told if e.value is not None and e.method == told[0].method]
             members = [e for e in known if set(e.at) == set(known[0].at)]
             if members:
-                found.append(_tile(members))
+                found.append(_tile(members, result.title))
                 break
     if any(tile.symbol in ("B_c", "B_r") for tile in found):
         found = [tile for tile in found if tile.symbol != "B"]
     return found[:TILES]
 
 
-def _tile(members: list[Estimate]) -> Tile:
+def _tile(members: list[Estimate], title: str) -> Tile:
     varying = [
         name for name in wording.in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1
     ]
@@ -81,9 +82,8 @@ def _tile(members: list[Estimate]) -> Tile:
             f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} {word} {places[0]} "
             f"{'to' if word == 'from' else 'and'} {places[1]} {at_unit.unit}"
         )
-    name = wording.SYMBOLS.get(middle.symbol, "")
     where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)
-    return Tile(wording.symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
+    return Tile(wording.symbol_text(middle.symbol), wording.clean(title), value, unit.unit, where, reach.strip())
 
 
 @dataclass(frozen=True)

@@ -118,8 +118,8 @@ def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> C
     share = (part[first : last + 1] - before) / size
     times = t[begin + first : begin + last + 1]
     rising = np.maximum.accumulate(share)
-    if len(times) < 4:  # at once: somewhere between two samples
-        step = int(np.argmax(np.abs(np.diff(share))))
+    step = int(np.argmax(np.diff(share)))
+    if float(np.diff(share)[step]) > 0.8:  # at once: somewhere between two samples
         middle = 0.5 * float(times[step] + times[step + 1])
         return Change(middle, middle, _rounded(before), _rounded(value))
     at = [float(np.interp(level, rising, times)) for level in (0.1, 0.9)]

@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,8 +22,9 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Exported, read_record
-from pmabench.store.folder import PLAN
-from pmabench.store.importers import quality, units
+from pmabench.store.folder import PLAN, Copy
+from pmabench.store.importers import long, quality, units
+from pmabench.store.importers.long import Seen
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
 from pmabench.store.importers.quality import Checked, Found, Summary
@@ -51,6 +52,8 @@ PAUSED = ("record", "column")
 """Ways to cut a file whose trials are marked: between them nothing need be recorded."""
 UNTOLD = "not told"
 """What a proposed map says of a specimen that no file names."""
+SAME = 0.5
+"""Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
 
 
 @dataclass(frozen=True)
@@ -80,23 +83,44 @@ class _Named:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """One file, read and checked."""
+    """One test of one file, read and checked."""
 
     table: Table
     named: _Named
     t: Array
+    """Time stamps [s]; of a long file those of the rows on which trials were cut."""
     checked: tuple[Checked, ...]
+    """Channels of the same rows as `t`."""
     flags: Flags
+    """Of all rows."""
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
+    rules: ImportMap
+    """Of this test."""
+    name: str
+    """Of this test among those of the file; empty where it is the only one."""
+    whole: frozenset[str]
+    """Roles of channels that are stored as int32: whole counts throughout."""
+    period: float
+    """Median distance of the samples [s]."""
+    summary: Summary
     record: Exported | None
     """What the run that the file was exported from said beyond its columns."""
     simulated: bool
 
+    def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
+        """Time stamps [s] and channels of all rows in order, so many at a time as fit into memory."""
+        if len(self.t) == len(self.table):
+            yield self.t, self.checked
+            return
+        for begin, end in long.parts(len(self.table)):
+            part = self.table.part(begin, end)
+            yield _times(part, self.rules), _channels(part, self.rules)
+
 
 def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[ImportedRun]:
-    """Make one run below `out` of each file, as the map at `map_path` says; the files themselves are never touched.
+    """Make one run below `out` of each test in the files, as the map at `map_path` says; files are never touched.
 
     Raises InvalidFile with the problems of the map, or else of all files, and leaves nothing behind then. Files of one
     call are compared with each other where the map names `siblings`.
@@ -107,14 +131,15 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
     problems: list[Problem] = []
     summaries: list[Summary] = []
     hashes: list[str] = []
+    prepared: list[_Prepared] = []
     for path in files:
         try:
-            prepared = prepare(path, rules)
+            prepared = prepare_all(path, rules)
         except InvalidFile as error:
             problems.extend(error.problems)
             continue
-        summaries.append(_summary(prepared))
-        hashes.append(prepared.table.sha256)
+        summaries += [each.summary for each in prepared]
+        hashes.append(prepared[0].table.sha256)
     if not problems:
         problems = [
             Problem(str(path), 0, 0, f"holds the same bytes as {files[hashes.index(digest)]}")
@@ -123,15 +148,17 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
         ]
     if problems:
         raise InvalidFile(problems)
-    among = quality.compare(summaries, rules.siblings)
+    among = iter(quality.compare(summaries, rules.siblings))
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
-        for path, digest, siblings in zip(files, hashes, among, strict=True):
-            prepared = prepare(path, rules)
-            if prepared.table.sha256 != digest:
-                raise invalid(path, "was changed while it was read")
-            made.append(_write(prepared, rules, siblings, out))
+        for path, digest in zip(files, hashes, strict=True):
+            if len(files) > 1:
+                prepared = prepare_all(path, rules)
+            for each in prepared:
+                if each.table.sha256 != digest:
+                    raise invalid(path, "was changed while it was read")
+                made.append(_write(each, rules, next(among), out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -143,58 +170,71 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
 
 
 def prepare(path: Path, rules: ImportMap) -> _Prepared:
-    """Read, scale and check one file."""
+    """Read, scale and check one file, of several tests in it the first."""
+    return prepare_all(path, rules)[0]
+
+
+def prepare_all(path: Path, rules: ImportMap) -> list[_Prepared]:
+    """Read, scale and check every test of one file."""
+    found = [(each, table) for each in rules.each_test() for table in _read(path, each).tests()]
+    if rules.tests and len(found) != len(rules.tests):
+        told = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
+        raise invalid(path, told)
+    prepared = []
+    for number, (each, table) in enumerate(found):
+        name = "" if len(found) == 1 else rules.tests[number].name if rules.tests else str(number + 1)
+        prepared.append(_prepared(path, rules.of_test(number, each), table, name, number))
+    return prepared
+
+
+def _read(path: Path, rules: ImportMap) -> Table:
     wanted = [column.column for column in rules.columns if not column.optional]
     optional = [column.column for column in rules.columns if column.optional]
-    table = read_table(path, rules.layout, wanted, optional, rules.ignored)
+    return read_table(path, rules.layout, wanted, optional, rules.ignored, rules.stamps)
+
+
+def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int) -> _Prepared:
     units.agree(path, rules.columns, table.units)
     named = _named(path, rules, table.started)
-    time = next(column for column in rules.columns if column.role == "time")
-    t = table.columns[time.column] * time.slope
-    if np.isnan(t).any() or np.abs(t).max() > 9e9:
-        row = int(np.argmax(~(np.abs(t) <= 9e9)))
-        raise invalid(path, "a row has no time, or one out of all range", int(table.lines[row]), 1)
-    checked = tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+    if name:
+        named = replace(named, test=named.test or number + 1)
     record = _record_of(path, rules)
-    others = {c.role: table.columns[c.column] for c in rules.columns if not c.is_channel and c.column in table.columns}
-    gap, leap = (np.inf, np.inf) if rules.trials.by in PAUSED else (rules.gap, rules.leap)
-    flags, found = quality.inspect(t, checked, rules.rate, gap, leap)
-    if "flags" in others:
-        flags |= _flags_told(path, others["flags"])
-    if table.cut_end:
-        flags[-1] |= np.uint16(Flag.SUSPECT)
-        text = "the file ends within its last row or part: the last number may be cut"
-        found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
-    found += [Found("doubt", "contradiction", text) for text in table.doubts]
-    if table.left_out:
-        text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
-        found.append(Found("note", "left-out", text))
-    values = {channel.rule.role: channel.si for channel in checked}
-    follower = FOLLOWS.get(rules.kind, "")
-    if follower in values and rules.trials.by != "gap":
-        doubt = quality.against_sign(flags, values, follower)
-        found += [doubt] if doubt else []
-    declared = rules.column("pressure")
-    if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
-        found.append(replace(late, level="note") if any(declared.late_by) else late)
-    if "phase" in others:
-        values["phase"] = others["phase"]
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
+    seen, found = looked.seen, looked.seen.found
     if record is None:
-        points = {c.role: c.slope * others[c.role] for c in rules.columns if c.role in others}
-        parts, doubts = segments(t, {**points, **values}, flags, rules, named.point)
+        parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
         found += [Found("doubt", "trial", text) for text in doubts]
     else:
         parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
-    if rules.trials.by in PAUSED:
-        _gaps_within(t, flags, parts, rules.gap)
+        if named.started is None and record.started:
+            named = replace(named, started=datetime.fromisoformat(record.started))
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
-    told = tuple(_placed(each, t) for each in found)
-    simulated = rules.simulated or (record is not None and record.simulated)
-    simulated = simulated or bool(np.any(others.get("simulated", 0.0)))
-    if record is not None and named.started is None and record.started:
-        named = replace(named, started=datetime.fromisoformat(record.started))
-    return _Prepared(table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes), record, simulated)
+    told = tuple(_placed(each, seen.t, len(table)) for each in found)
+    return _Prepared(
+        table=table,
+        named=named,
+        t=seen.t,
+        checked=seen.checked,
+        flags=looked.flags,
+        findings=told,
+        parts=tuple(parts),
+        notes=_notes(path, rules.notes),
+        rules=rules,
+        name=name,
+        whole=looked.whole,
+        period=looked.period,
+        summary=Summary(
+            tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
+            {role: pair[0] for role, pair in looked.peaks.items()},
+            {role: pair[1] for role, pair in looked.peaks.items()},
+            not any(each.level == "fault" for each in told),
+        ),
+        record=record,
+        simulated=rules.simulated
+        or (record is not None and record.simulated)
+        or bool(np.any(seen.values.get("simulated", 0.0))),
+    )
 
 
 def _record_of(path: Path, rules: ImportMap) -> Exported | None:
@@ -218,19 +258,95 @@ def _flags_told(path: Path, values: Array) -> Flags:
     return np.asarray(values.astype(np.uint16))
 
 
-def _gaps_within(t: Array, flags: Flags, parts: Sequence[Segment], gap: float) -> None:
+def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
     """Flag gaps within trials; between them nothing was recorded, and that is none."""
-    late = np.concatenate([[False], np.diff(t) > gap])
-    for part in parts:
-        inside = (t > part.begin) & (t <= part.end)
-        if inside.any():
-            inside[int(np.argmax(inside))] = False
-        flags[late & inside] |= np.uint16(Flag.GAP)
+    if record is not None:
+        begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
+        trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
+    else:
+        trial = values["trial"]
+    late = np.concatenate([[False], (np.diff(t) > gap) & (np.diff(trial) == 0) & (trial[1:] != 0)])
+    flags[late] |= np.uint16(Flag.GAP)
 
 
-def _placed(found: Found, t: Array) -> Found:
+def _times(table: Table, rules: ImportMap) -> Array:
+    """Time stamps [s] of a table in memory; raises InvalidFile where a row has none."""
+    time = next(column for column in rules.columns if column.role == "time")
+    t = table.columns[time.column] * time.slope
+    if np.isnan(t).any() or np.abs(t).max() > 9e9:
+        row = int(np.argmax(~(np.abs(t) <= 9e9)))
+        raise invalid(table.path, "a row has no time, or one out of all range", table.line(row), 1)
+    return t
+
+
+def _coarse(table: Table, t: Array) -> None:
+    """Raises InvalidFile where most rows have the time of the row before: when they were taken nobody knows."""
+    steps = np.diff(t)
+    same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
+    if same <= SAME * len(t) or not len(forward):
+        return
+    told = (
+        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
+        f"{np.median(forward):.3g} s: when each row was taken is not known. "
+        'Export the time with its fraction, or "ignore" it and say "period"'
+    )
+    raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
+
+
+def _channels(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
+    return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+
+
+def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
+    """Scale and check the rows of a table in memory."""
+    t, checked = _times(table, rules), _channels(table, rules)
+    _coarse(table, t)
+    others = {
+        c.role: c.slope * table.columns[c.column]
+        for c in rules.columns
+        if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
+    }
+    paused = rules.trials.by in PAUSED
+    flags, found = quality.inspect(t, checked, rules.rate, *((np.inf, np.inf) if paused else (rules.gap, rules.leap)))
+    if paused:
+        _gaps_within(t, flags, others, record, rules.gap)
+    if "flags" in others:
+        flags |= _flags_told(path, others["flags"])
+    if table.cut_end:
+        flags[-1] |= np.uint16(Flag.SUSPECT)
+        text = "the file ends within its last row or part: the last number may be cut"
+        found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
+    if table.cut_row:
+        found.append(Found("doubt", "cut-row", table.cut_row, "", 1, len(t) - 1, float(t[-1])))
+    found += [Found("doubt", "contradiction", text) for text in table.doubts]
+    if table.left_out:
+        text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
+        found.append(Found("note", "left-out", text))
+    values = {**others, **{channel.rule.role: channel.si for channel in checked}}
+    follower = FOLLOWS.get(rules.kind, "")
+    if follower in values and rules.trials.by != "gap":
+        doubt = quality.against_sign(flags, values, follower)
+        found += [doubt] if doubt else []
+    declared = rules.column("pressure")
+    if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
+        found.append(replace(late, level="note") if any(declared.late_by) else late)
+    return Seen(t, checked, values, flags, found)
+
+
+def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
+    """Channels of whole counts, and peaks of the samples that are neither dropouts nor out of range."""
+    good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
+    peaks = {
+        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
+        for channel in seen.checked
+        if good.any()
+    }
+    return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
+
+
+def _placed(found: Found, t: Array, rows: int) -> Found:
     """What is about the whole file begins with its first row."""
-    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=len(t))
+    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
 
 
 def _is_channel(column: ColumnRule, table: Table) -> bool:
@@ -292,25 +408,12 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     return found[0].name, found[0].read_bytes()
 
 
-def _summary(prepared: _Prepared) -> Summary:
-    """Peaks of the samples that are neither dropouts nor out of range."""
-    good = (prepared.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    peaks: dict[str, float] = {}
-    numbers: dict[str, float] = {}
-    for channel in prepared.checked:
-        if good.any():
-            peaks[channel.rule.role] = float(channel.si[good].max())
-            numbers[channel.rule.role] = float(prepared.table.columns[channel.rule.column][good].max())
-    point = tuple(sorted((name, round(value, 9)) for name, value in prepared.named.point.items()))
-    return Summary(point, peaks, numbers, not any(found.level == "fault" for found in prepared.findings))
-
-
 def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
     if any(found.level == "fault" for found in siblings):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *(_placed(found, prepared.t) for found in siblings))
+    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in siblings))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
@@ -321,13 +424,15 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
-        columns = [channel.rule.record(_is_int(channel)) for channel in prepared.checked]
-        period = float(np.median(np.abs(np.diff(prepared.t)))) if len(prepared.t) > 1 else 0.0
-        rate = 1.0 / period if period > 0 else 0.0
-        writer.open_stream("file", columns, prepared.record.rate if prepared.record is not None else rate)
-        time_ns = np.round(prepared.t * 1e9).astype(np.int64)
-        raw = {c.rule.role: c.raw.astype(np.int32) if _is_int(c) else c.raw for c in prepared.checked}
-        writer.append("file", time_ns, raw, flags)
+        columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
+        rate = 1.0 / prepared.period if prepared.period > 0 else 0.0
+        writer.open_stream("file", columns, rate if prepared.record is None else prepared.record.rate)
+        begin = 0
+        for t, checked in prepared.blocks():
+            raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
+            time_ns = np.round(t * 1e9).astype(np.int64)
+            writer.append_now("file", time_ns, raw, flags[begin : begin + len(t)])
+            begin += len(t)
         _events(writer, prepared)
         writer.close("finished")
     except BaseException:
@@ -340,7 +445,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
         id=writer.folder.name,
         source=prepared.table.path,
         kind=rules.kind,
-        rows=len(prepared.t),
+        rows=len(prepared.table),
         trials=len(prepared.parts),
         findings=findings,
         flagged=flagged,
@@ -377,9 +482,10 @@ def _events(writer: RunWriter, prepared: _Prepared) -> None:
         writer.event("trial-end", part.end, trial=index, status="finished")
 
 
-def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes]:
+def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
     """The source as it is, its notes, and the map with all that it includes."""
-    kept = {f"source/{_legal(prepared.table.path.name)}": prepared.table.content}
+    table = prepared.table
+    kept: dict[str, bytes | Copy] = {f"source/{_legal(table.path.name)}": Copy(table.path, table.sha256)}
     if prepared.notes is not None:
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
@@ -403,7 +509,7 @@ def _manifest(
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
     told = [quality.plain(found) for found in findings]
     for found in told:
-        found["line"] = None if found["index"] is None else int(table.lines[found["index"]])
+        found["line"] = None if found["index"] is None else table.line(found["index"])
     return {
         "kind": rules.kind,
         "protocol": rules.name,
@@ -418,8 +524,9 @@ def _manifest(
             "file": table.path.name,
             "folder": table.path.resolve().parent.name,
             "sha256": table.sha256,
-            "bytes": len(table.content),
-            "rows": len(prepared.t),
+            "bytes": table.size,
+            "rows": len(prepared.table),
+            **({"test": prepared.name} if prepared.name else {}),
             "started_known": prepared.named.started is not None,
             **({"exported_from": prepared.record.run} if prepared.record is not None else {}),
             "map": Path(rules.path).name,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.map_file import (
     NUMBERS,
+    PLACE,
     TIME,
     AnalysisRule,
     ColumnFile,
@@ -29,6 +30,7 @@ from pmabench.store.importers.map_file import (
     TextLayout,
     Trials,
 )
+from pmabench.store.importers.times import Stamps
 
 POINT_QUANTITY = {
     "contraction": "length",
@@ -120,6 +122,14 @@ class NameRule:
 
 
 @dataclass(frozen=True)
+class TestRule:
+    """One of several tests in a file: its name and its point [SI]."""
+
+    name: str
+    point: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class ImportMap:
     """A map, ready to use."""
 
@@ -146,6 +156,37 @@ class ImportMap:
     siblings: Mapping[str, float]
     specimen: Mapping[str, Any]
     analysis: AnalysisRule
+    stamps: Stamps
+    tests: tuple[TestRule, ...]
+
+    def each_test(self) -> list[ImportMap]:
+        """A map for each test whose columns have names of their own; else the map itself."""
+        if not any(PLACE in column.column for column in self.columns):
+            return [self]
+        return [self._named(test.name) for test in self.tests]
+
+    def of_test(self, number: int, rules: ImportMap) -> ImportMap:
+        """`rules` with the point of a test."""
+        if not self.tests:
+            return rules
+        return replace(rules, point={**rules.point, **self.tests[number].point})
+
+    def _named(self, test: str) -> ImportMap:
+        """The columns of one test; those of the others are ignored."""
+
+        def named(column: str) -> str:
+            return column.replace(PLACE, test)
+
+        columns = tuple(replace(column, column=named(column.column)) for column in self.columns)
+        own = {column.column for column in columns}
+        all_names = [
+            name.replace(PLACE, each.name)
+            for name in (*(column.column for column in self.columns), *self.ignored)
+            for each in self.tests
+        ]
+        stamps = replace(self.stamps, column=named(self.stamps.column), date=named(self.stamps.date))
+        ignored = tuple(dict.fromkeys(name for name in all_names if name not in own))
+        return replace(self, columns=columns, ignored=ignored, stamps=stamps)
 
     def column(self, role: str) -> ColumnRule | None:
         """The column with a role, where there is one."""
@@ -234,6 +275,17 @@ class _Rules:
             siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
+            stamps=self.stamps(),
+            tests=tuple(
+                TestRule(
+                    test.name,
+                    {
+                        name: reading[0] * self.of_point(name, reading[1], ("tests", number, "point", name))
+                        for name, reading in test.point.items()
+                    },
+                )
+                for number, test in enumerate(file.tests)
+            ),
         )
         if self.problems:
             raise InvalidFile(self.problems)
@@ -248,8 +300,10 @@ class _Rules:
         if file.is_ == "point" and file.of is not None:
             slope = self.of_point(file.of, file.unit, (*at, "unit"))
             return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
+        if file.is_ == "date":
+            return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
-            slope = self.si((1.0, file.unit), "time", (*at, "unit"))
+            slope = self.si((1.0, file.unit), "time", (*at, "unit")) if file.written == "number" else 1.0
             return ColumnRule(name, "time", file.unit, slope, optional=False)
         quantity = CHANNEL_QUANTITY[file.is_]
         slope, offset, bend = self.scale(file, quantity, at)
@@ -302,6 +356,16 @@ class _Rules:
                 "sha256": "",
             },
         )
+
+    def stamps(self) -> Stamps:
+        """How the column of time is written, and which one holds its dates."""
+        names = {c.is_: name for name, c in self.file.columns.items() if c.is_ in ("time", "date")}
+        time = self.file.columns[names["time"]]
+        dated = self.file.columns.get(names.get("date", ""), time)
+        unit = 1.0
+        if time.written == "epoch":
+            unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
+        return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
 
     def of_point(self, name: str, unit: str, location: Location) -> float:
         """SI units in one `unit` of a coordinate of the operating point; a load in kg or g is a weight."""
@@ -383,9 +447,9 @@ class _Rules:
             if name not in file.units:
                 self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
         for unit_of, unit in file.units.items():
-            factors[unit_of] = self.si((1.0, unit), POINT_QUANTITY[unit_of], ("name_tells", "units", unit_of))
+            factors[unit_of] = self.of_point(unit_of, unit, ("name_tells", "units", unit_of))
         otherwise: dict[str, float] = {
-            name: self.si(reading, POINT_QUANTITY[name], ("name_tells", "otherwise", name))
+            name: reading[0] * self.of_point(name, reading[1], ("name_tells", "otherwise", name))
             for name, reading in file.otherwise.items()
         }
         return NameRule(file.of, tuple(forms), file.decimal == "comma", factors, otherwise)

@@ -33,6 +33,8 @@ SMALLEST = 0.02
 """Share of the span of a channel below which nothing is a spike."""
 SCATTERED = 0.005
 """Share of the samples that are the most scattered; at least six."""
+ENOUGH = 100_000
+"""Values that tell resolution and span of a channel; of more only so many are looked at, evenly spread."""
 FEW = 50
 """With fewer samples scatter cannot be told from spikes."""
 OFTEN = 0.1
@@ -220,37 +222,57 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
     since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
     stand on one side only, so much is taken off as these move.
     """
+    low, high = _extremes(values)
+    beyond = np.fmax(values - high, low - values)
+    out = np.zeros(len(values))
     padded = np.pad(values, AROUND, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    away = np.abs(np.arange(-AROUND, AROUND + 1)) >= ALONE
-    near = slice(AROUND - ALONE, AROUND + ALONE + 1)
-    out = np.empty(len(values))
-    for begin in range(0, len(values), 100_000):
-        part = slice(begin, begin + 100_000)
-        here, around = values[part], windows[part]
-        low, high = np.nanmin(around[:, away], axis=1), np.nanmax(around[:, away], axis=1)
-        beyond = np.maximum(here - high, low - here)
-        apart = np.abs(here - np.nanmedian(around[:, near], axis=1))
+    outside = np.flatnonzero(beyond > 0)  # all others lie among their neighbours: 0
+    for begin in range(0, len(outside), 100_000):
+        rows = outside[begin : begin + 100_000]
+        around = windows[rows]
+        near = around[:, AROUND - ALONE : AROUND + ALONE + 1]
+        median = np.partition(near, ALONE, axis=1)[:, ALONE]
+        cut = np.isnan(near).any(axis=1)
+        median[cut] = np.nanmedian(near[cut], axis=1)
         before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
         after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
-        step = np.where(np.isnan(before - after), high - low, np.abs(before - after))
-        out[part] = np.minimum(beyond, apart) - (step if swings else np.where(np.isnan(before - after), step, 0.0))
+        end = np.isnan(before - after)
+        step = np.where(end, high[rows] - low[rows], np.abs(before - after))
+        off = step if swings else np.where(end, step, 0.0)
+        out[rows] = np.minimum(beyond[rows], np.abs(values[rows] - median)) - off
     return np.maximum(out, 0.0)
+
+
+def _extremes(values: Array) -> tuple[Array, Array]:
+    """The lowest and the highest of the neighbours of each value, the 3rd to the 12th on either side."""
+    wide, ends = AROUND - ALONE + 1, []
+    for least, nothing in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+        run = np.pad(values, AROUND, constant_values=nothing)
+        done = 1
+        while done < wide:  # the extreme of so many values in a row, from that of fewer
+            more = min(done, wide - done)
+            run, done = least(run[:-more], run[more:]), done + more
+        ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
+    return ends[0], ends[1]
 
 
 def _level(around: Array) -> Array:
     """The middle of three neighbours; NaN where one is beyond the end."""
-    return np.asarray(np.sort(around, axis=1)[:, 1] + 0.0 * around.sum(axis=1))
+    low, high = np.minimum(around[:, 0], around[:, 1]), np.maximum(around[:, 0], around[:, 1])
+    return np.asarray(np.maximum(low, np.minimum(high, around[:, 2])))
 
 
 def spike_limit(values: Array, apart: Array) -> float:
     """From which distance on a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span."""
     count = max(6, int(SCATTERED * len(apart)))
-    scatter = float(np.partition(apart, -count)[-count])
-    marks = np.unique(values)
+    above = apart[apart > 0]
+    scatter = float(np.partition(above, -count)[-count]) if len(above) >= count else 0.0
+    some = values[:: 1 + len(values) // ENOUGH]
+    marks = np.unique(some)
     resolution = float(np.diff(marks).min()) if len(marks) > 20 else 0.0
-    low, high = (float(end) for end in np.quantile(values, [SCATTERED, 1.0 - SCATTERED]))
-    return max(SPIKE * scatter, SPIKE * resolution, SMALLEST * (high - low)) + 1e-9 * float(np.abs(marks).max())
+    low, high = (float(end) for end in np.quantile(some, [SCATTERED, 1.0 - SCATTERED]))
+    return max(SPIKE * scatter, SPIKE * resolution, SMALLEST * (high - low)) + 1e-9 * float(np.abs(values).max())
 
 
 def _equals(raw: Array, value: float) -> Bools:
