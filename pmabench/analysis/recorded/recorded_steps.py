@@ -55,6 +55,9 @@ RINGS = 0.5
 """Damping ratio from which on a motion does not ring: the mass shows in its fast pole only, which a few ms hide."""
 RANGE = 0.15
 """K and B are given where they lie within so much of their value for all that is possible of times and lags."""
+UNTOLD = 0.005
+"""What pressure and position may be apart [s] where the map gives no `late_by`, for K and B."""
+UNKNOWN = "nothing is known of the time between the channels"
 ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are not told."""
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
@@ -138,13 +141,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options)
+        estimates += _at(at, group, options, () if told else (-UNTOLD, UNTOLD))
         findings += _sentences(at, [step for _, step in group])
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
     if steps and not told:
-        findings.append(Finding("doubt", "nothing is known of the time between the channels: K and B assume none"))
+        findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
     if any(e.symbol == "K" and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
@@ -240,8 +243,10 @@ def _dead_time(steps: Sequence[Step]) -> Estimate:
     return Estimate("t_d", mean, "s", "time", STEP, {}, parts, len(steps), note=note, trials=parents)
 
 
-def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any]) -> list[Estimate]:
-    """All estimates at one pair of commanded pressures."""
+def _at(
+    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float]
+) -> list[Estimate]:
+    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position."""
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
     scales = Scales.of([run for run, _ in group])
@@ -282,7 +287,7 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
                     ("pressure", "displacement"),
                     "at rest, includes friction",
                 ),
-                *_muscle(at, moved, options),
+                *_muscle(at, moved, options, apart),
             ]
             if moved
             else unmoved
@@ -290,7 +295,9 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
     ]
 
 
-def _muscle(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
+def _muscle(
+    at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any], apart: Sequence[float]
+) -> list[Estimate]:
     """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
     parents = tuple(step.name for step in steps)
     kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
@@ -305,8 +312,8 @@ def _muscle(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
             held = bool(why)
         if why:
             break
-        near = step.near
-        possible = [*step.motions, *lagged_motions(step.t[near], step.P[near], step.x[near], step.best)]
+        near = step.t[step.near], step.P[step.near], step.x[step.near]
+        possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
         for symbol, values in (
             ("K", [mass * motion.w**2 for motion in possible]),
             ("B", [2 * motion.D * motion.w * mass for motion in possible]),
