@@ -137,11 +137,11 @@ FORCE, P_SET, X_SET, TRIAL = (
 FOREIGN = {
     "t": ("t [s]", 1.0), "p": ("pressure [Pa]", 1e-3), "x": ("displacement [m]", 1e3), "F": ("force [N]", 1.0),
     "p_set": ("pressure_command [Pa]", 1e-3), "x_set": ("displacement_command [m]", 1e3), "trial": ("trial", 1.0),
-    "load": ("trial load [N]", 1.0),
+    "load": ("trial load [N]", 1.0), "mass": ("trial mass [kg]", 1.0),
 }  # fmt: skip
 
 
-def foreign(own, kind, tmp_path, *columns, point="", trials="{by: column}"):
+def foreign(own, kind, tmp_path, *columns, trials="{by: column}"):
     """A run from nothing but some columns of an exported file, by names and units of another lab."""
     import pandas as pd
 
@@ -156,6 +156,7 @@ def foreign(own, kind, tmp_path, *columns, point="", trials="{by: column}"):
         "x_set": X_SET,
         "trial": TRIAL,
         "load": "  load: {is: point, of: load, unit: N}",
+        "mass": "  mass: {is: point, of: mass, unit: kg}",
     }
     text = COLUMNS.format(kind=kind, more="\n".join(told[name] for name in columns), trials=trials)
     return back(tmp_path, text, "log.csv")
@@ -210,10 +211,9 @@ def test_what_no_column_gives_is_named(own, tmp_path):
     assert "a column `is: force` or `point: {load: ...}` gives it" in said
 
 
-def test_the_weights_stand_in_for_a_cell(own, tmp_path):
-    run = foreign(
-        own, "contraction-relaxation", tmp_path, "p_set", "load", trials="{by: command, smallest: 20 kPa, lead: 200 ms}"
-    )
+def test_weights_stand_in_for_a_cell_where_their_moving_mass_is_known(own, tmp_path):
+    trials = "{by: command, smallest: 20 kPa, lead: 200 ms}"
+    run = foreign(own, "contraction-relaxation", tmp_path, "p_set", "load", "mass", trials=trials)
     K = next(e for e in reduce_runs([run])[0].estimates if e.symbol == "K" and e.at.get("pressure") == 400e3)
     assert K.value == pytest.approx(7.552e3, rel=0.03)  # the plant's: 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm, P in kPa
 

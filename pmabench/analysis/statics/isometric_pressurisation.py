@@ -71,7 +71,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         begun += _begins(cell, scales)
         if cell.pooled is None:
             continue
-        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, range_of=cell.upper)
+        others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
+        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
         estimates += [m, c, _width(cell, scales)]
         line = cell.pooled.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))

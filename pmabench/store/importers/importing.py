@@ -28,6 +28,7 @@ from pmabench.store.importers.long import Seen
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
 from pmabench.store.importers.quality import Checked, Found, Summary
+from pmabench.store.importers.questions import Question
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
@@ -70,6 +71,8 @@ class ImportedRun:
     findings: tuple[Found, ...]
     flagged: Mapping[str, int]
     """Name of the flag in lower case -> number of samples."""
+    unresolved: tuple[Question, ...] = ()
+    """Questions of the map that nobody answered."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +122,22 @@ class _Prepared:
             yield _times(part, self.rules), _channels(part, self.rules)
 
 
-def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[ImportedRun]:
+def import_files(
+    files: Sequence[Path],
+    map_path: Path,
+    out: Path,
+    answers: Sequence[tuple[str, str]] = (),
+    *,
+    unresolved: bool = False,
+) -> list[ImportedRun]:
     """Make one run below `out` of each test in the files, as the map at `map_path` says; files are never touched.
+
+    `answers` and `unresolved`: to the questions of the map, as for `read_map`.
 
     Raises InvalidFile with the problems of the map, or else of all files, and leaves nothing behind then. Files of one
     call are compared with each other where the map names `siblings`.
     """
-    rules = read_map(map_path)
+    rules = read_map(map_path, answers, unresolved=unresolved)
     if not files or len(files) > MOST_FILES:
         raise invalid(map_path, f"is for 1 to {MOST_FILES} files at a time, {len(files)} were given")
     problems: list[Problem] = []
@@ -449,6 +461,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
         trials=len(prepared.parts),
         findings=findings,
         flagged=flagged,
+        unresolved=rules.unresolved,
     )
 
 
@@ -536,5 +549,6 @@ def _manifest(
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.analysis.model_dump(mode="json"),
+            "unresolved": [vars(question) for question in rules.unresolved],
         },
     }

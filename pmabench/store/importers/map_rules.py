@@ -6,7 +6,7 @@ Reads the map and nothing else; knows no data.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
@@ -30,6 +30,7 @@ from pmabench.store.importers.map_file import (
     TextLayout,
     Trials,
 )
+from pmabench.store.importers.questions import Question, settle
 from pmabench.store.importers.times import Stamps
 
 POINT_QUANTITY = {
@@ -53,8 +54,6 @@ POINT_QUANTITY = {
 }
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
-OPEN = "??"
-"""What a proposed map begins a value with that no file tells."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -158,6 +157,8 @@ class ImportMap:
     analysis: AnalysisRule
     stamps: Stamps
     tests: tuple[TestRule, ...]
+    unresolved: tuple[Question, ...] = ()
+    """Questions that nobody answered, with what is taken for them."""
 
     def each_test(self) -> list[ImportMap]:
         """A map for each test whose columns have names of their own; else the map itself."""
@@ -193,23 +194,15 @@ class ImportMap:
         return next((column for column in self.columns if column.role == role), None)
 
 
-def read_map(path: Path) -> ImportMap:
-    """Read a map file; raises InvalidFile with every mistake at file:line:column."""
+def read_map(path: Path, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False) -> ImportMap:
+    """Read a map file; raises InvalidFile with every mistake, or every open question, at file:line:column.
+
+    `answers` are (key, value) of questions that the map leaves open. With `unresolved` what the map proposes is taken
+    for the others, and they are in `unresolved` of the rules.
+    """
     document = read_document(path)
-    left = list(_left_open(document.data, ()))
-    if left:
-        told = "was left open by import --guess (??), for no file tells it: write it here, or guess again with --span"
-        raise InvalidFile(document.problem(location, told) for location in left)
-    return _Rules(document, validate(MapFile, document)).build()
-
-
-def _left_open(value: Any, location: Location) -> Iterator[Location]:
-    """Places of texts that begin with `??`."""
-    if isinstance(value, str) and value.startswith(OPEN):
-        yield location
-    elif isinstance(value, Mapping | list):
-        for key, inside in value.items() if isinstance(value, Mapping) else enumerate(value):
-            yield from _left_open(inside, (*location, key))
+    left = settle(document, answers, unresolved=unresolved)
+    return replace(_Rules(document, validate(MapFile, document)).build(), unresolved=left)
 
 
 class _Rules:

@@ -98,6 +98,7 @@ def _as_own(
     parts: list[Segment] = []
     doubts: list[str] = []
     loads: dict[int, float] = {}
+    hanging = 0
     channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
     for number, part in enumerate(found):
         rows = good & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
@@ -117,13 +118,19 @@ def _as_own(
                     "[SI] within it, so it is not taken: cut the file into trials in which it is the same"
                 )
         point = {**told, **columns, **part.point}
-        if rules.kind in LOADED and "load" in point:
-            point.setdefault("mass", point["load"] / G)
+        if rules.kind in LOADED and "load" in point and "mass" not in point:
+            point["mass"] = point["load"] / G
+            hanging += "force" not in mine
         if rules.kind in LOADED and "load" not in point and "force" in mine:
             load = commanded.cell_load(t[rows], mine["force"], commands)
             if load is not None:
                 loads[number] = load
         parts.append(replace(part, point=point, commands=tuple(commands) or part.commands))
+    if hanging:
+        doubts.append(
+            f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
+            "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
+        )
     for number, load in zip(loads, commanded.alike(list(loads.values())), strict=True):
         parts[number] = replace(parts[number], point={**parts[number].point, "load": load})
     return parts, doubts

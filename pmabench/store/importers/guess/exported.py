@@ -24,12 +24,13 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
         return False
     if len(files) > 1:
         raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
-    guess.kind, guess.trials, guess.simulated = record.kind, {"by": "record"}, record.simulated
+    guess.kind, guess.trials = record.kind, {"by": "record"}
+    guess.exported, guess.simulated = True, record.simulated
     told = f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"
     guess.reasons["trials"] = [told]
     for column in guess.columns:
         known = record.columns.get(column.name)
-        column.role, column.doubts, column.reasons = "ignore", [], ["the record has it"]
+        column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]
         if column.name == "t [s]":
             column.role, column.reasons = "time", []
         elif column.name in ("flags", "simulated"):
