@@ -146,7 +146,7 @@ class Cell:
         straight = np.polyfit(self.x, self.curve, 1)[0]
         places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
         slopes = [_local(self.x, self.curve, place)[1] for place in places]
-        return max(abs(s - straight) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
+        return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
 
     @property
     def upside_down(self) -> bool:
