@@ -75,7 +75,7 @@ RIGHT = {
     "old Macintosh": (HEAD + rows(plain)).replace("\n", "\r"),
     "delimiter at the end": HEAD.replace(",", ";").replace("\n", ";\n")
     + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{f:.3f};"),
-    "blanks between date and clock": "t P F\n"
+    "blanks between date and clock": "date time P_kPa F_N\n"
     + rows(lambda t, p, f: f"{stamp(t):%Y-%m-%d %H:%M:%S.%f} {p:.3f} {f:.3f}"),
 }
 

@@ -73,7 +73,7 @@ class Guess:
     lacks: str = ""
     """A channel without which nothing can be fitted, and that was not found."""
     tests: list[str] = field(default_factory=list)
-    """Names of several tests in each file."""
+    """Names of several tests in each file, in their order."""
     slower: tuple[float, float] = (1.0, 1.0)
     """Least and largest step of the clocks of the tests, against that of the test that is shown."""
     period: float = 0.0
@@ -206,6 +206,7 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if time is not None and time.written == "index":
         time.period = told.interval
     guess.period, guess.either = told.interval, told.either
+    guess.tests = [str(number) for number in range(1, told.tests + 1)]
     if not told.named:
         _call_by_role(guess)
     return guess
