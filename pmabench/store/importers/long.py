@@ -141,7 +141,7 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
     keep = np.zeros(rows, dtype=bool)
     keep[[0, -1]] = True
     size = -(-rows // stretches)
-    for role in ("pressure", "pressure_command"):
+    for role in ("pressure", "pressure_command", "displacement", "displacement_command"):
         values = seen.values.get(role)
         if values is None:
             continue

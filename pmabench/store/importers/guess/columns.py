@@ -8,10 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
 from pmabench.store.importers.guess.clock import counted
+from pmabench.store.importers.map_file import PointName
 from pmabench.store.importers.units import QUANTITY, spelled
 from pmabench.store.records import Array
 
@@ -113,6 +115,8 @@ class Proposal:
     """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
+    extra: list[str] = field(default_factory=list)
+    """Further lines of the map that are known of it."""
 
     @property
     def good(self) -> Array:
@@ -150,6 +154,7 @@ def words(name: str) -> set[str]:
 
 def choose(proposals: Sequence[Proposal]) -> None:
     """Give every column its role; at most one of each."""
+    proposals = [proposal for proposal in proposals if not _exported(proposal)]
     for proposal in proposals:
         if not proposal.bare:
             _by_name(proposal)
@@ -157,6 +162,16 @@ def choose(proposals: Sequence[Proposal]) -> None:
     _one_each(proposals)
     _by_shape(proposals)
     _unknown(proposals)
+
+
+def _exported(proposal: Proposal) -> bool:
+    """Whether it is a column that `pmabench export` adds to the channels: it gets its role."""
+    name, of = proposal.name, re.fullmatch(r"trial (\w+)(?: \[.*\])?", proposal.name)
+    if name in ("trial", "flags", "simulated"):
+        proposal.role = name
+    elif of is not None and of[1] in get_args(PointName):
+        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+    return proposal.role in ("trial", "flags", "simulated", "point")
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:

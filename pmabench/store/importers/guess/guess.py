@@ -15,6 +15,7 @@ from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
 from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, owners
 from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
+from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.names import frequency_of, told_by
 from pmabench.store.importers.map_file import PLACE, BinaryLayout, TextLayout
@@ -80,6 +81,11 @@ class Guess:
     """Distance of the samples that a header gives [s]; 0 where none does."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
+    exported: bool = False
+    """The record of an exported run answers what else would be asked."""
+    simulated: bool = False
+    specimen: dict[str, str] = field(default_factory=dict)
+    """Where a file tells it."""
 
     def role(self, role: str) -> Proposal | None:
         """The column with a role, where there is one."""
@@ -96,6 +102,9 @@ def guess_files(files: Sequence[Path]) -> Guess:
 
 def _guess(files: Sequence[Path]) -> Guess:
     guess = _look(files[0])
+    if as_exported(guess, files):
+        _sampling(guess)
+        return guess
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)
@@ -279,6 +288,10 @@ def _kind(guess: Guess) -> None:
     """Which reduction fits, and how the file parts into trials."""
     told = guess.reasons.setdefault("trials", [])
     command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
+    if guess.role("trial") is not None and command is not None and _edge(command.values) > 0:
+        guess.kind, guess.trials = "contraction-relaxation", {"by": "column"}
+        told.append("the command goes in steps, and a column numbers the trials")
+        return
     pauses = np.diff(t)[np.diff(t) > LONG_PAUSE] if t is not None else np.empty(0)
     if displacement is not None and len(pauses) >= 2 and guess.role("force") is not None:
         guess.kind, guess.trials = "recorded-pull", {"by": "gap", "longer_than": f"{0.6 * pauses.min():.2g} s"}
