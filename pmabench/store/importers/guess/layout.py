@@ -63,6 +63,8 @@ class TextGuess:
     """The column whose texts are times, or that counts the steps of the header."""
     open_order: bool = False
     """Day and month of its dates may be the other way round."""
+    tests: int = 0
+    """How often the line of names was found; 0 where it is not repeated."""
     interval: float = 0.0
     """Distance of the samples that the header gives [s]; 0 where it gives none."""
     either: str = ""
@@ -141,6 +143,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     guess.interval = interval_in(lines[:first])
     if decimal == "comma" and not thousands:
         guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
+    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")

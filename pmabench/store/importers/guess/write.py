@@ -300,7 +300,7 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
     channel = guess.role(guess.smallest_of)
     if "smallest" in trials and channel is not None:
         trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
-    at = asked.contraction_of(guess)
+    at = "" if guess.tests else asked.contraction_of(guess)
     if isinstance(at, Asked):
         lines.append(question(at))
     if at:
