@@ -16,6 +16,7 @@ from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import agreement
 from pmabench.analysis.verdict.checks import with_checks
 from pmabench.analysis.verdict.offers import STATIC
+from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -99,7 +100,7 @@ def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, M
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
-    checked: Analysis = with_checks(analysis, runs)
+    checked: Analysis = with_record(with_checks(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 

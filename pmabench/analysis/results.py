@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from math import nan, sqrt
+from math import isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -118,6 +118,18 @@ class Estimate:
     """Its uncertainty by source, largest first; empty where only the parts are known."""
     withheld: bool = False
     """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
+
+    def __post_init__(self) -> None:
+        """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
+        if self.value is not None and not isfinite(self.value):
+            self._lacks("no finite number came out", value=None, bias=None, corrected=False)
+        elif not all(part is None or isfinite(part) for part in vars(self.parts).values()):
+            self._lacks("no interval: one of its parts has no bound")
+
+    def _lacks(self, why: str, **instead: Any) -> None:
+        instead |= {"parts": Parts(), "budget": (), "note": f"{self.note}; {why}".removeprefix("; ")}
+        for name, value in instead.items():
+            object.__setattr__(self, name, value)
 
     @property
     def shares(self) -> tuple[float | None, ...]:

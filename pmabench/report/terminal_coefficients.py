@@ -35,7 +35,8 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
         shown_estimates, beside = _without_comparison(analysis)
         results = declared([analysis])
-        for names, (members, constant) in _for_terminal(shown_estimates, results).items():
+        groups = _for_terminal(shown_estimates, results)
+        for names, (members, constant) in groups.items():
             frame = pivot_table(members, results) if names else whole_table(members, results).drop(columns="quantity")
             over = in_order(members[0].at, POINTS)
             by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
@@ -47,6 +48,13 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
                 print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
                 for reason in _reasons([e for e in members if clean(e.method) == method]):
                     console.print(Text(f"  {reason}"))
+        shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
+        more = [
+            name for name in results if name not in shown_symbols and any(e.symbol == name for e in shown_estimates)
+        ]
+        if more:
+            others = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
+            console.print(Text(f"  more in the tables of the analysis folder: {others}"))
         if beside:
             console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()
@@ -69,7 +77,7 @@ def _reasons(estimates: Sequence[Estimate]) -> list[str]:
     found: dict[str, list[str]] = {}
     for e in estimates:
         if e.note and (e.value is None or e.parts.combined is None):
-            lack = "" if e.value is None else "no interval: "
+            lack = "withheld: " if e.withheld else "" if e.value is None else "no interval: "
             found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
     return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
 

@@ -320,9 +320,9 @@ def test_an_owner_that_comes_back_can_be_asked_again():
 @pytest.mark.parametrize("owner", [Owner("x"), Direct("x")])
 def test_what_a_device_raises_is_a_device_error(owner):
     with pytest.raises(DeviceError, match="x: ZeroDivisionError: integer division or modulo by zero"):
-        owner.call(lambda: 1 // 0)
+        owner.call(lambda: 1 // 0, 5.0)
     with pytest.raises(LimitRefused, match="mine"):
-        owner.call(lambda: (_ for _ in ()).throw(LimitRefused("mine")))
+        owner.call(lambda: (_ for _ in ()).throw(LimitRefused("mine")), 5.0)
 
 
 def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(monkeypatch):

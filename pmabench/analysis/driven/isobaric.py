@@ -26,7 +26,7 @@ RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
     Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("F", "force of the mean curve", "force"),
+    Result("F", "force", "force", headline=True),
     Result("H", "loop width", "force"),
     Result("W", "loop area, energy lost per cycle", "work"),
     Result("W_c", "work given while contracting", "work"),

@@ -276,6 +276,8 @@ def _traces(cell: _Cell, K_u: Estimate) -> list[Trace]:
     at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
     shown = found.levels[max(0, at - 1) : at + 2]
     mask = (trial.t >= shown[0].t0) & (trial.t <= shown[-1].t1)
+    if not mask.any():
+        return []
     columns: dict[str, Array] = {
         "t": trial.t[mask] - trial.t[mask][0],
         "displacement": trial.channels["displacement"][mask],

@@ -102,7 +102,7 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     """What one load tells."""
     one = fitted.of
     at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
-    slope = np.gradient(one.mean, one.pressure) if len(one.pressure) > 1 else np.zeros(1)
+    slope = _slopes(one.pressure, one.mean)
     radius = settings.get("radius")
     per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
 
@@ -135,6 +135,15 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     if one.both:
         found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
     return found
+
+
+def _slopes(P: Array, angle: Array) -> Array:
+    """Angle over pressure at each pressure [rad/Pa]; where two rests read one pressure, that of the whole way."""
+    if len(P) < 2:
+        return np.zeros(len(P))
+    if (np.diff(P) > 0).all():
+        return np.asarray(np.gradient(angle, P))
+    return np.full(len(P), np.ptp(angle) / np.ptp(P))
 
 
 def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Estimate:

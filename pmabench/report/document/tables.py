@@ -15,7 +15,7 @@ from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.quantities import QUANTITIES
 from pmabench.report.words.names import declared
-from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, cut, half_width, rounded
+from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
 from pmabench.report.words.wording import (
     AGREEMENT,
     POINTS,
@@ -50,12 +50,18 @@ def cell(estimate: Estimate) -> str:
     scale = shown(estimate.quantity, estimate.unit).scale
     half = estimate.parts.combined
     if estimate.value is None:
-        return "not identifiable"
+        return WITHHELD if estimate.withheld else "not identifiable"
     if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
     return rounded(estimate.value / scale, None if half is None else half / scale)
+
+
+def note_text(estimate: Estimate) -> str:
+    """What is said of an estimate; begins with `withheld: ` where its value is."""
+    note = clean(estimate.note if estimate.note != estimate.coordinate else "")
+    return f"{WITHHELD}: {note}" if estimate.withheld else note
 
 
 def least(estimate: Estimate) -> float:
@@ -218,7 +224,7 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
         bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
         if e.bias and abs(e.bias) / unit.scale < least(e):
             bias = UNRESOLVED
-        told = parents(e) if parents else ("", clean(e.note if e.note != e.coordinate else ""))
+        told = parents(e) if parents else ("", note_text(e))
         rows.append(
             {
                 "method": clean(e.method),

@@ -6,7 +6,7 @@ Reads the map and nothing else; knows no data.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
@@ -19,6 +19,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.map_file import (
+    NUMBERS,
     PLACE,
     TIME,
     AnalysisRule,
@@ -29,6 +30,7 @@ from pmabench.store.importers.map_file import (
     TextLayout,
     Trials,
 )
+from pmabench.store.importers.questions import Question, settle
 from pmabench.store.importers.times import Stamps
 
 POINT_QUANTITY = {
@@ -37,9 +39,21 @@ POINT_QUANTITY = {
     "mass": "mass",
     "pressure": "pressure",
     "frequency": "frequency",
+    "speed": "speed",
+    "lower": "length",
+    "upper": "length",
+    "start": "length",
+    "step": "length",
+    "mean": "length",
+    "amplitude": "length",
+    "cycles": "count",
+    "side": "count",
+    "setpoint": "length",
+    "bias": "pressure",
+    "tip_mass": "mass",
 }
-OPEN = "??"
-"""What a proposed map begins a value with that no file tells."""
+G = 9.80665
+"""Standard gravity [m/s2], for a load that is given as a mass."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -72,6 +86,11 @@ class ColumnRule:
     def quantity(self) -> str:
         """Key of `QUANTITIES`."""
         return CHANNEL_QUANTITY[self.role]
+
+    @property
+    def is_channel(self) -> bool:
+        """Whether it is measured or commanded, and so is stored as a channel of the run."""
+        return self.role in CHANNEL_QUANTITY
 
     def record(self, whole: bool) -> dict[str, Any]:
         """The column as `RunWriter.open_stream` wants it; `whole`: stored as int32 counts."""
@@ -118,6 +137,8 @@ class ImportMap:
     name: str
     source: str
     kind: str
+    simulated: bool
+    settings: Mapping[str, float | str]
     bench: str
     recorded: str
     layout: Layout
@@ -136,6 +157,8 @@ class ImportMap:
     analysis: AnalysisRule
     stamps: Stamps
     tests: tuple[TestRule, ...]
+    unresolved: tuple[Question, ...] = ()
+    """Questions that nobody answered, with what is taken for them."""
 
     def each_test(self) -> list[ImportMap]:
         """A map for each test whose columns have names of their own; else the map itself."""
@@ -171,23 +194,15 @@ class ImportMap:
         return next((column for column in self.columns if column.role == role), None)
 
 
-def read_map(path: Path) -> ImportMap:
-    """Read a map file; raises InvalidFile with every mistake at file:line:column."""
+def read_map(path: Path, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False) -> ImportMap:
+    """Read a map file; raises InvalidFile with every mistake, or every open question, at file:line:column.
+
+    `answers` are (key, value) of questions that the map leaves open. With `unresolved` what the map proposes is taken
+    for the others, and they are in `unresolved` of the rules.
+    """
     document = read_document(path)
-    left = list(_left_open(document.data, ()))
-    if left:
-        told = "was left open by import --guess (??), for no file tells it: write it here, or guess again with --span"
-        raise InvalidFile(document.problem(location, told) for location in left)
-    return _Rules(document, validate(MapFile, document)).build()
-
-
-def _left_open(value: Any, location: Location) -> Iterator[Location]:
-    """Places of texts that begin with `??`."""
-    if isinstance(value, str) and value.startswith(OPEN):
-        yield location
-    elif isinstance(value, Mapping | list):
-        for key, inside in value.items() if isinstance(value, Mapping) else enumerate(value):
-            yield from _left_open(inside, (*location, key))
+    left = settle(document, answers, unresolved=unresolved)
+    return replace(_Rules(document, validate(MapFile, document)).build(), unresolved=left)
 
 
 class _Rules:
@@ -233,6 +248,8 @@ class _Rules:
             name=file.name,
             source=file.source,
             kind=file.kind,
+            simulated=file.simulated,
+            settings=dict(file.settings),
             bench=file.bench,
             recorded=file.recorded.isoformat() if file.recorded else "",
             layout=file.file,
@@ -245,7 +262,7 @@ class _Rules:
             leap=file.sampling.leap,
             trials=file.trials,
             point={
-                name: self.si(reading, POINT_QUANTITY[name], ("trials", "point", name))
+                name: reading[0] * self.of_point(name, reading[1], ("trials", "point", name))
                 for name, reading in file.trials.point.items()
             },
             siblings={str(name): share for name, share in file.siblings.items()},
@@ -256,7 +273,7 @@ class _Rules:
                 TestRule(
                     test.name,
                     {
-                        name: self.si(reading, POINT_QUANTITY[name], ("tests", number, "point", name))
+                        name: reading[0] * self.of_point(name, reading[1], ("tests", number, "point", name))
                         for name, reading in test.point.items()
                     },
                 )
@@ -269,8 +286,13 @@ class _Rules:
 
     def column(self, name: str, file: ColumnFile) -> ColumnRule:
         at: Location = ("columns", name)
-        if file.is_ == "phase":
-            return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ in NUMBERS:
+            return ColumnRule(
+                name, file.is_, optional=file.optional, marks={float(v): k for k, v in file.marks.items()}
+            )
+        if file.is_ == "point" and file.of is not None:
+            slope = self.of_point(file.of, file.unit, (*at, "unit"))
+            return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
         if file.is_ == "date":
             return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
@@ -323,7 +345,7 @@ class _Rules:
                 "valid_until": "",
                 "offset_uncertainty": uncertainty,
                 "gain_uncertainty": file.gain_uncertainty,
-                "sensor_lag": 0.0,
+                "sensor_lag": file.sensor_lag,
                 "sha256": "",
             },
         )
@@ -337,6 +359,14 @@ class _Rules:
         if time.written == "epoch":
             unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
         return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
+
+    def of_point(self, name: str, unit: str, location: Location) -> float:
+        """SI units in one `unit` of a coordinate of the operating point; a load in kg or g is a weight."""
+        if name == "load" and unit in ("kg", "g"):
+            return G * self.si((1.0, unit), "mass", location)
+        if POINT_QUANTITY[name] == "count" and unit in ("", "1"):
+            return 1.0
+        return self.si((1.0, unit), POINT_QUANTITY[name], location)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
         """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""
@@ -410,9 +440,9 @@ class _Rules:
             if name not in file.units:
                 self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
         for unit_of, unit in file.units.items():
-            factors[unit_of] = self.si((1.0, unit), POINT_QUANTITY[unit_of], ("name_tells", "units", unit_of))
+            factors[unit_of] = self.of_point(unit_of, unit, ("name_tells", "units", unit_of))
         otherwise: dict[str, float] = {
-            name: self.si(reading, POINT_QUANTITY[name], ("name_tells", "otherwise", name))
+            name: reading[0] * self.of_point(name, reading[1], ("name_tells", "otherwise", name))
             for name, reading in file.otherwise.items()
         }
         return NameRule(file.of, tuple(forms), file.decimal == "comma", factors, otherwise)

@@ -8,15 +8,35 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
+from pmabench.store.importers.guess.clock import counted
+from pmabench.store.importers.map_file import PointName
 from pmabench.store.importers.units import QUANTITY, spelled
 from pmabench.store.records import Array
 
 WORDS = {
-    "time": {"t", "time", "zeit", "elapsed", "timestamp", "seconds", "sec", "tijd", "temps", "x_value"},
-    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"},
+    "time": {
+        "t",
+        "time",
+        "zeit",
+        "elapsed",
+        "timestamp",
+        "seconds",
+        "sec",
+        "tijd",
+        "temps",
+        "x_value",
+        "datetime",
+        "date",
+        "clock",
+        "uhrzeit",
+    }
+    | {"時間", "时间", "時刻", "시간"},
+    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"}
+    | {"圧力", "压力", "壓力", "압력"},
     "force": {
         "f",
         "force",
@@ -29,15 +49,22 @@ WORDS = {
         "cell",
         "fuerza",
         "forca",
+        "荷重",
+        "張力",
+        "拉力",
+        "载荷",
+        "하중",
     },
     "displacement": {
         *("x", "pos", "position", "disp", "displacement", "dist", "distance", "length", "len", "stroke", "weg", "lvdt"),
         *("pot", "z", "contraction", "extension", "elongation", "encoder", "laser"),
+        *("変位", "位移", "변위"),
     },
     "command": {
         *("cmd", "command", "set", "setpoint", "sp", "ref", "reference", "desired", "target", "soll", "out", "output"),
         *("demand", "commanded", "des", "vpr", "u"),
     },
+    "not measured": {"calc", "calculated", "theory", "theoretical", "model", "predicted", "simulated"},
     "supply": {"supply", "comp", "compressor", "tank", "reservoir", "source", "inlet", "line"},
     "phase": {"phase", "state", "step", "stage", "branch"},
     "other": {
@@ -54,6 +81,9 @@ WORDS = {
         "count",
     },
 }
+HELD, STILL = 0.02, 3e-4
+"""A length is held that moves by less than this share of itself, or by less than this [m]."""
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
 OF_ROLE = {
     "pressure_command": "pressure",
     "displacement_command": "length",
@@ -73,13 +103,27 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    question: str = ""
+    """What is asked about its role, where the choice is open."""
+    written: str = "number"
+    """How a time is written, as the map says it; empty where it may be days or a plain number."""
+    order: str = ""
+    """Order of day and month in its dates, where the year comes last; `??` where the file leaves it open."""
+    period: float = 0.0
+    """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
+    extra: list[str] = field(default_factory=list)
+    """Further lines of the map that are known of it."""
 
     @property
     def good(self) -> Array:
         """Values without those that are none."""
         return self.values[np.isfinite(self.values)]
+
+
+_JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target)")
+"""A quantity and what makes a command of it in one word: `Pset`."""
 
 
 def unit_in(name: str) -> str:
@@ -100,11 +144,15 @@ def words(name: str) -> set[str]:
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
     plain = plain.translate(str.maketrans("ãáàâéêíóõúçÃÁÉÍÓÚÇ", "aaaaeeiooucaaeiouc"))
     found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
+    for word in tuple(found):
+        if joined := _JOINED.fullmatch(word):
+            found |= {joined[1], joined[2]}
     return found | {"_".join(re.split(r"[\s_]+", plain.strip().lower()))}
 
 
 def choose(proposals: Sequence[Proposal]) -> None:
     """Give every column its role; at most one of each."""
+    proposals = [proposal for proposal in proposals if not _exported(proposal)]
     for proposal in proposals:
         if not proposal.bare:
             _by_name(proposal)
@@ -112,6 +160,16 @@ def choose(proposals: Sequence[Proposal]) -> None:
     _one_each(proposals)
     _by_shape(proposals)
     _unknown(proposals)
+
+
+def _exported(proposal: Proposal) -> bool:
+    """Whether it is a column that `pmabench export` adds to the channels: it gets its role."""
+    name, of = proposal.name, re.fullmatch(r"trial (\w+)(?: \[.*\])?", proposal.name)
+    if name in ("trial", "flags", "simulated"):
+        proposal.role = name
+    elif of is not None and of[1] in get_args(PointName):
+        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+    return proposal.role in ("trial", "flags", "simulated", "point")
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
@@ -128,6 +186,11 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
         together = _together(proposal.values, pressure.values)
         if abs(together) > 0.8:
             proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
+            if all(p.role != "force" for p in proposals):
+                told = (
+                    f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
+                )
+                proposal.question = f"{told}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
         else:
             proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
 
@@ -148,7 +211,9 @@ def _by_name(proposal: Proposal) -> None:
     elif quantity == "length" or (quantity in {"", "reading"} and hits & {"displacement"} and not hits & {"force"}):
         role = "displacement_command" if "command" in hits else "displacement"
     elif quantity == "force" or ("force" in hits and quantity in {"", "reading", "mass"}):
-        role = "force"
+        role = "ignore" if hits & {"command", "not measured"} else "force"
+        if role == "ignore":
+            proposal.reasons.append(f"{told}: a force that nobody measured")
     elif "command" in hits and quantity in {"", "reading"}:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
@@ -180,25 +245,51 @@ def _time(proposals: Sequence[Proposal]) -> None:
             good = good[:1]
             good[0].role = "time"
             good[0].reasons.append("the only column that rises from the first row to the last")
+    good.sort(key=lambda p: float(np.mean(np.diff(p.values) == 0)) > 0.5)  # one that is too coarse comes last
     for proposal in good[1:]:
         proposal.role = "ignore"
         proposal.reasons.append(f'a second time; "{good[0].name[:40]}" is taken')
-    if good and not good[0].unit:
+    if good and good[0].written == "number" and (count := counted(good[0].values)) is not None:
+        good[0].written, good[0].unit = count
+        good[0].reasons.append(f"its numbers are those of {good[0].written or 'serial days'} of our years")
+    elif good and not good[0].unit and good[0].written == "number" and bool(np.all(np.diff(good[0].values) == 1.0)):
+        good[0].written = "index"
+        good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
+    elif good and not good[0].unit:
         _time_unit(good[0])
+
+
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+FASTEST, SLOWEST = 2e4, 2.0
+"""Usual samples a second."""
+SHORTEST = 2.0
+"""A test of a muscle lasts at least so long [s]."""
 
 
 def _time_unit(time: Proposal) -> None:
     steps = np.diff(time.values)
     step = float(np.median(steps[steps > 0]))
-    for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
-        if 2e4 >= 1.0 / (step * factor) >= 2.0:
+    for unit, factor in TIMES.items():
+        if FASTEST >= 1.0 / (step * factor) >= SLOWEST:
             time.unit = unit
             time.reasons.append(
                 f"steps of {step:.4g}: in {unit} these are {1.0 / (step * factor):.4g} samples a second"
             )
+            _which_time(time, step)
             return
     time.unit = "s"
     time.doubts.append(f"steps of {step:.4g}: the unit of time is not told; s is taken")
+    time.question = f'in which unit is "{time.name[:40]}"? Its steps of {step:.4g} are no usual sampling in s, ms or us'
+
+
+def _which_time(time: Proposal, step: float) -> None:
+    """A time without unit that may be in several is asked for."""
+    rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
+    lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
+    possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
+    told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
+    if len(possible) > 1:
+        time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
@@ -213,6 +304,12 @@ def _one_each(proposals: Sequence[Proposal]) -> None:
                 proposal.role = "ignore"
                 proposal.doubts.append(f'may be {role.replace("_", " ")} too; "{best.name[:40]}" is taken')
         best.doubts.append(f"{len(same)} columns look like {role.replace('_', ' ')}; this one was taken")
+        if role in {"pressure", "force", "displacement"}:
+            names = ", ".join(f'"{p.name[:40]}"' for p in same if p is not best)
+            told = (
+                f'is "{best.name[:40]}" the measured {role}? It moves most against its scatter, but {names} may be it'
+            )
+            best.question = f"{told}; then write ignore here and {role} there"
     pressure = [p for p in proposals if p.role == "pressure"]
     spare = [p for p in proposals if p.role in {"supply", "pressure_command"}]
     if not pressure and spare:
@@ -311,6 +408,21 @@ def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
     smallest.doubts.append(
         "that it is a displacement is a guess by its size: no name tells it; look whether it is not the force"
     )
+
+
+def held(column: Proposal, pressure: Proposal | None) -> bool:
+    """Whether a length is held: it moves by little of itself, and not with the pressure."""
+    x = column.good
+    if len(x) < 3:
+        return False
+    low, high = (float(value) for value in np.quantile(x, [0.01, 0.99]))
+    if high - low == 0:
+        return True
+    together = 0.0
+    if pressure is not None:
+        together = _together(column.values, pressure.values)
+    still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
+    return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 
 
 def _together(a: Array, b: Array) -> float:
