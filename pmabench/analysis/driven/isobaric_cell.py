@@ -145,7 +145,7 @@ class Cell:
         """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
         if not self.bent:
             return 0.0
-        straight = np.polyfit(self.x, self.curve, 1)[0]
+        straight = float(np.polyfit(self.x, self.curve, 1)[0])
         places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
         slopes = [_local(self.x, self.curve, place)[1] for place in places]
         return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
