@@ -7,6 +7,7 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
+from pmabench.analysis.recorded.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
 from pmabench.analysis.verdict.acceptance import not_accepted
@@ -76,7 +77,7 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
-    checked: Analysis = with_checks(analysis, runs)
+    checked = without_doubtful(with_checks(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 

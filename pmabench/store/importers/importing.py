@@ -19,14 +19,16 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.importers import quality, units
+from pmabench.store.importers import plausible, quality, siblings, units
+from pmabench.store.importers.found import Checked, Found, plain
+from pmabench.store.importers.magnitude import Muscle, slope_of
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
-from pmabench.store.importers.quality import Checked, Found, Summary
 from pmabench.store.importers.segments import Segment, segments
+from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
-from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 from pmabench.store.writer import RunWriter
 
 NOTES_BYTES = 100_000
@@ -77,6 +79,10 @@ class _Prepared:
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
+    held: bool
+    """The muscle was held at a length: its force follows pressure."""
+    questions: tuple[Mapping[str, str], ...]
+    """What changes numbers and cannot be decided: `what`, `where`, `question`."""
 
 
 def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[ImportedRun]:
@@ -107,15 +113,15 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
         ]
     if problems:
         raise InvalidFile(problems)
-    among = quality.compare(summaries, rules.siblings)
+    among = [plausible.answered(found, rules.confirmed) for found in siblings.compare(summaries, rules.siblings)]
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
-        for path, digest, siblings in zip(files, hashes, among, strict=True):
+        for path, digest, apart in zip(files, hashes, among, strict=True):
             prepared = prepare(path, rules)
             if prepared.table.sha256 != digest:
                 raise invalid(path, "was changed while it was read")
-            made.append(_write(prepared, rules, siblings, out))
+            made.append(_write(prepared, rules, apart, out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -156,6 +162,9 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
     declared = rules.column("pressure")
     if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
+    muscle = _muscle(rules, named.point)
+    flags, more, questions = plausible.judge(t, checked, flags, muscle, rules.confirmed)
+    found += more
     phase = rules.column("phase")
     if phase is not None and phase.column in table.columns:
         values["phase"] = table.columns[phase.column]
@@ -163,7 +172,16 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     told = tuple(_placed(each, t) for each in found)
-    return _Prepared(table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes))
+    return _Prepared(
+        table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes), muscle.held, tuple(questions)
+    )
+
+
+def _muscle(rules: ImportMap, point: Mapping[str, float]) -> Muscle:
+    """What map and name tell of the muscle in a file."""
+    size = {key: rules.specimen.get(key) for key in ("inner_diameter", "nominal_length")}
+    diameter, length = (float(value) if value is not None else None for value in size.values())
+    return Muscle(diameter, length, point.get("contraction"), held=rules.kind == "isometric")
 
 
 def _placed(found: Found, t: Array) -> Found:
@@ -240,15 +258,25 @@ def _summary(prepared: _Prepared) -> Summary:
             peaks[channel.rule.role] = float(channel.si[good].max())
             numbers[channel.rule.role] = float(prepared.table.columns[channel.rule.column][good].max())
     point = tuple(sorted((name, round(value, 9)) for name, value in prepared.named.point.items()))
-    return Summary(point, peaks, numbers, not any(found.level == "fault" for found in prepared.findings))
+    trusted = not any(found.level == "fault" for found in prepared.findings)
+    return Summary(point, peaks, numbers, trusted, _slope(prepared) if prepared.held else None)
 
 
-def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out: Path) -> ImportedRun:
+def _slope(prepared: _Prepared) -> float | None:
+    """Slope of force over pressure where there is force [N/Pa]."""
+    values = {channel.rule.role: channel.si for channel in prepared.checked}
+    if not {"pressure", "force"} <= set(values):
+        return None
+    good = (prepared.flags & np.uint16(UNUSABLE)) == 0
+    return slope_of(values["pressure"][good], values["force"][good]) if good.any() else None
+
+
+def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
-    if any(found.level == "fault" for found in siblings):
+    if any(found.level == "fault" for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *(_placed(found, prepared.t) for found in siblings))
+    findings = (*prepared.findings, *(_placed(found, prepared.t) for found in apart))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
@@ -318,7 +346,7 @@ def _manifest(
 ) -> dict[str, Any]:
     table = prepared.table
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
-    told = [quality.plain(found) for found in findings]
+    told = [plain(found) for found in findings]
     for found in told:
         found["line"] = None if found["index"] is None else int(table.lines[found["index"]])
     return {
@@ -342,6 +370,7 @@ def _manifest(
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,
             "findings": told,
+            "unresolved": [dict(question) for question in prepared.questions],
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.analysis.model_dump(mode="json"),

@@ -32,6 +32,7 @@ Role = Literal[
     "phase",
     "ignore",
 ]
+Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap"]
 PointName = Literal["contraction", "load", "mass", "pressure", "frequency"]
 
 
@@ -265,6 +266,8 @@ class MapFile(Strict):
     """How far the peak of a file may lie from those of other files at the same point."""
     specimen: SpecimenText
     analysis: AnalysisRule = AnalysisRule()
+    confirmed: Annotated[list[Confirmable], Field(max_length=20)] = []
+    """Kinds of findings that somebody has looked at and found right: they withhold nothing any more."""
 
     @model_validator(mode="after")
     def _roles(self) -> MapFile:

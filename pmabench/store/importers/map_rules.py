@@ -115,6 +115,8 @@ class ImportMap:
     siblings: Mapping[str, float]
     specimen: Mapping[str, Any]
     analysis: AnalysisRule
+    confirmed: tuple[str, ...] = ()
+    """Kinds of findings that somebody has looked at and found right."""
 
     def column(self, role: str) -> ColumnRule | None:
         """The column with a role, where there is one."""
@@ -201,6 +203,7 @@ class _Rules:
             siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
+            confirmed=tuple(file.confirmed),
         )
         if self.problems:
             raise InvalidFile(self.problems)
