@@ -274,7 +274,7 @@ def _slope(prepared: _Prepared) -> float | None:
 def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
-    if any(found.level == "fault" for found in apart):
+    if any(found.level == "fault" and not found.withholds for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
     findings = (*prepared.findings, *(_placed(found, prepared.t) for found in apart))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
