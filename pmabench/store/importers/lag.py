@@ -27,7 +27,7 @@ BETTER = 0.02
 """The correlation at the lag exceeds that at none by this."""
 ALIKE = 0.5
 """Least correlation of the rates at the lag."""
-GOES_ON = 0.5
+GOES_ON = 0.4
 """Share of what force changed in one lag before a stop of the pressure that it changes in one lag after it."""
 STOPS = 0.3
 """A stop or turn: the rate of the pressure falls below this share of what it was one lag before."""
@@ -51,7 +51,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     seconds = _lag(F, P, most) * period
     if abs(seconds) < max(LEAST, 3.0 * period):
         return False
-    shift = round(abs(seconds) / period)
+    shift = max(2, round(0.5 * abs(seconds) / period))  # half of it: another turn may follow
     first, second = (P, F) if seconds > 0 else (F, P)
     share = _goes_on(first, second, shift)
     if share is None or share < GOES_ON:
@@ -94,7 +94,7 @@ def _lag(F: Array, P: Array, most: int) -> float:
 
 
 def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """Where `first` stops or turns: what `second` does in `shift` points after it, per what it did in those before."""
+    """Where `first` stops or turns: what `second` does in `shift` points after it, by what it did in those before."""
     before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
     after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))

@@ -19,7 +19,7 @@ from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.importers.units import spelled
 from pmabench.store.records import Array
 
-STEEPEST = 15.0
+STEEPEST = 17.0
 """No braid is laid at a smaller angle [deg]: the most force that a diameter gives."""
 FLATTEST = 42.0
 """Nor at a larger one that still pulls well: the least force, for long muscles at no contraction."""
@@ -123,6 +123,11 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
         limit = most * pi * DIAMETERS[1] ** 2 / 4.0
         least = area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0 * (1.0 if _stretched(muscle) else 0.1)
         if least <= abs(m) <= limit or (not muscle.held and abs(m) < least):
+            if muscle.held:
+                text = f"{word} of {in_words(m, 'force')} suits an inner diameter of about {show(size, 'length', 2)}"
+                report.add(
+                    "note", "size", f"{text}; the map gives none, so the units were held against no size", "force"
+                )
             return _psi(pressure, peak)
         text = (
             f"{word} is {in_words(m, 'force')}; muscles of {show(DIAMETERS[0], 'length')} to "
