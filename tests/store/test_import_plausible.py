@@ -78,7 +78,7 @@ EXCLUDED = {
     "1e10": ("sentinel", lambda f, n, r: put(f, [100, n - 100], 1e10)),
     "a burst of numbers": ("burst", lambda f, n, r: put(f, slice(r, r + 4), f.max() * np.array([4.1, 5.3, 3.9, 4.4]))),
     "20 rows of 0": ("held", lambda f, n, r: put(f, slice(r, r + 20), 0.0)),
-    "0 in every 20th row": ("spike", lambda f, n, r: put(f, np.arange(r, r + 300, 20), 0.0)),
+    "0 in every 20th row": ("sentinel", lambda f, n, r: put(f, np.arange(r, r + 300, 20), 0.0)),
     "spikes of 30 % in every 40th row": ("spike", lambda f, n, r: f + (np.arange(n) % 40 == 7) * 0.3 * f.max()),
     "frozen for 2 s": ("frozen", lambda f, n, r: put(f, slice(r, r + 200), f[r])),
     "frozen to the end": ("frozen", lambda f, n, r: put(f, slice(r, n), f[r])),

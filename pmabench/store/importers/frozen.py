@@ -97,7 +97,7 @@ def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
     at, reads = usual(ref[rest], si[rest])
     expected = np.interp(ref[begin:end], at, reads)
     span = float(np.ptp(np.quantile(si, [0.002, 0.998])))
-    should = float(np.ptp(expected))
+    should = float(np.ptp(np.quantile(expected, [0.025, 0.975])))
     if should > SHOULD * span:
         return True
     after, before = si[end : end + 3], si[max(0, begin - 3) : begin]

@@ -21,6 +21,8 @@ from pmabench.store.records import Array
 
 STEEPEST = 17.0
 """No braid is laid at a smaller angle [deg]: the most force that a diameter gives."""
+USUAL = 12.0
+"""Force per pressure and area of bore [1] that real muscles hardly exceed."""
 FLATTEST = 42.0
 """Nor at a larger one that still pulls well: the least force, for long muscles at no contraction."""
 DIAMETERS = (0.004, 0.1)
@@ -139,7 +141,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     area = pi * muscle.diameter**2 / 4.0
     least = area_factor(FLATTEST) * area if _shows_least(muscle) else 0.0
     if least <= m <= most * area:
-        return []
+        return _psi(pressure, peak) if m > USUAL * area else []
     bore = show(muscle.diameter, "length", 3)
     bounds = (
         f"{in_words(least, 'force')} to {in_words(most * area, 'force')}"
@@ -185,7 +187,7 @@ def _psi(pressure: Checked, peak: float) -> list[dict[str, str]]:
     question = (
         f"is the pressure in kPa, as the map says, or in psi? Its peak of {peak / 1e3:.4g} is usual for psi "
         f"({show(peak / 1e3 * PSI, 'pressure', 3)}) and low for kPa; say specimen inner_diameter, by which force "
-        "decides it, or confirmed: [pressure-unit]"
+        "may decide it, or confirmed: [pressure-unit]"
     )
     return [{"what": "pressure-unit", "where": pressure.rule.column, "question": question}]
 
@@ -221,11 +223,10 @@ def _converter(report: Report, channel: Checked, good: Bools) -> None:
         else:
             report.withhold("counts", text, rule.role)
         return
-    levels = len(marks)
-    moving = float(np.mean(np.diff(numbers) != 0))
-    if levels < LEVELS and levels < len(numbers) / 8 and moving > 0.005:
-        step = float(np.median(np.diff(marks))) * abs(rule.slope / rule.back[0])
-        text = f"has {levels} different readings only, steps of {show(step, rule.quantity, 3)}: too coarse for its span"
+    step, span = float(np.diff(marks).min()), float(np.ptp(numbers))
+    if span < LEVELS * step and float(np.mean(np.diff(numbers) != 0)) > 0.005:
+        size = show(step * abs(rule.slope / rule.back[0]), rule.quantity, 3)
+        text = f"reads in steps of {size}, {span / step:.0f} in its whole span: too coarse for it"
         report.add("doubt", "coarse", text, rule.role)
 
 

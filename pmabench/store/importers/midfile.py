@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import motion
@@ -36,12 +37,18 @@ ALONE = 3.0
 JUMP = 0.03
 """Share of the span of a channel below which nothing is a change."""
 CANDIDATES = 3
+MOMENT = 0.5
+"""Seconds before and after a leap that show whether the pressure was moving."""
 FRICTION = 0.15
 """Share of the span by which a force may leap where the pressure turns, which is friction."""
 SHARP = 0.5
 """Share of a change that happens from one sample to the next."""
 SAME = 0.25
 """Two columns exchange their numbers where each goes on with the other's, within this share of the leap."""
+FAR, STRAIGHT = 60, 0.97
+"""Where two columns cross, so many samples on either side show their slope, if they lie on lines so well."""
+LEVER = 0.4
+"""Change of the logarithm of the slope from which on it is one."""
 CYCLES = 4
 """Cycles from which on gains of early and late ones are compared."""
 GAIN = 0.06
@@ -61,7 +68,7 @@ def swapped(report: Report, channels: Sequence[Checked], good: Bools) -> bool:
     for a, b in combinations(numbers, 2):
         if "command" in a + b and not {a, b} <= {"pressure_command", "displacement_command"}:
             continue
-        at = _exchanges(numbers[a], numbers[b])
+        at = _exchanges(numbers[a], numbers[b]) or _crossings(numbers[a], numbers[b])
         if not at:
             continue
         found = True
@@ -93,6 +100,28 @@ def _exchanges(a: Array, b: Array) -> list[int]:
     return found
 
 
+def _crossings(a: Array, b: Array) -> list[int]:
+    """Rows at which `a` and `b` cross, so that nothing leaps, and the slope of one over the other is turned over."""
+    below = a < b
+    near = np.flatnonzero(below[1:] != below[:-1]) + 1
+    found: list[int] = []
+    last = -SIDE
+    for at in near.tolist():
+        if at - last < SIDE or at < FAR or at + FAR > len(a):
+            continue
+        last = at
+        sides = [(a[part], b[part]) for part in (slice(at - FAR, at - 2), slice(at + 2, at + FAR))]
+        if any(np.ptp(x) == 0 or np.ptp(y) == 0 for x, y in sides):
+            continue
+        alike = [float(np.corrcoef(x, y)[0, 1]) for x, y in sides]
+        if min(alike) < STRAIGHT:
+            continue
+        before, after = (float(np.log(np.std(y) / np.std(x))) for x, y in sides)
+        if abs(before - after) > LEVER and abs(before + after) < SAME * abs(before - after):
+            found.append(at)
+    return found
+
+
 def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, follows: bool) -> bool:
     """Report where a channel leaps against pressure, from one sample to the next and to stay; whether it does.
 
@@ -112,6 +141,7 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
     around = np.diff(rows, prepend=rows[0])
     broken = np.convolve(around > SIDE, np.ones(2 * SIDE), mode="valid") > 0.5  # nothing is known of what lies between
     step[broken] = 0.0
+    wide = max(SIDE, int(MOMENT / max(float(np.median(np.diff(report.t[rows]))), 1e-9)))
     peaks = _peaks(step, 2 * SIDE)
     if len(peaks) <= CANDIDATES:
         return False
@@ -131,18 +161,28 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
             continue
         if not follows and float(np.abs(np.diff(p[max(0, row - SIDE) : row + SIDE])).max()) > 0.02 * range_p:
             continue
-        if follows and _turns(p, row) and abs(size) < FRICTION * span:
+        both = float(leaps[0][peak]) / span, float(leaps[1][peak]) / range_p
+        if follows and step[peak] < FRICTION * span and _friction(y, p, (int(row), wide), both):
             continue
         found = True
-        _report_jump(report, channel, (size, who), (y, p), rows, row, follows)
+        _report_jump(report, channel, (size, who), (y, p), rows, int(row), follows)
     return found
 
 
-def _turns(pressure: Array, row: int) -> bool:
-    """Whether pressure turns at a row, or begins to move: friction leaps there between slow samples."""
-    before, after = (pressure[part] for part in (slice(max(0, row - SIDE), row), slice(row, row + SIDE)))
-    rates = float(before[-1] - before[0]), float(after[-1] - after[0])
-    return rates[0] * float(np.sign(rates[1])) < 0.2 * abs(rates[1])
+def _friction(y: Array, pressure: Array, place: tuple[int, int], leaps: tuple[float, float]) -> bool:
+    """Whether friction may be what leaps at a row, seen so many samples wide; `leaps` are shares of their spans.
+
+    It may where the pressure turns or begins to move, where it is set in steps, or where there is no force yet.
+    """
+    row, wide = place
+    before, after = (slice(max(0, row - wide), row), slice(row, row + wide))
+    span = float(np.ptp(pressure))
+    rates = [float(pressure[part][-1] - pressure[part][0]) for part in (before, after)]
+    turns = abs(rates[1]) > 0.01 * span and rates[0] * float(np.sign(rates[1])) < 0.2 * abs(rates[1])
+    slack = float(np.median(y[before])) < float(y.min()) + 0.1 * float(np.ptp(y))
+    rests = min(abs(rate) for rate in rates) < 0.01 * span
+    steps = abs(leaps[1]) > 0.02 and (rests or leaps[0] / leaps[1] > 0.3)
+    return turns or slack or steps
 
 
 def _peaks(values: Array, apart: int) -> list[int]:
@@ -163,7 +203,7 @@ def _report_jump(
     channel: Checked,
     jump: tuple[float, str],
     signals: tuple[Array, Array],
-    rows: Array,
+    rows: NDArray[np.intp],
     row: int,
     withholds: bool,
 ) -> None:
@@ -207,7 +247,7 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
     if len(gains) < CYCLES:
         return False
     logs = np.log(gains)
-    best = max(range(1, len(logs)), key=lambda k: _contrast(logs, k))
+    best = int(np.argmax([_contrast(logs, k) for k in range(1, len(logs))])) + 1
     change = float(np.median(logs[best:]) - np.median(logs[:best]))
     within = max(float(np.ptp(part)) if len(part) > 1 else 0.0 for part in (logs[:best], logs[best:]))
     allowed = SETTLES if best in (1, len(logs) - 1) else GAIN
@@ -219,7 +259,8 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
         f"slope over pressure {before} in {best} cycle{'' if best == 1 else 's'}, {after} in the {len(logs) - best} "
         f"after it ({np.expm1(change):+.1%}): a gain was changed in mid-file; import the part that is right"
     )
-    report.withhold("gain", text, role, int(rows[min(np.searchsorted(t, begins[best]) * stride, len(rows) - 1)]))
+    at = int(np.searchsorted(t, begins[best])) * stride
+    report.withhold("gain", text, role, int(rows[min(at, len(rows) - 1)]))
     return True
 
 

@@ -15,7 +15,7 @@ from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.records import Array, Flag
 
 CODES = (
-    *(-1.0, 99.99, 999.0, 999.9, 999.99, 999.25, 9999.0, 9999.9, 9999.99, 99999.0, 999999.0, 9999999.0),
+    *(0.0, -1.0, 99.99, 999.0, 999.9, 999.99, 999.25, 9999.0, 9999.9, 9999.99, 99999.0, 999999.0, 9999999.0),
     *(32767.0, 32768.0, 65535.0, 8388607.0, 8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0),
     *(1e9, 1e10, 1e20, 9.9e37, 9.91e37, 6999.0, 7999.0, 8888.0, 88888.0),
 )
@@ -32,6 +32,8 @@ BURST = 5
 """Samples in a row that may be a burst where they differ from each other ..."""
 HELD = 50
 """... and where they are equal."""
+BRIEF = 1.0
+"""Seconds; what is held for longer may be a level of the test."""
 MOVES = 20.0
 """A channel moves where it spans so many times the change from sample to sample."""
 AS_LARGE = 0.25
@@ -48,6 +50,8 @@ SCATTERED = 0.005
 """Share of the samples that are the most scattered; at least six."""
 RARE = 6.5
 """Standard deviations of the noise from sample to sample within which nothing is a spike."""
+ENOUGH = 100_000
+"""Samples that show in which steps a channel reads."""
 FEW = 50
 """With fewer samples scatter cannot be told from spikes."""
 
@@ -73,7 +77,7 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
         low, high = (show(float(end), quantity, 4) for end in (channel.si[left].min(), channel.si[left].max()))
         text = f"leaps out of all that it reads else, {low} to {high}, for at most {HELD} samples at a time"
         report.mark(far, Flag.SUSPECT, "doubt", "burst", text, role)
-    held = _held(channel.si, left)
+    held = _held(report.t, channel.si, left)
     text = "leaps to one value, stays exactly there for some samples and leaps back: no reading, but a value held"
     report.mark(held, Flag.SUSPECT, "doubt", "held", text, role)
     return left & ~held
@@ -82,14 +86,8 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
     """Each code that the file holds, and where it stands apart from what else the channel reads."""
     back = channel.rule.back
-    numbers = channel.raw * back[0] + back[1]
-    size = np.abs(numbers)
-    hits = {}
-    for code in CODES:
-        for value in (code, -code) if code > 0 else (code,):
-            here = looked_at & (size >= 0.999 * abs(value)) & (np.abs(numbers - value) <= 1e-7 * abs(value))
-            if here.any():
-                hits[value] = here
+    numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
+    hits = {value: here for value in _present(numbers) if (here := looked_at & _is(numbers, value)).any()}
     if not hits:
         return
     others = looked_at & ~np.logical_or.reduce(list(hits.values()))
@@ -99,11 +97,27 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
     span = max(high - low, 1e-9 * max(abs(low), abs(high)))
     outside = (3.0 if command else BEYOND) * span
     for value, here in hits.items():
-        if value < low - outside or value > high + outside:
-            apart = value > high + span or value < low - span or abs(value) > 100
-            yield value, here if apart else here & _leaps(numbers, here, looked_at)
-        elif not command and abs(value) > 99:
-            yield value, here & _leaps(numbers, here, looked_at)
+        if value == 0.0:
+            brief = here & ~_longer(here, BURST)
+            where = brief & _leaps(numbers, brief, looked_at, BEYOND * span)
+        elif abs(value) > 100 and (value < low - outside or value > high + outside):
+            where = here
+        else:
+            where = here & _leaps(numbers, here, looked_at, BEYOND * span)
+        if where is here or not command:
+            yield value, where
+
+
+def _present(numbers: Array) -> list[float]:
+    """Codes between the least and the largest of the numbers."""
+    low, high = float(np.nanmin(numbers)), float(np.nanmax(numbers))
+    every = {sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}
+    return sorted(code for code in every if low - 1e-7 * abs(code) <= code <= high + 1e-7 * abs(code))
+
+
+def _is(numbers: Array, value: float) -> Bools:
+    """Where a number is a code, to seven digits as others may have stored it."""
+    return np.asarray((numbers >= value - 1e-7 * abs(value)) & (numbers <= value + 1e-7 * abs(value)))
 
 
 def _runs(where: Bools) -> list[tuple[int, int]]:
@@ -112,8 +126,16 @@ def _runs(where: Bools) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _leaps(numbers: Array, here: Bools, looked_at: Bools) -> Bools:
-    """Those runs of `here` that are entered and left by a leap, and from the same level."""
+def _longer(where: Bools, most: int) -> Bools:
+    """The runs of True that are longer than so many samples."""
+    out = np.zeros(len(where), dtype=bool)
+    for begin, end in _runs(where):
+        out[begin:end] = end - begin > most
+    return out
+
+
+def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools:
+    """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
     for begin, end in _runs(here)[:10_000]:
@@ -124,7 +146,7 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools) -> Bools:
         steps = max(float(np.abs(np.diff(numbers[side])).max()) for side in (before, after))
         entry, leave = abs(numbers[begin] - numbers[before[-1]]), abs(numbers[end - 1] - numbers[after[0]])
         returns = abs(numbers[after[0]] - numbers[before[-1]]) <= AS_LARGE * min(entry, leave) + steps
-        out[begin:end] = min(entry, leave) > LEAP * steps and returns
+        out[begin:end] = min(entry, leave) > max(LEAP * steps, least) and returns
     return out
 
 
@@ -137,7 +159,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
     values = si[rows]
     most = max(1, int(MANY * len(rows)))
     for sign in (1.0, -1.0):
-        tail = np.sort(sign * values)[: most + 1]
+        tail = np.sort(np.partition(sign * values, most)[: most + 1])
         gaps = np.diff(tail)
         widest = int(np.argmax(gaps))
         rest = sign * values >= tail[widest + 1]
@@ -155,7 +177,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
     return out
 
 
-def _held(si: Array, looked_at: Bools) -> Bools:
+def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     """Two or more equal readings in a row that the channel leaps to and from, from about the same level."""
     out = np.zeros(len(si), dtype=bool)
     rows = np.flatnonzero(looked_at)
@@ -168,7 +190,8 @@ def _held(si: Array, looked_at: Bools) -> Bools:
     begins, ends = changes[:-1], changes[1:]
     leap = np.minimum(steps[begins - 1], steps[np.minimum(ends, len(values) - 1) - 1])
     lengths = ends - begins
-    likely = (lengths >= 2) & (lengths <= HELD) & (leap > max(BEYOND * span, SPIKE * _resolution(values)))
+    brief = t[rows[np.minimum(ends, len(rows) - 1)]] - t[rows[begins]] <= BRIEF
+    likely = brief & (lengths >= 2) & (lengths <= HELD) & (leap > max(BEYOND * span, SPIKE * _resolution(values)))
     for begin, end in list(zip(begins[likely].tolist(), ends[likely].tolist(), strict=True))[:10_000]:
         before, after = values[max(0, begin - NEARBY) : begin], values[end : end + NEARBY]
         if len(before) < BURST or len(after) < BURST:
@@ -236,7 +259,7 @@ def spike_limit(values: Array, apart: Array) -> float:
     count = min(max(6, int(SCATTERED * len(apart))), len(largest) - 1)
     resolution = _resolution(values)
     low, high = (float(end) for end in np.quantile(values[apart <= largest[-1]], [SCATTERED, 1.0 - SCATTERED]))
-    few = len(np.unique(values)) <= 20
+    few = len(np.unique(values[:ENOUGH])) <= 20
     noise = float(np.median(np.abs(np.diff(values, n=3)))) / (0.6745 * sqrt(20.0))
     least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
     least += 1e-9 * float(np.abs(values).max())
@@ -248,6 +271,6 @@ def spike_limit(values: Array, apart: Array) -> float:
 
 
 def _resolution(values: Array) -> float:
-    """The smallest distance of two readings of different size."""
-    marks = np.unique(values)
+    """The smallest distance of two readings of different size, of the first that there are."""
+    marks = np.unique(values[:ENOUGH])
     return float(np.diff(marks).min()) if len(marks) > 1 else 0.0
