@@ -1,5 +1,6 @@
 """What the structure promises: light help, a small guard, current schemas, no stray paths."""
 
+import ast
 import json
 import re
 import subprocess
@@ -66,6 +67,24 @@ def test_shipped_files_name_their_schema_and_satisfy_it(kind):
         assert (file.parent / named[1]).resolve() == ROOT / "docs" / "schemas" / f"{kind}.schema.json"
         document = read_document(file)
         jsonschema.validate(document.data, schema)
+
+
+JUDGES = {"tests/judge": "tests.judge", "tests/store/foreign": "tests.store.foreign"}
+"""Folder of what makes data with a known truth -> its modules; its own tests may import more."""
+
+
+@pytest.mark.parametrize("folder", JUDGES)
+def test_a_judge_imports_nothing_of_the_project(folder):
+    allowed = {*sys.stdlib_module_names, "numpy", "scipy"}
+    files = [file for file in sorted((ROOT / folder).glob("*.py")) if not file.name.startswith("test_")]
+    assert files
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or "."] if isinstance(node, ast.ImportFrom) else []
+            for name in names:
+                mine = f"{name}.".startswith(f"{JUDGES[folder]}.")
+                assert mine or name.split(".")[0] in allowed, f"{file.name} imports {name}"
 
 
 def test_no_file_names_a_registry_or_a_machine():

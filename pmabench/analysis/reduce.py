@@ -7,13 +7,16 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
+from pmabench.analysis.statics.break_away import option_of
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import STATIC, agreement
 from pmabench.analysis.verdict.checks import with_checks
+from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -38,7 +41,16 @@ REDUCTIONS = {
     "recorded-sine": "recorded.recorded_sines",
     "recorded-pull": "recorded.isometric",
 }
-"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`."""
+"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`.
+
+The module declares in `RESULTS` what it can give.
+"""
+
+
+def results_of(kind: str) -> tuple[Result, ...]:
+    """What the reduction of a kind of run declares that it can give; KeyError for an unknown kind."""
+    declared: tuple[Result, ...] = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").RESULTS
+    return declared
 
 
 def specimen_of(run: RunData) -> str:
@@ -68,16 +80,27 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
         kinds.setdefault(kind, []).append(run)
     found: list[Analysis] = []
     for kinds in specimens.values():
-        analyses = [_reduced(kind, group, (options or {}).get(kind)) for kind, group in kinds.items()]
+        analyses = _of_specimen(kinds, options or {})
         compared = agreement(analyses)
         found += analyses if compared is None else [*analyses, compared]
     return found
 
 
+def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
+    """One analysis for each kind, in their order; static load comes last, for it needs K of another test."""
+    analyses: dict[str, Analysis] = {}
+    for kind in sorted(kinds, key=lambda kind: kind == STATIC):
+        asked = options.get(kind)
+        if kind == STATIC:
+            asked = {**option_of(list(analyses.values())), **(asked or {})}
+        analyses[kind] = _reduced(kind, kinds[kind], asked)
+    return [analyses[kind] for kind in kinds]
+
+
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
-    checked = without_doubtful(with_checks(analysis, runs), runs)
+    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 

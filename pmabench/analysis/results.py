@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from math import nan, sqrt
+from math import isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result, check_declared
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
@@ -117,6 +118,18 @@ class Estimate:
     """Its uncertainty by source, largest first; empty where only the parts are known."""
     withheld: bool = False
     """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
+
+    def __post_init__(self) -> None:
+        """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
+        if self.value is not None and not isfinite(self.value):
+            self._lacks("no finite number came out", value=None, bias=None, corrected=False)
+        elif not all(part is None or isfinite(part) for part in vars(self.parts).values()):
+            self._lacks("no interval: one of its parts has no bound")
+
+    def _lacks(self, why: str, **instead: Any) -> None:
+        instead |= {"parts": Parts(), "budget": (), "note": f"{self.note}; {why}".removeprefix("; ")}
+        for name, value in instead.items():
+            object.__setattr__(self, name, value)
 
     @property
     def shares(self) -> tuple[float | None, ...]:
@@ -271,6 +284,13 @@ class Analysis:
     """Numbers of trials and cells used, residual rms, options, in SI."""
     refusals: tuple[str, ...] = ()
     """Why these results are not accepted, whatever limits the protocol sets: one sentence each, with numbers."""
+    results: tuple[Result, ...] = ()
+    """What its kind of test can give, as declared there; empty where nobody declared it (a foreign or old file)."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a result is not declared; without any declaration symbols are taken as they are."""
+        if self.results:
+            check_declared(self.kind, self.results, self.estimates, self.curves)
 
     @classmethod
     def of(
@@ -278,6 +298,7 @@ class Analysis:
         kind: str,
         runs: Sequence[RunData],
         *,
+        results: Sequence[Result],
         estimates: Iterable[Estimate] = (),
         curves: Iterable[Curve] = (),
         dropped: Iterable[Dropped] = (),
@@ -286,7 +307,7 @@ class Analysis:
         facts: Mapping[str, Any] | None = None,
         refusals: Iterable[str] = (),
     ) -> Analysis:
-        """What was found in `runs`, of which one that is simulated makes all simulated."""
+        """What was found in `runs`, of which one that is simulated makes all simulated; `results` as declared."""
         return cls(
             kind,
             tuple(run.id for run in runs),
@@ -298,6 +319,7 @@ class Analysis:
             tuple(traces),
             facts or {},
             tuple(refusals),
+            tuple(results),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -323,4 +345,5 @@ class Analysis:
             ],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
+            "results": [asdict(result) for result in self.results],
         }

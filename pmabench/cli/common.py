@@ -51,7 +51,9 @@ class Ui:
         """
         try:
             if self.json:
-                click.echo(json.dumps(data, indent=1, sort_keys=True, allow_nan=False, default=str))
+                from pmabench.store.folder import plain
+
+                click.echo(json.dumps(plain(data), indent=1, sort_keys=True, allow_nan=False))
             elif self.quiet and brief is not None:
                 click.echo("".join(f"{line}\n" for line in brief), nl=False)
             else:

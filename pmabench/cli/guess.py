@@ -23,8 +23,10 @@ SECONDS = 10.0
 
 def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
     """Tell what the files seem to hold, and write the map where `output` says."""
+    from pmabench.files.document import Document
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
+    from pmabench.store.importers.questions import questions_of
 
     told = dict(map(_span, spans))
     if output is not None and output.exists():
@@ -32,6 +34,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     found = guess_files(files)
     text = map_text(found, told)
     left = still_open(text)
+    questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
         try:
             output.write_text(text, encoding="utf-8")
@@ -49,6 +52,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
         "doubts": found.doubts,
         "known": found.known or None,
         "open": left,
+        "questions": [vars(question) for question in questions],
         "map": text,
         "written": None if output is None else str(output),
     }
@@ -60,9 +64,14 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
             click.echo("nothing was written; -o MAP writes it")
         else:
             click.echo(f"\nmap: {output}")
-        if left:
-            where = ", ".join(str(line) for line in left)
-            click.echo(f"to be filled in first (??), lines {where}: what no file tells")
+        if questions:
+            many = "1 question" if len(questions) == 1 else f"{len(questions)} questions"
+            click.echo(
+                f"{many} that no file answers (??); write each answer into the map, or give it with import --set:"
+            )
+            for question in questions:
+                taken = f" [until then: {question.used}]" if question.used else ""
+                click.echo(printable(f"  {question.where}  {question.question}{taken}"))
         elif output is not None:
             click.echo(f"then: pmabench import FILE... --map {output}")
 

@@ -26,6 +26,12 @@ if TYPE_CHECKING:
     help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
+@click.option("--set", "answers", multiple=True, metavar="KEY=VALUE", help="The answer to a question (??) of the map.")
+@click.option(
+    "--unresolved",
+    is_flag=True,
+    help="Take what the map proposes where its questions are not answered; no result is accepted then.",
+)
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @common
 def command(
@@ -35,10 +41,13 @@ def command(
     guessing: bool,
     span: tuple[str, ...],
     output: Path | None,
+    answers: tuple[str, ...],
     out: Path,
+    *,
+    unresolved: bool,
 ) -> int | None:
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
-    if guessing == (map_name is not None) or (not guessing and (span or output)):
+    if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
     if guessing or map_name is None:
         from pmabench.cli.guess import guess
@@ -47,8 +56,16 @@ def command(
     from pmabench.files.shipped import find_file
     from pmabench.store.importers.importing import import_files
 
-    runs = import_files(files, find_file("map", map_name), out)
-    data = {"schema": "pmabench.import/1", "runs": [_plain(run) for run in runs]}
+    told = [tuple(text.split("=", 1)) for text in answers if "=" in text]
+    if len(told) < len(answers):
+        raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
+    runs = import_files(files, find_file("map", map_name), out, [(k, v) for k, v in told], unresolved=unresolved)
+    asked = runs[0].unresolved if runs else ()
+    data = {
+        "schema": "pmabench.import/1",
+        "runs": [_plain(run) for run in runs],
+        "unresolved": [vars(question) for question in asked],
+    }
 
     def human() -> None:
         names = [run.source.name for run in runs]
@@ -64,6 +81,8 @@ def command(
                 if ui.verbose or finding.level != "note":
                     click.echo(printable(f"  {finding.level}: {finding.text}"))
             click.echo(f"  {run.path}")
+        for question in asked:
+            click.echo(printable(f"not answered: {question.what}: {question.question}; taken: {question.used}"))
 
     ui.result(data, human, [str(run.path) for run in runs])
     return None

@@ -83,6 +83,7 @@ def command(
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
     from pmabench.analysis.reduce import verdicts
+    from pmabench.report.words.wording import clean
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
@@ -110,19 +111,30 @@ def command(
     }
 
     def human() -> None:
-        from pmabench.report.words.wording import clean
-
         print_analyses(ui, analyses)
         for line in since_lines(loaded):
             click.echo(line)
         for entry in data["excluded"]:
             click.echo(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**entry)))
-        for verdict in failed:
-            click.echo(f"NOT ACCEPTED: {verdict}")
         click.echo("\n".join(str(path) for path in folders))
+        click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
 
-    ui.result(data, human, [*(f"NOT ACCEPTED: {verdict}" for verdict in failed), *(str(path) for path in folders)])
+    ui.result(
+        data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
+    )
     return 6 if failed else None
+
+
+def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:
+    """The verdict as the first page of the report has it, then each reason why results are not accepted."""
+    from pmabench.analysis.verdict.acceptance import limits_of
+    from pmabench.report.document.front import verdict_of
+    from pmabench.report.words.wording import clean
+
+    limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
+    verdict = verdict_of(analyses, runs, failed, accepted=bool(limits))
+    kept = f" ({', '.join(limits)})" if limits and not failed else ""
+    return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
 
 
 def beside(folder: Path) -> Path:

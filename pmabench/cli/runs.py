@@ -15,6 +15,7 @@ from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
     from pmabench.store.records import RunData
+    from pmabench.store.verify import Finding
 
 
 ENDED_EARLY = ("interrupted", "aborted", "tripped", "error")
@@ -214,16 +215,16 @@ def _print_rest(data: RunData) -> None:
 def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     """Check hashes, checksums, gaps and torn rows of RUNS, or of every run in a folder of runs.
 
-    Exit 3 where something is wrong. What was added to a closed run is named; its sealed part is whole all the same.
+    Exit 3 where something is wrong, also where one of RUNS is no run; the others are checked all the same. What was
+    added to a closed run is named; its sealed part is whole all the same.
     """
     from pmabench.store.catalogue import folders_in
     from pmabench.store.folder import LATE, MANIFEST
     from pmabench.store.since import late_files
-    from pmabench.store.verify import verify
 
     given = [run for run in runs if not (run.name.endswith(LATE) and run.is_dir() and not (run / MANIFEST).exists())]
     folders = [folder for run in given for folder in (folders_in(run) or [run])]
-    found = {str(folder): verify(folder) for folder in folders}
+    found = {str(folder): _verified(folder) for folder in folders}
     wrong = {run: [str(finding) for finding in findings if not finding.added] for run, findings in found.items()}
     added = {run: [str(finding) for finding in findings if finding.added] for run, findings in found.items()}
     late = {str(folder): late_files(folder) for folder in folders}
@@ -242,6 +243,17 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     lines = [f"{run}: {finding}" for run, findings in wrong.items() for finding in findings]
     ui.result({"schema": "pmabench.verify/1", "runs": wrong, "added": added, "late": late}, human, lines)
     return 3 if any(wrong.values()) else None
+
+
+def _verified(folder: Path) -> list[Finding]:
+    """What is wrong with a folder; that it is no run is the only finding then."""
+    from pmabench.base.errors import InvalidFile
+    from pmabench.store.verify import Finding, verify
+
+    try:
+        return verify(folder)
+    except InvalidFile as error:
+        return [Finding(Path(problem.path).name, problem.message) for problem in error.problems]
 
 
 def _counted(number: int, word: str) -> str:

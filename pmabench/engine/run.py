@@ -201,6 +201,7 @@ def _new_folder(
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
         "lacks": list(mounted.lacks),
+        "doubts": list(mounted.doubts),
         "session": dict(mounted.in_session) if mounted.in_session is not None else None,
         "hazards": list(plan.hazards),
         "pmabench": __version__,

@@ -77,10 +77,13 @@ class Document:
 
     def override(self, name: str, text: str) -> None:
         """Set the value `text` (YAML) at the dotted `name`, as `--set name=value` does."""
-        source = f"--set {name}"
         location: Location = tuple(
             int(part) if part.isascii() and part.isdecimal() else part for part in name.split(".")
         )
+        self.put(location, text, f"--set {name}")
+
+    def put(self, location: Location, text: str, source: str) -> None:
+        """Set the value `text` (YAML) at a location; `source` says where the value comes from."""
         value = Document(source, f"value: {text}")
         target: Any = self.data
         for part in location[:-1]:
@@ -96,7 +99,8 @@ class Document:
         if isinstance(target, list) and not (isinstance(location[-1], int) and location[-1] < len(target)):
             raise invalid(source, f"the list in {self.path} has no place {location[-1]}")
         target[location[-1]] = value.data["value"]  # type: ignore[index]
-        self.texts[source] = text
+        if source != self.path:
+            self.texts[source] = text
         for inner, place in value._places.items():
             if inner:
                 self._places[*location, *inner[1:]] = place

@@ -13,6 +13,11 @@ from pmabench.guard.owner import PATIENCE, Call
 AT_ONCE = ("set", "stop", "open", "close")
 NO_EFFECT = 0.7
 """A measured value that has not fallen by a fiftieth so long [s] after the last command shows no effect of it."""
+ANSWERS = 5 * PATIENCE
+"""How long an answer whether a command is held is waited for [s].
+
+Without one the command counts as not carried out; over the second way, whose line may hang, it counts as sent.
+"""
 REPEAT = 0.5
 """While a confirmation is waited for, the commands are sent again so often [s]; they are absolute."""
 
@@ -173,12 +178,15 @@ class SafeState:
         """Why the device does not hold what it acknowledged; empty where it does or cannot say; None: not known yet."""
         if self._todo and self._todo[0].do in AT_ONCE:
             return None  # first everything that is to be commanded now
-        sent.look = sent.look or self._look(sent.action)
+        if sent.look is None or (sent.look.done.is_set() and sent.look.error is not None):
+            sent.look = self._look(sent.action)  # again where it failed: the second way may have made a new connection
         if sent.look is None:
             return ""
-        if not sent.look.done.is_set():
-            return None if now - sent.since < 2 * PATIENCE else ""
-        return sent.look.result or ""
+        if sent.look.done.is_set() and sent.look.error is None:
+            return sent.look.result or ""
+        if now - sent.since < ANSWERS:
+            return None
+        return "" if sent.rescue is not None else "acknowledged, and no answer whether it is held"
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
+from pmabench.report.words.names import declared
 from pmabench.report.words.wording import (
     AGREEMENT,
-    HEADLINES,
     POINTS,
-    SYMBOLS,
     clean,
     in_order,
     kind_title,
@@ -34,8 +34,10 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
         shown_estimates, beside = _without_comparison(analysis)
-        for names, (members, constant) in _for_terminal(shown_estimates).items():
-            frame = pivot_table(members) if names else whole_table(members).drop(columns="quantity")
+        results = declared([analysis])
+        groups = _for_terminal(shown_estimates, results)
+        for names, (members, constant) in groups.items():
+            frame = pivot_table(members, results) if names else whole_table(members, results).drop(columns="quantity")
             over = in_order(members[0].at, POINTS)
             by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
             at = f", at {point_text(constant)}" if constant else ""
@@ -46,6 +48,13 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
                 print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
                 for reason in _reasons([e for e in members if clean(e.method) == method]):
                     console.print(Text(f"  {reason}"))
+        shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
+        more = [
+            name for name in results if name not in shown_symbols and any(e.symbol == name for e in shown_estimates)
+        ]
+        if more:
+            names = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
+            console.print(Text(f"  more in the tables of the analysis folder: {names}"))
         if beside:
             console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()
@@ -68,16 +77,18 @@ def _reasons(estimates: Sequence[Estimate]) -> list[str]:
     found: dict[str, list[str]] = {}
     for e in estimates:
         if e.note and (e.value is None or e.parts.combined is None):
-            lack = "" if e.value is None else "no interval: "
+            lack = "withheld: " if e.withheld else "" if e.value is None else "no interval: "
             found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
     return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
 
 
-def _for_terminal(estimates: Sequence[Estimate]) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
-    """The estimates that fit the terminal: headline symbols by kind of operating point, and what is constant in it."""
+def _for_terminal(
+    estimates: Sequence[Estimate], results: Mapping[str, Result]
+) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
+    """The estimates for the terminal by kind of operating point: headlines and what is withheld; what is constant."""
     groups: dict[tuple[str, ...], list[Estimate]] = {}
     for e in estimates:
-        if e.symbol in HEADLINES or e.symbol not in SYMBOLS:
+        if e.withheld or results[e.symbol].headline:
             groups.setdefault(tuple(sorted(e.at)), []).append(e)
     told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
     for names, members in groups.items():

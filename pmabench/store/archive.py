@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import mmap
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -40,17 +41,18 @@ def archive(live: Path, target: Path) -> Archived:
     """
     part = target.with_name(f".{target.name}.part")
     try:
-        with pa.memory_map(str(live)) as source:
-            reader = LiveReader(source.read_buffer())
-            digests = _write(part, reader)
-            arrivals = reader.arrivals
-            with part.open("r+b") as file:
-                os.fsync(file.fileno())
-            with pq.ParquetFile(part) as written:
-                same = _arrivals_of(written) == arrivals
-            if not same or digests != [_digest(table) for table in _row_groups(part)]:
-                raise ValueError("what was read back is not what was written")
-            kept = Archived(reader.rows, reader.fault, reader.torn)
+        with live.open("rb") as file:
+            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
+        reader = LiveReader(pa.py_buffer(source))
+        digests = _write(part, reader, source)
+        arrivals = reader.arrivals
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())
+        with pq.ParquetFile(part) as written:
+            same = _arrivals_of(written) == arrivals
+        if not same or digests != [_digest(table) for table in _row_groups(part)]:
+            raise ValueError("what was read back is not what was written")
+        kept = Archived(reader.rows, reader.fault, reader.torn)
         part.replace(target)
         sync_folder(target.parent)
     finally:
@@ -59,8 +61,8 @@ def archive(live: Path, target: Path) -> Archived:
     return kept
 
 
-def _write(part: Path, reader: LiveReader) -> list[bytes]:
-    """The digest of each row group written."""
+def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
+    """The digest of each row group written; what was read of `source` does not stay in memory."""
     schema = reader.schema
     integers = [field.name for field in schema if pa.types.is_signed_integer(field.type)]
     others = [field.name for field in schema if field.name not in integers]
@@ -76,6 +78,8 @@ def _write(part: Path, reader: LiveReader) -> list[bytes]:
         for table in _tables(reader, schema):
             writer.write_table(table, row_group_size=GROUP)
             digests.append(_digest(table))
+            if hasattr(source, "madvise"):
+                source.madvise(mmap.MADV_DONTNEED)
         if reader.arrivals:
             writer.add_key_value_metadata({ARRIVALS: json.dumps(list(zip(*reader.arrivals, strict=True)))})
     return digests

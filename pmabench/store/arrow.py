@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pyarrow
+import pyarrow.csv
 import pyarrow.parquet
 
 pa: Any = pyarrow
 pq: Any = pyarrow.parquet
+arrow_csv: Any = pyarrow.csv

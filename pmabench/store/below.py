@@ -14,6 +14,7 @@ from pathlib import Path
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
 from pmabench.store.folder import read_file, read_manifest
+from pmabench.store.naming import is_run_name
 
 ANALYSES = "analyses"
 """What lies in folders of this name was made of runs and is none."""
@@ -34,6 +35,7 @@ class Task:
 def runs_below(folder: Path) -> list[Path]:
     """Every run folder below `folder`, in the order of their paths; the folder itself where it is a run.
 
+    A folder with the name of a run counts as one even where its manifest is gone, so that who opens it reports that.
     Links and hidden folders are not followed, and nothing inside a run is looked at. Raises InvalidFile for a folder
     that cannot be read.
     """
@@ -54,7 +56,7 @@ def _found(folder: Path) -> Iterator[Path]:
                 inside = list(entries)
         except OSError as error:
             raise invalid(place, f"cannot be read: {error.strerror or error}") from error
-        if any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
+        if is_run_name(place.name) or any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
             yield place
             continue
         waiting += [

@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import RecordError, invalid
+from pmabench.base.errors import InvalidFile, RecordError, invalid
 from pmabench.store.regular import open_inside
 
 RUN_SCHEMA = "pmabench.run/1"
@@ -201,6 +201,39 @@ def write_whole(path: Path, content: bytes) -> None:
             os.fsync(file.fileno())
         part.replace(path)
     except OSError:
+        with suppress(OSError):
+            part.unlink()
+        raise
+    sync_folder(path.parent)
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A file that becomes part of a run as it is, without being held in memory."""
+
+    path: Path
+    sha256: str
+    """What its bytes must be; a file that was changed is not copied."""
+
+
+def copy_whole(path: Path, source: Copy) -> None:
+    """Copy a file so that it is there whole or not at all, and synced.
+
+    Raises OSError, or InvalidFile where it is not what it was.
+    """
+    part = part_of(path)
+    digest = hashlib.sha256()
+    try:
+        with source.path.open("rb") as old, part.open("wb") as file:
+            while piece := old.read(1 << 22):
+                digest.update(piece)
+                file.write(piece)
+            if digest.hexdigest() != source.sha256:
+                raise invalid(source.path, "was changed while it was read")
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except (OSError, InvalidFile):
         with suppress(OSError):
             part.unlink()
         raise

@@ -21,6 +21,11 @@ def run_name(utc: datetime, specimen: str, kind: str, simulated: bool) -> str:
     return "_".join([*parts, *(["SIMULATED"] if simulated else []), secrets.token_hex(2)])
 
 
+def is_run_name(name: str) -> bool:
+    """Whether a folder has a name that `run_name` gave, whatever it still holds."""
+    return re.fullmatch(r"\d{8}-\d{4}_[A-Za-z0-9._-]+_[0-9a-f]{4}", name) is not None
+
+
 def _word(text: str, otherwise: str) -> str:
     return re.sub(r"[^A-Za-z0-9.]+", "-", text)[:40].strip("-.") or otherwise
 

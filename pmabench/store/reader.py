@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from pmabench.store.notes import read_notes
 from pmabench.store.recalibration import Line, Recalibration, refound
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
 from pmabench.store.regular import is_regular
-from pmabench.store.since import Since, late_guard, since
+from pmabench.store.since import Since, altered, late_guard, since
 from pmabench.store.timebase import onto
 from pmabench.store.trials import cut_trials, exclude
 
@@ -42,8 +42,9 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
 
     `anew`: other calibrations for the same raw samples, and channels moved in time.
 
-    Files of a closed run are checked against its seal, and what was added to them is not read but named in `since`; of
-    a dead or running one, whole batches and events are read.
+    Files of a closed run are checked against its seal, and what was added to them is not read but named in `since`, as
+    are kept files that were changed and that no sample comes from; of a dead or running one, whole batches and events
+    are read.
     Raises InvalidFile for what is no run, is damaged, was changed, or was written by a newer pmabench.
     """
     folder = RunFiles(Path(path), anew)
@@ -94,8 +95,11 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
 
 
 def _since(folder: RunFiles) -> Since:
+    hashes = folder.manifest.get("snapshots", {})
+    if folder.seal is not None:
+        hashes = {name: entry["sha256"] for name, entry in folder.seal["files"].items()}
     try:
-        return since(folder.path, folder.seal)
+        return replace(since(folder.path, folder.seal), altered=altered(folder.path, hashes))
     except OSError as error:
         raise invalid(error.filename or folder.path, f"cannot be read: {error.strerror or error}") from error
 

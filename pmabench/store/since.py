@@ -7,6 +7,7 @@ no part of the run: it is named, and nothing reads it. Standard library only.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import stat
@@ -18,7 +19,7 @@ from typing import Any
 
 from pmabench.store import folder as files
 from pmabench.store import notes
-from pmabench.store.regular import is_regular, kind_of, open_regular
+from pmabench.store.regular import is_regular, kind_of, open_inside, open_regular
 
 LONGEST = 1_000_000
 """Bytes of a guard's account; a longer one is none."""
@@ -53,11 +54,13 @@ class Since:
     """Names of the files in the folder next to the run."""
     guard: Mapping[str, Any] = field(default_factory=dict)
     """The guard's account that came late, from either place; empty where there is none."""
+    altered: tuple[str, ...] = ()
+    """What happened to kept files that the samples do not come from (an imported file, calibrations), one each."""
 
     @property
     def sentences(self) -> list[str]:
         """What people should know; empty for a run that is as it was sealed."""
-        told = []
+        told = list(self.altered)
         if self.added:
             names = _listed([entry.name for entry in self.added])
             told.append(f"added to the folder after the run was closed, and not used: {names}")
@@ -70,7 +73,8 @@ class Since:
 
     def told(self) -> dict[str, Any]:
         """As plain data for programs."""
-        return {"added": [vars(entry) for entry in self.added], "late": list(self.late), "guard": dict(self.guard)}
+        added = [vars(entry) for entry in self.added]
+        return {"added": added, "late": list(self.late), "guard": dict(self.guard), "altered": list(self.altered)}
 
 
 def vent_of(guard: Mapping[str, Any]) -> str:
@@ -87,6 +91,36 @@ def since(folder: Path, seal: Mapping[str, Any] | None) -> Since:
     inside = any(entry.name == files.GUARD for entry in found)
     guard = late_guard(folder) or (guard_account(folder / files.GUARD) if inside else {})
     return Since(found, tuple(late_files(folder)), guard)
+
+
+def altered(folder: Path, hashes: Mapping[str, str]) -> tuple[str, ...]:
+    """A sentence for each kept file that is not as it was written; `hashes`: name inside the run -> sha256."""
+    own = (files.MANIFEST, files.EVENTS, files.PLAN, files.GUARD)  # whoever reads these refuses changed ones
+    kept = {
+        name: sha for name, sha in sorted(hashes.items()) if name not in own and name.split("/")[0] != files.STREAMS
+    }
+    return tuple(f"{name} {fault}" for name, sha in kept.items() if (fault := fault_of(folder, name, sha)))
+
+
+def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> str:
+    """What is wrong with a file of a run whose hash is known; empty where it holds the bytes that were written."""
+    path = folder / name
+    if not os.path.lexists(path):
+        return "is missing"
+    if not is_regular(path):
+        return odd(path)
+    try:
+        with open_inside(folder, name) as file:
+            same = size in {None, os.fstat(file.fileno()).st_size}
+            unchanged = same and hashlib.file_digest(file, "sha256").hexdigest() == digest
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return "" if unchanged else "was changed: its sha256 does not fit"
+
+
+def odd(path: Path) -> str:
+    """What a path is that should be a regular file."""
+    return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 
 def late_folder(folder: Path) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,8 +20,8 @@ from pmabench.store.livestream import LiveReader
 from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
 from pmabench.store.records import Flag
-from pmabench.store.regular import is_regular, kind_of, open_inside
-from pmabench.store.since import added
+from pmabench.store.regular import is_regular
+from pmabench.store.since import added, fault_of, odd
 from pmabench.store.trials import trial_spans
 
 _TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
@@ -66,7 +65,7 @@ def _verify(folder: Path) -> list[Finding]:
         if not os.path.lexists(folder / files.SEAL):
             found.append(Finding(files.SEAL, f"is missing: the run is {status_of(manifest, None)}"))
         found += _snapshots(folder, manifest)
-        found += [_odd(name, path) for name, path in files_of(folder) if not is_regular(path)]
+        found += [Finding(name, odd(path)) for name, path in files_of(folder) if not is_regular(path)]
     found += _events(folder, seal)
     found += _streams(folder, seal)
     found += [Finding(name, what) for name, what in check_notes(folder)]
@@ -96,23 +95,8 @@ def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def _same_bytes(folder: Path, name: str, digest: str, size: int | None = None) -> Iterator[Finding]:
-    path = folder / name
-    if not os.path.lexists(path):
-        yield Finding(name, "is missing")
-    elif not is_regular(path):
-        yield _odd(name, path)
-    else:
-        try:
-            with open_inside(folder, name) as file:
-                same = size in {None, os.fstat(file.fileno()).st_size}
-                if not same or hashlib.file_digest(file, "sha256").hexdigest() != digest:
-                    yield Finding(name, "was changed: its sha256 does not fit")
-        except OSError as error:
-            yield Finding(name, f"cannot be read: {error.strerror}")
-
-
-def _odd(name: str, path: Path) -> Finding:
-    return Finding(name, f"is {kind_of(path.lstat().st_mode)}, which no run contains")
+    if fault := fault_of(folder, name, digest, size):
+        yield Finding(name, fault)
 
 
 def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:

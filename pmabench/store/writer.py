@@ -26,7 +26,16 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.folder import AppendFile, cannot_write, plain, sealed_json, sync_folder, write_whole
+from pmabench.store.folder import (
+    AppendFile,
+    Copy,
+    cannot_write,
+    copy_whole,
+    plain,
+    sealed_json,
+    sync_folder,
+    write_whole,
+)
 from pmabench.store.journal import encode
 from pmabench.store.livestream import LiveStream, describe
 from pmabench.store.naming import check_name
@@ -42,6 +51,8 @@ STALLED = 5.0
 """A disk that has taken nothing for so long [s of wall clock] has failed, where samples come in real time."""
 PATIENT = 120.0
 """The same where they can wait: in virtual time, and when files are imported."""
+AT_ONCE = 100_000
+"""Rows that are written together where all of them are there already."""
 _SAMPLES_FIRST = ("trial-end", "vent", "end")
 """Events that are written after all samples before them."""
 
@@ -79,13 +90,15 @@ class RunWriter:
         atexit.register(self._halt)
 
     @classmethod
-    def create(cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes]) -> RunWriter:
+    def create(
+        cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | Copy]
+    ) -> RunWriter:
         """Make the folder `parent`/`name` (`name-2` ... where taken) with snapshots and manifest, whole and synced.
 
         `snapshots` maps names inside the folder to the bytes of files that the run was made from. What the manifest
         does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
         """
-        contents = {check_name(key): bytes(value) for key, value in snapshots.items()}
+        contents = {check_name(key): value for key, value in snapshots.items()}
         contents[files.README] = README_TEXT.encode()
         made_parent = not parent.exists()
         folder = parent / check_name(name)
@@ -97,18 +110,23 @@ class RunWriter:
             (folder / files.STREAMS).mkdir()
             for key, content in contents.items():
                 (folder / key).parent.mkdir(parents=True, exist_ok=True)
-                write_whole(folder / key, content)
+                if isinstance(content, Copy):
+                    copy_whole(folder / key, content)
+                else:
+                    write_whole(folder / key, content)
             keep_room(folder)
             full = _full_manifest(folder.name, manifest, contents)
             events = AppendFile(folder / files.EVENTS).open()
             write_whole(folder / files.MANIFEST, sealed_json(full))
             sync_folder(parent)
-        except OSError as error:
+        except (OSError, InvalidFile) as error:
             if made:
                 shutil.rmtree(folder, ignore_errors=True)
             if made_parent:
                 with suppress(OSError):
                     parent.rmdir()
+            if isinstance(error, InvalidFile):
+                raise
             raise cannot_write(folder, error) from error
         return cls(folder, full, events)
 
@@ -152,6 +170,17 @@ class RunWriter:
         if self._failure is None and hung:
             self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
         self._check()
+
+    def append_now(
+        self, stream: str, time_ns: NDArray[np.int64], columns: Mapping[str, Any], flags: NDArray[np.uint16]
+    ) -> None:
+        """As `append`, and returns when they are written: so many rows may follow that they cannot wait in memory."""
+        for begin in range(0, len(time_ns), AT_ONCE):
+            part = slice(begin, begin + AT_ONCE)
+            self.append(stream, time_ns[part], {name: values[part] for name, values in columns.items()}, flags[part])
+            live = self._streams[stream]
+            if not self._try(live.file.path, live.drain):
+                self._check()
 
     def event(self, kind: str, t: float, **data: Any) -> None:
         """Add an event at `t` [s from the start]; with the operating system when this returns.
@@ -282,7 +311,7 @@ def _make_folder(parent: Path, name: str) -> Path:
     raise FileExistsError(17, "a thousand runs of this name exist")
 
 
-def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes]) -> dict[str, Any]:
+def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes | Copy]) -> dict[str, Any]:
     versions = {"python": platform.python_version()}
     for library in ("pmabench", "numpy", "scipy", "pandas", "pyarrow"):
         with suppress(metadata.PackageNotFoundError):
@@ -291,14 +320,17 @@ def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, b
         "kind": "",
         "simulated": False,
         "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        "trials_planned": _planned(contents.get(files.PLAN, b"")),
+        "trials_planned": _planned(plan if isinstance(plan := contents.get(files.PLAN), bytes) else b""),
     }
     known = {
         "schema": files.RUN_SCHEMA,
         "id": name,
         "versions": versions,
         "platform": platform.platform(),
-        "snapshots": {key: hashlib.sha256(content).hexdigest() for key, content in contents.items()},
+        "snapshots": {
+            key: content.sha256 if isinstance(content, Copy) else hashlib.sha256(content).hexdigest()
+            for key, content in contents.items()
+        },
         "writer": files.this_process(),
     }
     return {**usual, **given, **known}

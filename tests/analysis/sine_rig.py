@@ -32,6 +32,10 @@ class Muscle51:
     drag: float = 0.0
     """Pressure [Pa] that swings with the displacement, per metre."""
     dF_dP: float = 1.01e-3
+    bend: tuple[float, float] = (0.0, 0.0)
+    """c [N/m2] and d [N/m3] of c u^2 + d u^3, u from the mean of the sine."""
+    slip: tuple[float, float] = (0.0, 0.0)
+    """Force [N] and way [m] of a friction that first has to be wound up: one spring that slips."""
 
     def trial(
         self,
@@ -63,6 +67,8 @@ class Muscle51:
         friction = np.sign(late_v) * (self.F_c + (self.F_s - self.F_c) * np.clip(1 - np.abs(late_v) / 1e-3, 0, 1))
         F = self.F_ce - self.K * late_x - np.where(late_v > 0, self.B_c, self.B_r) * late_v - friction
         F = F + self.dF_dP * (pressure - 3e5 + swing)
+        u = late_x - mean
+        F = F + self.bend[0] * u**2 + self.bend[1] * u**3 - self._wound(late_x)
         channels = {
             "displacement": x + self.noise[0] * rng.standard_normal(n),
             "force": F + self.noise[1] * rng.standard_normal(n),
@@ -89,6 +95,15 @@ class Muscle51:
             run="r1", index=index, point=point, repeat=index // 4, reference=False, status="finished", t=t + start,
             channels=channels, flags=np.zeros(n, dtype=np.uint16), commands=(command,), found={},
         )  # fmt: skip
+
+    def _wound(self, x: np.ndarray) -> np.ndarray:
+        """Force of the spring that slips along a displacement [N]."""
+        most, way = self.slip
+        held, force = 0.0, np.zeros(len(x))
+        for i in range(1, len(x) if most else 0):
+            held = min(max(held + most / way * (x[i] - x[i - 1]), -most), most)
+            force[i] = held
+        return force
 
     def trials(self, repeats: int = 1, **point: Any) -> list[TrialData]:
         plan = [(0.1, 4), (0.5, 6), (1.0, 11), (3.0, 31)] * repeats

@@ -122,12 +122,22 @@ def test_values_are_read_on_straight_lines_only_where_nothing_is_in_common():
     assert "not compared: K has no value in A at 500 kPa" in [f.text for f in outside.findings]
 
 
-def test_published_values_are_compared_where_they_stand_and_count_as_exact():
+def test_without_an_uncertainty_on_both_sides_there_is_no_e_n():
+    """E_n of ISO/IEC 17043 divides by both uncertainties; one alone gave -1403 for a value 3 % off."""
     a = side(K(6.0, 1.0, 2e5), K(8.0, 1.0, 4e5))
     table = side(K(6.5, None, 2e5), K(7.0, None, 3e5), name="Serres", run="", kind=PUBLISHED, published=True)
     found = compare(a, table)
-    assert [(d.value, d.half) for d in found.differences] == [(-0.5, 1.0), (pytest.approx(0.0), pytest.approx(1.0))]
-    assert any("Serres tells no interval" in f.text for f in found.findings)
+    assert [(d.value, d.half, d.score) for d in found.differences] == [(-0.5, None, None), (0.0, None, None)]
+    told = (
+        "no E_n: Serres gives no uncertainty, and E_n needs that of both sides; 2 of its 2 values lie in the interval"
+    )
+    assert any(told in f.text for f in found.findings)
+    one_bare = compare(side(K(6.0, None)), side(K(9.0, 1.0), name="B", run="r2"))
+    assert one_bare.differences[0].score is None
+    assert any(f.level == "doubt" and "has no interval on one side" in f.text for f in one_bare.findings)
+    assert not_accepted(one_bare.differences, "E_n", 1.0) == [
+        "K at 300 kPa: no E_n: one side has no interval, accepted 1"
+    ]
 
 
 def test_two_right_values_are_missed_once_in_twenty():

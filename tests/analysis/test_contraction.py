@@ -282,10 +282,10 @@ def test_a_declared_sensor_lag_is_taken_into_account():
 
     delayed = replace(run, trials=tuple(late(trial) for trial in run.trials))
     told = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.010)}
-    wrong = errors(reduce([delayed], {"replays": 0}), PAPER0, "B_c")
+    wrong = [e for e in reduce([delayed], {"replays": 0}).estimates if e.symbol == "B_c" and e.method == PRIMARY]
     right = errors(reduce([replace(delayed, channels=told)], {"replays": 0}), PAPER0, "B_c")
-    # a pressure 10 ms late costs about 3 % of B
-    assert np.median(wrong) < -0.01
+    # a pressure 10 ms late costs about 3 % of B, so that nothing is reported
+    assert all(e.withheld for e in wrong)
     assert np.abs(right).max() < 0.02
 
 

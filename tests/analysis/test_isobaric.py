@@ -225,6 +225,18 @@ def test_on_a_bench_with_noise_the_gap_the_curve_and_its_slope_still_come_out(no
     assert any("the pressure is" in f.text and "higher while expanding" in f.text for f in found.findings)
 
 
+def test_the_interval_of_one_k_for_a_bent_curve_reaches_to_the_slopes_along_it(of_paper3, of_mas):
+    """Plant 5.5: -dF/dx by differences of the printed formula, anywhere within the contractions measured."""
+    K = one(of_paper3, "K", "mean-curve", pressure=5e5)
+    curve = next(t for t in of_paper3.traces if t.name == "mean-curve-500000").columns["displacement"]
+    for eps in np.linspace(curve[0], curve[-1], 5) / 0.2:
+        truth = -(force(eps + 1e-6) - force(eps - 1e-6)) / 4e-7
+        assert K.ci95[0] <= truth <= K.ci95[1], eps
+    assert "bent" in K.note
+    straight = one(of_mas, "K", "mean-curve", pressure=2e5)
+    assert straight.parts.combined < 0.01 * straight.value
+
+
 @pytest.mark.parametrize(("P", "v"), [(2e5, 0.005), (2e5, 0.02), (4e5, 0.02)])
 def test_work_of_a_muscle_of_three_elements_and_its_share_that_comes_back(of_mas, P, v):
     """Along the stroke s about x_m: W_c = s (F_ce - K x_m - B_c v), taken up s (F_ce - K x_m + B_r v)."""

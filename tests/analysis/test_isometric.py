@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.recorded import isometric
+from pmabench.analysis.shared.sessions import mean_over_sessions
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from tests import fixtures_old_runs as made
+from tests.analysis.labs import SLOPE, lab
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
@@ -131,3 +133,58 @@ def test_the_file_that_the_lab_rewrote_twice_is_implausible(tmp_path):
     assert "peak 14.71 N" in sibling.text
     assert "implausible" in sibling.text
     assert twice.flagged["suspect"] == twice.rows
+
+
+def test_other_choices_are_in_the_interval(own):
+    """The largest change over the thresholds of the map and the upper half of the force, as a rectangle."""
+    analysis = isometric.reduce(own)
+    for contraction, estimate in slopes(analysis).items():
+        (cell,) = (one for one in analysis.facts["cells"] if one["contraction"] == contraction)
+        change = max(abs(m - estimate.value) for m in cell["slopes_above"].values())
+        assert estimate.parts.method >= change > 0
+        assert len(cell["slopes_above"]) == 5
+
+
+def test_tests_of_one_session_are_no_independent_repeats():
+    """Means 1 and 3 of two sessions: 2 +- 12.706 x 1; all six alone would give 2 +- 1.15."""
+    mean, half = mean_over_sessions([0.9, 1.0, 1.1, 2.9, 3.0, 3.1], ["a"] * 3 + ["b"] * 3)
+    assert mean == pytest.approx(2.0)
+    assert half == pytest.approx(12.706, rel=1e-4)
+    assert mean_over_sessions([0.9, 1.1], ["a", "a"]) == (pytest.approx(1.0), pytest.approx(1.2706, rel=1e-4))
+
+
+def test_one_session_is_said_to_be_one():
+    (together,) = [f for f in isometric.reduce(lab(1, sessions=1)).findings if "scatter between sessions" in f.text]
+    assert together.level == "note"
+    assert not any("scatter between sessions" in f.text for f in isometric.reduce(lab(1)).findings)
+
+
+def covered(labs: range) -> float:
+    """Share of labs whose interval of the slope holds the truth."""
+    rule = {"force_above": 20.0, "also_at": [10.0, 15.0, 30.0]}
+    found = [slopes(isometric.reduce(lab(seed), rule))[0.0] for seed in labs]
+    return float(np.mean([abs(e.value - SLOPE) <= e.parts.combined for e in found]))
+
+
+def test_intervals_of_labs_with_several_sessions_hold_the_truth():
+    """95 % of 150 labs, five sessions of three tests each, 0.5 % between sessions; by tests alone it is 72 %."""
+    assert 0.90 <= covered(range(150)) <= 0.99
+
+
+@pytest.mark.study
+def test_intervals_of_a_thousand_labs_hold_the_truth():
+    share = covered(range(1000, 2000))
+    print(
+        f"isometric slopes of 1,000 labs, five sessions of three tests each: {share:.1%} of the intervals hold the truth"
+    )
+    assert 0.93 <= share <= 0.97
+
+
+def test_the_slopes_of_the_lab_are_held_by_two_tests_of_three_too(tmp_path):
+    runs = runs_of(recorded_data().glob("aarl_10mm/*.csv"), FIXTURES / "maps" / "aarl-10mm.yaml", tmp_path)
+    for left_out in (1, 2, 10):
+        for contraction, estimate in slopes(
+            isometric.reduce([r for r in runs if r.trials[0].repeat != left_out])
+        ).items():
+            low, high = estimate.ci95
+            assert low <= LAB[contraction][0] <= high, (left_out, contraction)

@@ -77,7 +77,7 @@ def test_mean_force_tells_f_ce_though_friction_and_two_dampings_move_it() -> Non
     assert found.ci95[0] < F_CE < found.ci95[1]
     alone = value(analysis_of([BENCH.trial(i, 3.0, 31) for i in range(3)]), "F_ce", "sine-mean")
     assert alone.value == pytest.approx(F_CE + 440 * 6 * pi * A / pi, rel=5e-3)
-    assert alone.parts.method == pytest.approx(B * 6 * pi * A / pi, rel=0.1)
+    assert alone.parts.method > B * 6 * pi * A / pi, "and what a bent curve may hide behind unlike dampings"
     assert "one frequency only" in alone.note
 
 

@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.statics.static_load import reduce
 from pmabench.store.records import RunData, TrialData
-from tests.analysis.simulate import LOADS, rig, static_run
+from tests.analysis.simulate import LOADS, contraction_run, rig, static_run
 
 
 @cache
@@ -132,3 +133,43 @@ def test_traces_show_points_and_lifts():
     for trace in lifts:
         assert len(trace.columns["t"]) <= 1500
         assert trace.marks["set-down"] < trace.marks["lift"]
+
+
+def told_stiffness(*points: tuple[float, float, float]) -> dict[str, object]:
+    return {"stiffness": {"from": "contraction-relaxation", "points": [list(point) for point in points]}}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_with_k_of_another_test_f_ce_is_that_at_x_0(seed: int):
+    """Plant paper0: a lifted load hangs 0.3 to 0.5 mm above its support, K x is 3 N, and half of that was missing."""
+    run = static_run(rig("paper0", "bench"), LOADS[::2], repeats=3, seed=seed)
+    K = [(1e3 * P, 1e3 * (5.6 + 1e-3 * P + 9.7e-6 * P**2), 30.0) for P in (100, 300, 550)]
+    alone, beside = reduce([run]), reduce([run], told_stiffness(*K))
+    for P, value in at(beside, "static-mean").items():
+        assert abs(value - F_ce(P)) < 0.003 * F_ce(P) + 0.5
+    assert min(value - F_ce(P) for P, value in at(alone, "static-mean").items()) < -1.0
+    assert any("test of K processed together takes it off" in f.text for f in alone.findings)
+    mean = [e for e in beside.estimates if e.method == "static-mean" and e.at]
+    assert all(e.corrected and e.bias is not None and e.bias < 0 for e in mean)
+    assert at(beside, "static-lift") == pytest.approx(at(alone, "static-lift")), "the paper's own sides stay as found"
+    assert next(e for e in beside.estimates if e.symbol == "F_f").value == pytest.approx(10.0, abs=0.3), (
+        "F_s of the plant"
+    )
+
+
+def test_a_k_that_is_uncertain_widens_f_ce():
+    run = static_run(rig("paper0", "bench"), LOADS[::4], repeats=2)
+    narrow, wide = (reduce([run], told_stiffness((3e5, 6770.0, half))) for half in (0.0, 6000.0))
+    first, second = (next(e for e in a.estimates if e.method == "static-mean" and e.at) for a in (narrow, wide))
+    assert second.value == pytest.approx(first.value)
+    assert second.parts.method > first.parts.method + 0.2
+
+
+def test_k_comes_from_the_contraction_test_that_is_processed_together():
+    bench = rig("paper0", "bench")
+    cells = [(load, P) for load in LOADS[1:6:2] for P in (3e5, 4e5, 5e5)]
+    runs = [static_run(bench, LOADS[::4], repeats=2), contraction_run(bench, cells)]
+    static, steps, _ = reduce_runs(runs)
+    assert [static.kind, steps.kind] == ["static-load", "contraction-relaxation"]
+    assert static.facts["options"]["stiffness"]["from"] == "contraction-relaxation"
+    assert all(e.corrected for e in static.estimates if e.method == "static-mean" and e.at)

@@ -1,6 +1,7 @@
 """What is possible and likely a mistake is said with its place, and refuses nothing; shipped files that belong together
 are not doubted."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,38 @@ def test_a_muscle_of_the_same_size_is_told_by_its_forces():
     (line,) = doubts("mock-serres2009", "mas-20-250-paper0")
     assert "has F_ce 917.6" in line
     assert "the specimen 275 N" in line
+
+
+@pytest.mark.parametrize(
+    ("bench", "specimen", "says"),
+    [
+        ("mock", "mas-20-250-serres2009", "paper0 is MOCK-P0, the specimen MOCK-SERRES"),
+        ("mock", "contractor-25", "paper0 is MOCK-P0, the specimen MOCK-CONTRACTOR-25"),
+    ],
+)
+def test_a_muscle_of_the_same_size_is_told_by_its_serial_number(bench, specimen, says):
+    (line,) = doubts(bench, specimen)
+    assert says in line
+
+
+def test_a_muscle_of_the_same_length_is_told_by_its_diameter(tmp_path):
+    text = (FIXTURES / "specimens" / "mas-20-250-paper0.yaml").read_text(encoding="utf-8")
+    (tmp_path / "thin.yaml").write_text(text.replace("inner_diameter: 20 mm", "inner_diameter: 10 mm"))
+    (line,) = mount(FIXTURES / "benches" / "mock.yaml", tmp_path / "thin.yaml").doubts
+    assert "paper0 is 20 mm wide inside, the specimen 10 mm" in line
+
+
+def test_the_record_says_it_and_process_repeats_it(tmp_path):
+    words = ["--bench", "mock-ideal", "--specimen", "contractor-25", "--out", tmp_path / "runs", "--yes"]
+    short = ["sweep.matrix.pressure=[200 kPa, 400 kPa]", "sweep.matrix.load=[6 kg, 16 kg]", "sweep.repeat.count=2"]
+    options = [str(word) for word in (*words, *(part for text in short for part in ("--set", text)))]
+    assert CliRunner().invoke(main, ["run", "contraction-relaxation", *options]).exit_code == 0
+    (run,) = (tmp_path / "runs").iterdir()
+    (doubt,) = json.loads((run / "manifest.json").read_text())["doubts"]
+    assert "is MOCK-P0, the specimen MOCK-CONTRACTOR-25" in doubt
+    told = json.loads(CliRunner().invoke(main, ["process", "--json", str(run)]).stdout)
+    findings = [f for f in told["analyses"][0]["findings"] if "the specimen MOCK-CONTRACTOR-25" in f["text"]]
+    assert [f["level"] for f in findings] == ["doubt"]
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
@@ -103,7 +136,7 @@ def test_a_range_of_500_N_over_another_calibration(tmp_path, points, says):
 def test_every_simulated_muscle_is_known():
     """Against the plants themselves, which the table must not import."""
     assert set(SIMULATED) == set(PLANTS)
-    for name, (length, pull) in SIMULATED.items():
+    for name, told in SIMULATED.items():
         muscle = preset(name).muscle
-        assert getattr(muscle, "length", length) == pytest.approx(length)
-        assert pull is None or float(muscle.F_ce(LOOKED_AT)) == pytest.approx(pull)
+        assert getattr(muscle, "length", told.length) == pytest.approx(told.length)
+        assert told.pull is None or float(muscle.F_ce(LOOKED_AT)) == pytest.approx(told.pull)

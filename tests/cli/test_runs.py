@@ -50,6 +50,25 @@ def test_verify_tells_what_was_added_from_what_is_damaged(touched):
     assert "  plan.json: is missing\n" in text
 
 
+def test_verify_goes_on_after_what_is_no_run(tmp_path):
+    (tmp_path / "runs" / "a-note.txt").parent.mkdir()
+    (tmp_path / "runs" / "a-note.txt").write_text("no run")
+    (tmp_path / "runs" / "empty").mkdir()
+    last = closed(tmp_path / "runs", "whole", rows=200)
+    text = call("runs", "verify", *sorted((tmp_path / "runs").iterdir()), code=3).stdout
+    assert "a-note.txt: 1 finding\n" in text
+    assert "empty: is not a run folder: no manifest.json in it" in text
+    assert text.rstrip().endswith(f"{last}: whole")
+
+
+def test_a_run_folder_that_was_emptied_is_reported_by_process(tmp_path):
+    name = "20261121-1432_MAS20-A017_contraction-relaxation_7f3a"
+    (tmp_path / "runs" / name / "streams").mkdir(parents=True)
+    text = call("process", tmp_path / "runs", code=3).output
+    assert "1 run could not be processed" in text
+    assert f"{name}  is not a run folder: no manifest.json in it" in text
+
+
 @pytest.mark.timeout(60)
 def test_show_and_list_say_it_in_one_sentence_each(touched):
     text = call("runs", "show", touched).stdout

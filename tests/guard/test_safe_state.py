@@ -320,9 +320,9 @@ def test_an_owner_that_comes_back_can_be_asked_again():
 @pytest.mark.parametrize("owner", [Owner("x"), Direct("x")])
 def test_what_a_device_raises_is_a_device_error(owner):
     with pytest.raises(DeviceError, match="x: ZeroDivisionError: integer division or modulo by zero"):
-        owner.call(lambda: 1 // 0)
+        owner.call(lambda: 1 // 0, 5.0)
     with pytest.raises(LimitRefused, match="mine"):
-        owner.call(lambda: (_ for _ in ()).throw(LimitRefused("mine")))
+        owner.call(lambda: (_ for _ in ()).throw(LimitRefused("mine")), 5.0)
 
 
 def test_devices_that_answer_are_vented_while_another_one_hangs_in_its_opening(monkeypatch):
@@ -602,6 +602,29 @@ def test_what_a_hung_line_cannot_say_is_not_held_against_the_second_way():
     vent = until_over(guard, 0.02, LOW)
     hangs.set()
     assert "set pressure: sent over the second way" in vent.actions
+
+
+def test_an_acknowledged_command_of_which_nobody_knows_whether_it_is_held_is_not_called_sent():
+    guard, rig = armed(threads=True)
+    guard.set("pressure", 300e3)
+    rig.wrong |= {"is_on": (hangs := threading.Event()), "rescue": "no second way"}
+    guard.begin_safe()
+    vent = until_over(guard, 0.02, LOW)
+    hangs.set()
+    assert "open dump_valve: failed (dac: no second way)" in vent.actions
+
+
+def test_a_question_that_fails_is_asked_again_before_a_command_over_the_second_way_is_called_sent():
+    """Its new connection may end a question under way: a valve that did not obey was called sent."""
+    guard, rig = armed()
+    guard.set("pressure", 300e3)
+    rig.ignores, rig.wrong["is_on"] = "both ways", "the connection was closed"
+    guard.begin_safe()
+    for _ in range(3):
+        advance(guard, 0.05, LOW)
+    del rig.wrong["is_on"]
+    vent = until_over(guard, 0.05, LOW)
+    assert any(text.startswith("open dump_valve: failed") for text in vent.actions), vent.actions
 
 
 def test_a_command_that_failed_latches_even_where_the_pressure_has_gone():

@@ -126,7 +126,8 @@ def _ended(result: Result, kind: Kind, device: Regulator, going: Run, moment: fl
         result.wrong.append(f"the reason does not name it: {result.why}")
     latch = json.loads(next(going.state.glob("*/state.json")).read_text())
     if kind.latches and latch["what"] != "tripped":
-        result.wrong.append(f"an action of the vent failed, and the bench is {latch['what']}, not tripped")
+        vent = f"{outcome.get('vent')}; valve: {device.lines('write', since=moment)}"
+        result.wrong.append(f"an action of the vent failed, and the bench is {latch['what']}, not tripped: {vent}")
     if kind.name in SUPERVISED and "regulator" not in result.why:
         result.wrong.append(f"the reason does not name the device: {result.why}")
 

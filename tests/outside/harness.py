@@ -81,6 +81,10 @@ class Regulator:
     def address(self) -> str:
         return f"127.0.0.1:{self.port}"
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def ask(self, **what: Any) -> dict[str, Any]:
         """A question to the device itself, past Modbus."""
         self._link.sendall(json.dumps(what).encode() + b"\n")
@@ -160,12 +164,19 @@ def _environment_of(pid: int) -> bytes:
 
 
 class Run:
-    """`pmabench run` on a bench file, as a process."""
+    """`pmabench run` on a bench file, as a process; `prefix` are the words of a program that starts it."""
 
-    def __init__(self, bench: Path, protocol: str, state: Path, device: Regulator | None = None) -> None:
+    def __init__(
+        self,
+        bench: Path,
+        protocol: str,
+        state: Path,
+        device: Regulator | None = None,
+        prefix: tuple[str, ...] = (),
+    ) -> None:
         self.device, self.state, self.folder = device, state, bench.parent
         self.out = self.folder / f"runs-{time.monotonic_ns()}"
-        command = [sys.executable, "-P", "-m", "pmabench", "run", str(bench.parent / f"{protocol}.yaml")]
+        command = [*prefix, sys.executable, "-P", "-m", "pmabench", "run", str(bench.parent / f"{protocol}.yaml")]
         command += ["--bench", str(bench), "--specimen", str(bench.parent / "specimen.yaml")]
         command += ["--out", str(self.out), "--yes", "--json"]
         self.began = time.monotonic()

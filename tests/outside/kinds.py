@@ -51,7 +51,7 @@ KINDS = (
     Kind("ignore-all", "pressure|set.?point", 1.0, ("steps", "ramps"), cause="ignored", each=20),
     Kind("ignore-all", "SIGTERM|terminat|operat", 1.0, ("holds",), then_ended=True, cause="ignored", each=20),
     Kind("ignore-valve", "SIGTERM|terminat|operat", 1.0, then_ended=True, latches=True),
-    Kind("echo", "pressure", 2.0, ("steps", "ramps"), cause="ignored", each=20, watched=True),
+    Kind("echo", "pressure", 1.0, ("steps", "ramps"), cause="ignored", each=20, watched=True),
     Kind("echo", "SIGTERM|terminat|operat", 1.0, ("holds",), then_ended=True, cause="ignored", each=20, watched=True),
     # S2, S3: what is measured
     Kind("nan", "pressure", 1.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmabench.analysis.reduce import results_of
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import ChannelInfo, Event, RunData, TrialData
 
@@ -88,6 +89,7 @@ def contraction(simulated: bool = True) -> Analysis:
         ),
         traces=tuple(traces),
         facts={"trials": 80, "trials_used": 46, "options": {}},
+        results=results_of("contraction-relaxation"),
     )
 
 
@@ -122,7 +124,14 @@ def static_load(simulated: bool = True) -> Analysis:
     )
     runs = (RUNS["static-load"],)
     return Analysis(
-        "static-load", runs, simulated, tuple(estimates), (line,), traces=(points, lift), facts={"trials": 12}
+        "static-load",
+        runs,
+        simulated,
+        tuple(estimates),
+        (line,),
+        traces=(points, lift),
+        facts={"trials": 12},
+        results=results_of("static-load"),
     )
 
 
@@ -164,7 +173,13 @@ def sine(simulated: bool = True) -> Analysis:
     )
     runs = (RUNS["sinusoidal-displacement"],)
     return Analysis(
-        "sinusoidal-displacement", runs, simulated, tuple(estimates), traces=tuple(traces), facts={"trials": 12}
+        "sinusoidal-displacement",
+        runs,
+        simulated,
+        tuple(estimates),
+        traces=tuple(traces),
+        facts={"trials": 12},
+        results=results_of("sinusoidal-displacement"),
     )
 
 
@@ -224,6 +239,7 @@ def ultimate_gain(simulated: bool = True) -> Analysis:
         findings=findings,
         traces=tuple(traces),
         facts={"trials": 9, "tuning": settings},
+        results=results_of("ultimate-gain"),
     )
 
 

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.display.sparkline import sparkline
+from pmabench.files.document import read_document
 from pmabench.store.importers import warm
 from pmabench.store.importers.guess.columns import lattice, unit_in
 from pmabench.store.importers.guess.guess import guess_files, sine_of
@@ -17,6 +18,7 @@ from pmabench.store.importers.guess.layout import guess_layout
 from pmabench.store.importers.guess.write import Span, map_text, still_open
 from pmabench.store.importers.importing import import_files
 from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.questions import dotted, left_open
 from pmabench.store.reader import open_run
 from tests.recorded import recorded_data
 
@@ -48,6 +50,17 @@ def roles(guess):
     return {column.name: (column.role, column.unit) for column in guess.columns}
 
 
+def asked(path):
+    """Keys of the questions in a map."""
+    return [dotted(location) for location in left_open(read_document(path).data, ())]
+
+
+def imported(files, path, out):
+    """Runs with what the map proposes for its questions, at a contraction of 0 mm where it has no proposal."""
+    answers = [(key, "0 mm") for key in asked(path) if key == "trials.point.contraction"]
+    return import_files(files, path, out, answers, unresolved=True)
+
+
 def written(tmp_path, guess, spans=None):
     path = tmp_path / "guessed.yaml"
     path.write_text(map_text(guess, spans or {}), encoding="utf-8")
@@ -68,8 +81,13 @@ def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
     assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
     assert any("its numbers only" in doubt for doubt in guess.role("pressure").doubts)
     path = written(tmp_path, guess)
-    assert not still_open(path.read_text(encoding="utf-8"))
-    runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs")]
+    assert asked(path) == [
+        "columns.force.unit",
+        "columns.pressure.unit",
+        "name_tells.otherwise.contraction",
+        "analysis.force_above",
+    ], "no header, a name without a contraction, and force that is 0 at first"
+    runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", unresolved=True)]
     assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
     assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
 
@@ -164,7 +182,7 @@ def test_layouts_of_text(tmp_path, content, layout, units):
     assert [column.unit for column in guess.columns if column.unit] == units.split()
     path = written(tmp_path, guess)
     if guess.role("force") or guess.role("displacement"):
-        assert import_files([tmp_path / "old.txt"], path, tmp_path / "runs")
+        assert imported([tmp_path / "old.txt"], path, tmp_path / "runs")
 
 
 def test_numbers_in_quotation_marks_are_those_numbers(tmp_path):
@@ -177,13 +195,13 @@ def test_numbers_in_quotation_marks_are_those_numbers(tmp_path):
         (tmp_path / name).write_text(content, encoding="utf-8")
         path = tmp_path / f"{name}.yaml"
         path.write_text(map_text(guess_files([tmp_path / name]), {}), encoding="utf-8")
-        (run,) = import_files([tmp_path / name], path, tmp_path / "runs")
+        (run,) = imported([tmp_path / name], path, tmp_path / "runs")
         channels = open_run(run.path).trials[0].channels
         assert channels["pressure"] == pytest.approx([1.23e5, 1.25e5, 1.5e5])
         assert channels["force"] == pytest.approx([4.56, -4.6, 10.0])
     (tmp_path / "cut.csv").write_text(files["point.csv"][:-2], encoding="utf-8")
     with pytest.raises(InvalidFile, match="cut.csv:4:1  the line ends within quotation marks"):
-        import_files([tmp_path / "cut.csv"], tmp_path / "point.csv.yaml", tmp_path / "runs")
+        imported([tmp_path / "cut.csv"], tmp_path / "point.csv.yaml", tmp_path / "runs")
 
 
 def test_columns_with_different_decimal_signs_are_told(tmp_path):
@@ -225,7 +243,9 @@ def test_columns_of_a_matrix_are_told_apart_by_what_they_hold(tmp_path, name):
     (asked,) = [doubt for doubt in guess.doubts if "to be confirmed" in doubt]
     assert all(f"{name}(:,{k})" in asked for k in (2, 3, 4, 5))
     path = written(tmp_path, guess)
-    (run,) = import_files([tmp_path / "old.mat"], path, tmp_path / "runs")
+    (run,) = import_files([tmp_path / "old.mat"], path, tmp_path / "runs", unresolved=True)
+    assert {question.what.split(".")[-1] for question in run.unresolved} == {"unit"}
+    assert len(run.unresolved) == 4, "one for each column that nothing names, but the time"
     assert max(float(trial.channels["pressure"].max()) for trial in open_run(run.path).trials) == pytest.approx(
         502e3, rel=0.01
     )
@@ -244,7 +264,7 @@ def test_a_matrix_without_a_pressure_is_not_made_into_one(tmp_path):
 def test_what_the_guess_left_open_is_told_where_it_stands(tmp_path):
     files = sorted((OLD / "polled").glob("*step_exp/*.dat"))
     path = written(tmp_path, guess_files(files))
-    with pytest.raises(InvalidFile, match="was left open by import --guess") as caught:
+    with pytest.raises(InvalidFile, match="not answered: which pressure is 20 mA of") as caught:
         read_map(path)
     assert [problem.line for problem in caught.value.problems] == still_open(path.read_text(encoding="utf-8"))
 
@@ -300,7 +320,7 @@ def test_an_absolute_pressure_becomes_a_gauge_pressure(tmp_path):
         "t (s),Pressure abs (MPa),F (N)\n0,0.101325,1\n0.1,0.601325,2\n", encoding="utf-8"
     )
     path = written(tmp_path, guess_files([tmp_path / "old.csv"]))
-    (run,) = import_files([tmp_path / "old.csv"], path, tmp_path / "runs")
+    (run,) = imported([tmp_path / "old.csv"], path, tmp_path / "runs")
     assert open_run(run.path).trials[0].channels["pressure"] == pytest.approx([0.0, 500e3], abs=1e-3)
 
 

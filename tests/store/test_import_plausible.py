@@ -6,7 +6,7 @@ import pytest
 from pmabench.store.importers.found import Checked
 from pmabench.store.importers.magnitude import Muscle, area_factor
 from pmabench.store.importers.map_rules import ColumnRule
-from pmabench.store.importers.plausible import judge
+from pmabench.store.importers.plausible import judge, stopped
 from pmabench.store.importers.quality import inspect
 from pmabench.store.records import UNUSABLE
 from tests.store.plausible_files import damaged, isometric, sines, steps
@@ -30,9 +30,10 @@ def look(file, bore=None, contraction=None, confirmed=(), columns=COLUMNS):
     ]
     period = float(np.median(np.diff(file.t)))
     flags, found = inspect(file.t, channels, (0.5 / period, 2.0 / period), 4 * period, 60.0)
-    muscle = Muscle(bore and bore * 1e-3, 0.3, contraction, held=file.kind == "isometric")
-    flags, more, questions = judge(file.t, channels, flags, muscle, confirmed)
-    return flags, {each.kind: each for each in found + more}, questions
+    held = file.kind == "isometric"
+    flags, still = stopped(file.t, channels, flags, held=held)
+    more, questions = judge(file.t, channels, flags, Muscle(bore and bore * 1e-3, 0.3, contraction, held), confirmed)
+    return flags, {each.kind: each for each in found + still + more}, questions
 
 
 CLEAN = (
@@ -184,9 +185,8 @@ def test_psi_called_kpa_is_a_question_where_nothing_decides_it():
     bad = damaged(file, pressure=file.pressure / 6.894757)
     _, found, (question,) = look(bad)
     assert "magnitude" not in found
-    assert set(question) == {"what", "where", "question"}
-    assert question["where"] == "P (kPa)"
-    assert "psi" in question["question"]
+    assert (question.where, question.used) == ("P (kPa)", "kPa")
+    assert "psi" in question.question
     assert look(bad, confirmed=("pressure-unit",))[2] == []
 
 

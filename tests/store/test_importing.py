@@ -147,7 +147,7 @@ def nothing_left(out):
 
 def test_one_bad_file_and_nothing_is_written(tmp_path):
     bad = tmp_path / "10mm_13cm_Unkinked_Test3.csv"
-    bad.write_bytes(b"1,2,3\n1,2\n")
+    bad.write_bytes(b"1,2,3\n1,2\n1,2,3\n")
     odd = tmp_path / "something.csv"
     odd.write_bytes(b"1,2,3\n")
     out = tmp_path / "out"

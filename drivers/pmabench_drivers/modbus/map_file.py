@@ -44,6 +44,8 @@ MAP_KEYS = (
     "watchdog",
     "uptime",
 )
+UPTIMES = ("uint32", "int32")
+"""Types of a number that only grows until a restart."""
 HIGH, LOW = "high-first", "low-first"
 
 
@@ -127,7 +129,7 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         inputs=registers("inputs"),
         outputs=registers("outputs"),
         watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
-        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "inputs")
+        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "uptime")
         if "uptime" in given
         else None,
     )
@@ -142,7 +144,7 @@ def _register(
     functions: tuple[int, ...],
     use: str,
 ) -> Register:
-    """One register; `use` is `inputs`, `outputs` or `identity`."""
+    """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
     writes = use == "outputs"
     tables = ("holding", "coil") if writes else TABLES
@@ -173,6 +175,12 @@ def _register(
     )
     if "read_back" in given and not writes:
         reader.fault((*place, "read_back"), "only what is written can be read back")
+    if use == "uptime" and register.type not in UPTIMES:
+        reader.fault(
+            (*place, "type"),
+            f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): one of 16 bits soon begins again at 0, "
+            "which would be taken for a restart",
+        )
     if register.expect is not None and use != "identity":
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pmabench_drivers.modbus.map_file import HIGH, LOW
+from pmabench_drivers.modbus.map_file import HIGH, LOW, UPTIMES
 from pmabench_drivers.modbus.registers import BIT_TABLES, FUNCTIONS, TABLES, TYPES
 
 Schema = dict[str, Any]
@@ -105,7 +105,12 @@ def map_schema() -> Schema:
         "inputs": {"type": "object", "additionalProperties": polled},
         "outputs": {"type": "object", "additionalProperties": written},
         "watchdog": watchdog,
-        "uptime": {**polled, "description": "a number that only grows until the device restarts"},
+        "uptime": {
+            **polled,
+            "description": "a number of 32 bits that only grows until the device restarts",
+            "properties": {"type": {"enum": list(UPTIMES)}},
+            "required": ["type"],
+        },
     }
     return {
         "$defs": {"input": _register("inputs"), "output": _register("outputs"), "identity": _register("identity")},

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.contraction.segments import Noise, Samples, noise_seen, samples_of, steps_seen
+from pmabench.analysis.contraction.segments import Gate, Noise, Samples, noise_seen, samples_of, steps_seen
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.skew import apart
 from pmabench.store.records import RunData, TrialData
@@ -28,6 +28,8 @@ class Campaign:
     noise: Noise
     steps: Noise
     """The part of the noise that the steps of the channels' values make."""
+    noise_of_means: Noise
+    """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
 
     def name(self, number: int) -> str:
         """`run/number` of a trial."""
@@ -63,6 +65,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
     if not members:
         return None, dropped
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
+    still = [settled(trial) for _, trial in members]
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
     return (
@@ -73,8 +76,9 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             cells=np.array([numbers[key] for key in keys], dtype=np.intp),
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
-            noise=noise_seen(samples, [_settled(trial) for _, trial in members], _every(runs)),
+            noise=noise_seen(samples, still, _every(runs)),
             steps=steps_seen(samples, _every(runs)),
+            noise_of_means=noise_seen(samples, still, _every(runs), Gate().samples(runs[0].rate)[0]),
         ),
         dropped,
     )
@@ -104,6 +108,8 @@ def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
         return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
     if len(trial.t) < 2 or not trial.usable.any():
         return "no sample is usable"
+    if not strokes(trial):
+        return "no pressure command lies within its samples"
     return ""
 
 
@@ -114,7 +120,7 @@ def strokes(trial: TrialData) -> list[slice]:
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
 
 
-def _settled(trial: TrialData) -> slice:
+def settled(trial: TrialData) -> slice:
     """The last fifth of the hold at pressure."""
     first = strokes(trial)[0]
     return slice(first.stop - max(8, (first.stop - first.start) // 5), first.stop)

@@ -18,6 +18,7 @@ from pmabench.analysis.contraction import (
     contraction_steps,
     contraction_view,
     drift,
+    form,
     free_run,
     replay,
 )
@@ -28,18 +29,34 @@ from pmabench.analysis.contraction.intervals import Pooled, Trust, assess, repla
 from pmabench.analysis.contraction.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
 from pmabench.analysis.contraction.regulator_response import regulator
 from pmabench.analysis.contraction.segments import Gate, Samples, Segments, cut, moved
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding
+from pmabench.analysis.declared import Result
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.analysis.shared import reference, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
+    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency"),
+    Result("tau_P", "rise time of the pressure", "time"),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "measured-pressure"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
 AFTER = 0.15
 """Time that a replay goes on after the last segment of a stroke [s]."""
+OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
+"""Symbols whose values assume it; times are read off the samples."""
 ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
 
 
@@ -63,7 +80,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(KIND, runs, dropped=dropped, findings=[Finding("fault", reason)], facts=facts)
+        return Analysis.of(
+            KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", reason)], facts=facts
+        )
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)
@@ -73,20 +92,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     resampled = contraction_view.resampled(campaign, pooled, estimates, draws) if draws else None
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     runs_free = free_run.free_runs(campaign, pooled, estimates)
+    every = (*estimates, *joint.estimates, *polished.estimates, *beside.estimates)
+    reported = withheld(every, pooled.form)
+    gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
         KIND,
         runs,
-        estimates=(*estimates, *joint.estimates, *polished.estimates, *beside.estimates, *response),
-        curves=(*curves, *joint.curves, *beside.curves),
+        results=RESULTS,
+        estimates=(*reported, *response),
+        curves=[curve for curve in (*curves, *joint.curves, *beside.curves) if curve.symbol not in gone],
         dropped=dropped,
         findings=(
             *contraction_view.findings(campaign, pooled, estimates),
-            *skew.findings(
-                runs,
-                campaign.channels,
-                campaign.skew,
-                (*estimates, *joint.estimates, *polished.estimates, *beside.estimates),
-            ),
+            *skew.findings(runs, campaign.channels, campaign.skew, every),
             *([contraction_view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
             *polished.findings,
@@ -105,6 +123,21 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **({"bootstrap": resampled} if resampled else {}),
         },
     )
+
+
+def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
+    """The estimates without the values whose form the data contradict; other methods follow the first one."""
+    reasons: dict[tuple[str, float | None], str] = {}
+    result = []
+    for e in estimates:
+        key = (e.symbol, e.at.get("pressure"))
+        why = found.reason or reasons.get(key) or found.hides(e)
+        if e.symbol not in OF_THE_FORM or e.value is None or not why:
+            result.append(e)
+            continue
+        reasons[key] = why
+        result.append(withhold(e, why))
+    return result
 
 
 def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -146,10 +179,12 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 
     def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        return trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
+        alone = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
+        return form.hiding(found, Scales.of(campaign.runs), segments.where(rows), other, alone, rows)
 
     trust = trusted(solved, np.ones(len(segments), bool), noise, first)
-    return Pooled(segments, solved, noise, trust, trust_of, work)
+    found, trust = form.examine(campaign, segments, solved, trust, noise)
+    return Pooled(segments, solved, noise, trust, trust_of, work, found)
 
 
 def _skews(
@@ -209,8 +244,10 @@ def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:
         pull = float(pooled.fit.values("F_ce", np.array([P]))[0])
         if load >= pull:
             reason = f"the load, {show(load, 'force', 4)}, is not below F_ce = {show(pull, 'force', 4)}"
+        elif not samples.ok.any():
+            reason = "no sample of its strokes is usable"
         else:
-            moved = float(np.max(samples.x[samples.ok])) - float(np.min(samples.x[samples.ok]))
+            moved = float(np.ptp(samples.x[samples.ok]))
             reason = f"too little motion: {show(moved, 'length', 3)} with F_ce - F_L = {show(pull - load, 'force', 3)}"
         dropped.append(Dropped(campaign.name(number), trial.point, reason))
     return dropped

@@ -20,6 +20,7 @@ from pmabench.analysis.contraction.contraction_known_force import fit_known_forc
 from pmabench.analysis.contraction.contraction_paper1_steps import STILL, Braid, Step, read
 from pmabench.analysis.contraction.curves import compare_orders, curve, least
 from pmabench.analysis.contraction.segments import Samples, moved
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -29,6 +30,19 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation-paper-1"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
+    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("accuracy", "agreement of model and test at rest", "ratio", plot="Accuracy of the closed form at rest"),
+    Result("misfit", "residual of the model over time", "length", plot="Residual of the closed form, rms over time"),
+)
+"""What it can give; columns and figures have this order."""
 METHODS = {"x0": "paper-1-x0", "xmax": "paper-1-xmax"}
 DRIVEN = "measured-pressure-x0"
 LOWEST = 100e3
@@ -79,7 +93,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
                 steps.append(step)
     if campaign is None or not any(step.way > 0 for step in steps):
         told = Finding("fault", "no contraction can be read: there is no S, and no D without it")
-        return Analysis.of(KIND, runs, dropped=dropped, findings=[told], facts={"options": settings, "trials_used": 0})
+        return Analysis.of(
+            KIND, runs, results=RESULTS, dropped=dropped, findings=[told], facts={"options": settings, "trials_used": 0}
+        )
     up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
     driven = _driven(campaign, up, braid)
     estimates: list[Estimate] = []
@@ -91,6 +107,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=(*estimates, *driven, *_vented(driven, down), *compared.estimates),
         curves=curves,
         dropped=dropped,

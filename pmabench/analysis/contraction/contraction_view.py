@@ -46,6 +46,7 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
         },
         "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
         "load_cell": campaign.cell,
+        "form": pooled.form.facts,
         "free_run_rms": free_run.rms(runs),
         "free_run": free_run.table(campaign, runs),
         "checks": [*([asdict(free)] if free else ()), *checks(campaign, pooled)],
@@ -64,6 +65,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
         lines = [Finding("doubt", text)]
     else:
         lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
+    lines.append(_of_the_form(pooled))
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
@@ -89,6 +91,20 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
             Finding("note", "hardly a cell is repeated: the repeats part rests on noise and on the fit's residual")
         )
     return lines
+
+
+def _of_the_form(pooled: Pooled) -> Finding:
+    """What the tests of the form say."""
+    form = pooled.form
+    if form.reason:
+        return Finding("doubt", f"form: {form.reason}")
+    text = (
+        f"form: {form.missed} {form.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree by"
+        f" {form.alike:.2g} of the noise"
+    )
+    if form.found:
+        return Finding("doubt", f"{text}; but it fits that {form.fits}. {form.moved}; it is a line of each interval")
+    return Finding("note", f"{text}; no departure of {len(form.sizes)} moves a coefficient beyond its interval")
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:

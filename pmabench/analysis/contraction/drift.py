@@ -92,7 +92,7 @@ def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: st
     whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
     told = False
     for run in runs:
-        end = next(_checked(run, channel), None)
+        end = next(zero_drifts(run, channel), None)
         mine = np.array([trial.run == run.id for trial in trials])
         if end is None or not mine.any():
             continue
@@ -103,7 +103,8 @@ def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: st
     return (whole, growing) if told else None
 
 
-def _checked(run: RunData, channel: str) -> Iterator[float]:
+def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
+    """What the zero of a channel read at each check at the end of a run, less that at the begin [SI]."""
     for event in run.events:
         if event.kind == "zero-check":
             zero = (event.data.get("channels") or {}).get(channel)

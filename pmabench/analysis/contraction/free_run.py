@@ -1,7 +1,8 @@
 """The fitted muscle run freely through whole trials, driven by the measured pressure: how far it is off, as NRMSE.
 
 NRMSE = ||x - x_model|| / ||x - mean x|| over the samples of a trial (100 (1 - NRMSE) is the fit in %, as system
-identification prints it); of several trials the squares of all are added. Knows the pooled fit; fits nothing.
+identification prints it); of one phase the rms error by the standard deviation of the whole trial, for a phase that
+hardly moves has next to none. Of several trials the squares of all are added. Knows the pooled fit; fits nothing.
 """
 
 from __future__ import annotations
@@ -59,14 +60,13 @@ class FreeRun:
 
     @cached_property
     def squares(self) -> dict[str, tuple[float, float]]:
-        """Sums of (x - model)^2 and (x - mean x)^2 [m2] of the trial, and of each of `PHASES`."""
+        """Sums of (x - model)^2 and (x - mean x)^2 [m2] of the trial, and of each of `PHASES` in its share of rows."""
         parts = {"": self.ok, PHASES[0]: self.ok & (self.way > 0), PHASES[1]: self.ok & (self.way < 0)}
-        found = {}
-        for name, rows in parts.items():
-            x = self.x[rows]
-            spread = x - x.mean() if len(x) else x
-            found[name] = (float(np.sum((x - self.model[rows]) ** 2)), float(spread @ spread))
-        return found
+        variance = float(np.var(self.x[self.ok])) if self.ok.any() else 0.0
+        return {
+            name: (float(np.sum((self.x[rows] - self.model[rows]) ** 2)), variance * int(rows.sum()))
+            for name, rows in parts.items()
+        }
 
 
 def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> list[FreeRun]:

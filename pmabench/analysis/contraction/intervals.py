@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.store.records import Array
 
+if TYPE_CHECKING:
+    from pmabench.analysis.contraction.form import Form
+
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
 CHANNELS = ("pressure", "displacement", "force")
@@ -32,6 +36,23 @@ SCATTER = "noise, and scatter between trials"
 UNTOLD = "the record tells no uncertainty"
 FEW = 10
 """With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hiding:
+    """A departure from the form that the data do not exclude: one of its ways is there, or none."""
+
+    name: str
+    part: str
+    """Field of `Parts` that it belongs to."""
+    change: Array
+    """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
+    likely: Array
+    """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
+
+    def half(self, combination: Array) -> float:
+        """Root of the mean square change of a linear combination (p,) over the ways."""
+        return sqrt(float((combination @ self.change) ** 2 @ self.likely))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +79,8 @@ class Trust:
     """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
     within: bool
     """True where that scatter is within cells, between repeats."""
+    hides: tuple[Hiding, ...] = ()
+    """Departures from the form that could hide."""
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
@@ -67,7 +90,7 @@ class Trust:
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
         """The same, and every source behind them, largest first."""
         variance = max(0.0, float(combination @ self.covariance @ combination))
-        steps = {name: float(combination @ part @ combination) for name, part in self.steps.items()}
+        steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
         unsure = float(np.linalg.norm(combination * self.mean_error))
         shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
         shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
@@ -82,6 +105,7 @@ class Trust:
             *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
             *(Source(f"calibration of {n}", "calibration", "B", None, UNTOLD) for n in self.untold),
             *(_drift(cause, combination) for cause in self.drifts),
+            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
         if len(self.skews):
@@ -119,6 +143,8 @@ class Pooled:
     """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
     work: Stretches
     """The strokes that were replayed."""
+    form: Form
+    """Whether the data have the form of the fit."""
 
     @property
     def expected(self) -> float:

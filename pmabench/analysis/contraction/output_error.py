@@ -43,6 +43,8 @@ class Polished(Fit):
     """Mean measured less simulated contraction of each segment [m], shape (n,); nan for one in no stretch."""
     expected: Array
     """Standard deviation of it that noise makes [m], shape (n,)."""
+    begun: Fit
+    """The pooled fit."""
     steps: int = 0
     converged: bool = False
 
@@ -87,6 +89,10 @@ class Polished(Fit):
         """See `Solved`: nothing, rows are whitened."""
         return np.zeros((len(self.theta), len(self.theta)))
 
+    def change(self, columns: Array) -> Array:
+        """See `Solved`: as much as of the pooled fit, whose equation of motion is the same."""
+        return self.begun.change(columns)
+
     def newton(self, segments: Segments) -> Array:
         """The step of Gauss and Newton from here, shape (p,)."""
         prior = _prior(segments, self.design, self)
@@ -102,7 +108,7 @@ def polish(segments: Segments, fit: Fit, noise: Noise, unit: float) -> Polished:
     begun = Polished(
         fit.theta, fit.inverse, fit.design, fit.residual, fit.friction, fit.knots, fit.halves,
         fit.added,
-        unit=unit, noise=noise, starts=0, misses=NONE, expected=NONE,
+        unit=unit, noise=noise, starts=0, misses=NONE, expected=NONE, begun=fit,
     )  # fmt: skip
     now = linear(segments, begun)
     for number in range(1, MOST_STEPS + 1):

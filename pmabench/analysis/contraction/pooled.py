@@ -81,6 +81,10 @@ class Solved(ABC):
     def bends(self, segments: Segments, noise: float) -> Array:
         """What the forms leave of a bend in each unknown, shape (p,)."""
 
+    def change(self, columns: Array) -> Array:
+        """Change of theta by forces [N] at the segments that the form does not have; (n, m) gives (p, m)."""
+        return np.asarray(self.inverse @ (self.design.T @ columns))
+
     def scatter(self, segments: Segments, noise: Noise) -> Array:
         """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
         own, _ = noise_covariance(segments, self, noise)
@@ -273,12 +277,18 @@ def noise_covariance(segments: Segments, fit: Solved, noise: Noise) -> tuple[Arr
     """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
     pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
+    P = segments.pressure
+    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
+    return covariance(segments, force_by_pressure(segments, fit), fit.values("K", P), damping, noise)
+
+
+def force_by_pressure(segments: Segments, fit: Solved) -> Array:
+    """Change of F_ce - K x with the pressure at each segment [N/Pa], shape (n,)."""
     P, step = segments.pressure, 1e3
     x = segments.x @ segments.weights
     slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
     slope = (slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step)
-    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
-    return covariance(segments, slope, fit.values("K", P), damping, noise)
+    return np.asarray(slope)
 
 
 def first_knots(tested: Array, commanded: Array) -> Array:

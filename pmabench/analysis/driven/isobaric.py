@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.driven.isobaric_cell import CURVE, Cell, Member
 from pmabench.analysis.driven.ramp_loop import measure_as_planned
 from pmabench.analysis.driven.rubber import rubber
@@ -20,6 +21,23 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "isobaric-ramp"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("F", "force of the mean curve", "force"),
+    Result("H", "loop width", "force"),
+    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W_c", "work given while contracting", "work"),
+    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("F", "force", "force", headline=True),
+    Result("F_e", "force of the rubber without pressure", "force"),
+    Result("A", "size of the rubber term", "force"),
+    Result("B1", "contraction at which the rubber term is 0 again", "ratio"),
+    Result("B2", "pole of the rubber term", "ratio"),
+)
+"""What it can give; columns and figures have this order."""
 CHANNELS = ("displacement", "force")
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
@@ -61,6 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=sorted(estimates, key=lambda e: order.get(e.method, 1)),
         dropped=dropped,
         findings=findings,

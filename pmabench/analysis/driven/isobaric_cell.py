@@ -27,6 +27,7 @@ WINDOW = 0.06
 """Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
 BENT = 0.02
 """Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
+BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
 LONGEST_TRACE = 1500
@@ -138,6 +139,14 @@ class Cell:
         return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(self.curve))
 
     @property
+    def change(self) -> float:
+        """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
+        if not self.bent:
+            return 0.0
+        slopes = [_local(self.x, self.curve, float(place))[1] for place in np.linspace(self.x[0], self.x[-1], PLACES)]
+        return float(np.max(np.abs(np.array(slopes) - np.polyfit(self.x, self.curve, 1)[0])))
+
+    @property
     def upside_down(self) -> bool:
         """Whether the contracting branch is the upper one, by more than scatter."""
         return any(
@@ -179,7 +188,10 @@ class Cell:
         uneven = self._uneven(dF_dP)
         kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
         for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
-            estimate("K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1)  # type: ignore[misc]
+            estimate(
+                "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
+                extra=self.change, note=BENT_NOTE if self.bent else "",
+            )  # fmt: skip
             if lower <= 0 <= upper and P > 0:
                 estimate(
                     "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0], 0,  # type: ignore[misc]

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.driven import sine_mean, sine_work
 from pmabench.analysis.driven.sine_fit import HARMONIC, Fitted, Member, Muscle
+from pmabench.analysis.driven.sine_form import Form, judged
 from pmabench.analysis.driven.sine_loop import measure
 from pmabench.analysis.driven.sine_pressure import pressure_and_force
 from pmabench.analysis.driven.sine_traces import traces_of
@@ -25,6 +27,21 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("F", "force at the mean contraction", "force"),
+    Result("H", "loop width", "force"),
+    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W_c", "work given while contracting", "work"),
+    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("P_err", "largest error of the pressure", "pressure"),
+    Result("F_rms", "rms error of the modelled force", "force"),
+    Result("phi", "phase of force before displacement", "angle"),
+)
+"""What it can give; columns and figures have this order."""
 CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
 Key = tuple[tuple[str, float], ...]
@@ -40,7 +57,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force tells (`sine_mean`).
+    what the mean force tells (`sine_mean`). Where higher harmonics of the force contradict the form that a coefficient
+    assumes, it is withheld (`sine_form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
     between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
@@ -57,11 +75,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     rising = sine_mean.force_slopes(fits)
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
-        found = fitted.estimates(dict(key), scales, slopes)
-        estimates += [*found, sine_mean.estimate(dict(key), fitted, scales, rising.get(key))]
+        form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
+        found = judged(fitted.estimates(dict(key), scales, slopes), form)
+        estimates += [*found, *sine_mean.estimates(dict(key), fitted, form, scales, rising.get(key))]
         estimates += sine_work.estimates(dict(key), fitted.group, scales, fitted.skew)
         findings += fitted.findings(dict(key))
-        lines.append({"at": dict(key), **fitted.facts()})
+        findings += form.findings(dict(key))
+        lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if told >= {"K", "B", "F_c"} else None)
         if slopes is None:
@@ -79,6 +99,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=findings,

@@ -18,6 +18,8 @@ from pmabench.store.records import Array, Flag, RunData, TrialData
 
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
+STILL = 1e-9
+"""An amplitude below this [m] is rounding and no motion."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -154,7 +156,7 @@ def evaluate(
     both = np.column_stack([x, F])
     means, amplitudes = three_parameter(t, both, frequency)
     X = complex(amplitudes[0])
-    if abs(X) < 6 * noise_of(x):
+    if abs(X) < max(6 * noise_of(x), STILL):
         raise NotUsable("the displacement does not move above its noise")
     left = x - means[0] - np.real(X * np.exp(1j * omega * t))
     whole = max(1, round((t[-1] - t[0]) * frequency))

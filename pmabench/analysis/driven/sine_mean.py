@@ -8,18 +8,21 @@ so that F_ce is where a line over that speed begins.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import hypot, nan, pi
+from dataclasses import replace
+from math import hypot, isfinite, nan, pi
 
 import numpy as np
 
 from pmabench.analysis.driven.sine_fit import CYCLES_OF_EACH, Fitted, Member
-from pmabench.analysis.results import Estimate, Parts
+from pmabench.analysis.driven.sine_form import Form
+from pmabench.analysis.results import Estimate, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, weighted_line
 
 METHOD = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
 UNTOLD = "no repeats part: no more trials than the line over speed needs"
+AT_MEAN = "at the mean contraction, at speed 0"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
 
@@ -41,10 +44,14 @@ def force_slopes(fits: Mapping[tuple[tuple[str, float], ...], Fitted]) -> dict[t
     return found
 
 
-def estimate(at: Mapping[str, float], fitted: Fitted, scales: Scales, slope: float | None) -> Estimate:
-    """F_ce [N] at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where it is known.
+def estimates(
+    at: Mapping[str, float], fitted: Fitted, form: Form, scales: Scales, slope: float | None
+) -> tuple[Estimate, Estimate]:
+    """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where known.
 
-    Calibration, to first order: the force scales F_ce; an offset of the displacement is worth K times that.
+    F is the mean force less the second harmonic, so that a bent curve does not move it by more than its own doubt.
+    F_ce carries it along a straight line to x = 0, and is withheld where the form contradicts that.
+    Calibration, to first order: the force scales both; an offset of the displacement is worth K times that.
     """
     wanted = at.get("pressure", nan)
     line = _line(fitted, slope or 0.0, wanted)
@@ -59,18 +66,21 @@ def estimate(at: Mapping[str, float], fitted: Fitted, scales: Scales, slope: flo
         gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
     scatter = UNTOLD if half is None else CYCLES_OF_EACH if one_each else ""
-    return Estimate(
-        "F_ce",
-        line.start,
-        "N",
-        "force",
-        METHOD,
-        dict(at),
-        Parts(half, hypot(K_bias * mean, doubt), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)),
-        len(members),
-        note=sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter),
-        trials=tuple(member.name for member in members),
+    note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter)
+    bent, reason = form.doubt_of_f_ce(line.start)
+    parts = Parts(
+        half, hypot(K_bias * mean, doubt, bent), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
     )
+    names = tuple(member.name for member in members)
+    F_ce = Estimate("F_ce", line.start, "N", "force", METHOD, dict(at), parts, len(members), note=note, trials=names)
+    F = line.start - (fitted.K.start - K_bias) * mean - form.h2
+    there = Parts(
+        line.half_start,
+        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), 0.3 * form.h2),
+        scales.part(gains | {"force": F}, offsets),
+    )
+    mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
+    return (withhold(F_ce, reason) if reason else F_ce), mean_force
 
 
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:

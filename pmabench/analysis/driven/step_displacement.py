@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.driven.step_relaxation import Relaxation, Steps, measure
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -20,6 +21,14 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData, TrialData
 
 KIND = "step-displacement"
+RESULTS = (
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("F", "force", "force", headline=True),
+    Result("tau_F", "time constant of the force after a step", "time"),
+    Result("tau_p", "time constant of the pressure after a step", "time"),
+    Result("P_err", "largest error of the pressure", "pressure"),
+)
+"""What it can give; columns and figures have this order."""
 RELAXED, PEAK, BACK = "step, relaxed", "step, peak", "step, recovery"
 EXTREME = 3.0
 """Standard deviations of the noise by which a peak lies beyond the signal."""
@@ -77,6 +86,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=sorted(estimates, key=lambda e: order.get(e.method, 2)),
         dropped=dropped,
         findings=findings,

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.loops.position_response import Response, respond
 from pmabench.analysis.loops.simulated import closed_loop, model_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -22,6 +23,17 @@ from pmabench.model.described import Described
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "positioning"
+RESULTS = (
+    Result("e_ss", "steady-state error", "ratio", headline=True),
+    Result("OS", "overshoot", "ratio", headline=True),
+    Result("t_r", "rise time", "time"),
+    Result("t_s", "settling time", "time", headline=True),
+    Result("IAE", "integral of the absolute error", "", unit="m.s"),
+    Result("x_pp", "limit cycle, peak to peak", "length", headline=True),
+    Result("T_c", "period of the limit cycle", "time", headline=True),
+    Result("e_sim", "difference from the simulation, rms", "length"),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "closed-loop"
 SIMULATION = "closed-loop, simulated"
 ALONE = "one run: no repeats part"
@@ -88,6 +100,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=_findings(runs, holds),

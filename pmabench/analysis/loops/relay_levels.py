@@ -27,6 +27,8 @@ from pmabench.store.records import Array, RunData, TrialData
 SKIPPED = 3
 """Periods after a change of amplitude that do not count."""
 FEWEST_PERIODS = 4
+FEWEST_SAMPLES = 4
+"""In each period."""
 HARMONICS = 3
 PERIOD_VARIATION = 0.05
 LOPSIDED = 0.05
@@ -168,7 +170,7 @@ def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
 def _measure(
     trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any], lag: Mapping[str, float], hold: float
 ) -> RelayLevel | None:
-    """One amplitude from its samples; None with too few whole periods."""
+    """One amplitude from its samples; None with too few whole periods, or too few usable samples in them."""
     switches = np.array([*level["switches"], [level["t1"], search["bias"]]], dtype=float)
     if len(switches) % 2 == 0:
         switches = switches[:-1]
@@ -178,6 +180,8 @@ def _measure(
     d, h = float(level["amplitude"]), float(level["hysteresis"])
     mask = (trial.t >= ups[0]) & (trial.t < ups[-1]) & trial.usable
     t, x = trial.t[mask], trial.channels["displacement"][mask]
+    if len(t) < FEWEST_SAMPLES * len(ups):
+        return None
     P = trial.channels["pressure"][mask] if "pressure" in trial.channels else None
     _, values = extremes(t, x, SEEN * noise_of(x))
     swings = np.abs(np.diff(values)) / 2

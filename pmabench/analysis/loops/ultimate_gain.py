@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.loops import gain_ways, open_loop_gain, relay_gain, tuning
 from pmabench.analysis.loops.gain_cell import GainCell
 from pmabench.analysis.loops.gain_levels import TrialFound, examine
@@ -30,6 +31,11 @@ from pmabench.model.loop import Loop
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
+RESULTS = (
+    Result("K_u", "ultimate gain", "gain", headline=True),
+    Result("T_u", "ultimate period", "time", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "gain-steps"
 CHANNELS = ("pressure", "displacement")
 LONGEST_TRACE = 1500
@@ -120,6 +126,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=findings,
@@ -269,6 +276,8 @@ def _traces(cell: _Cell, K_u: Estimate) -> list[Trace]:
     at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
     shown = found.levels[max(0, at - 1) : at + 2]
     mask = (trial.t >= shown[0].t0) & (trial.t <= shown[-1].t1)
+    if not mask.any():
+        return []
     columns: dict[str, Array] = {
         "t": trial.t[mask] - trial.t[mask][0],
         "displacement": trial.channels["displacement"][mask],

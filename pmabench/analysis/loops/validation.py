@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.loops.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import student
@@ -19,6 +20,12 @@ from pmabench.model.described import Described
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "validation"
+RESULTS = (
+    Result("e_ss", "steady-state error", "ratio", headline=True),
+    Result("e_sim", "difference from the simulation, rms", "length"),
+    Result("e_fs", "steady-state error, of full scale", "ratio"),
+)
+"""What it can give; columns and figures have this order."""
 COMMANDED = "commanded pressure"
 """As paper 0: the simulation gets the pressure that was asked for."""
 MEASURED = "measured pressure"
@@ -73,6 +80,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=[e for method in METHODS for key in order for e in _estimates(dict(key), cells[key], method, full)],
         dropped=dropped,
         findings=_findings(runs, steps, full),

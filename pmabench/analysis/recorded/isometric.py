@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.sessions import ONE_SESSION, session_of
 from pmabench.analysis.statics.isometric_lines import (
     FEWEST,
     METHOD,
@@ -28,7 +30,16 @@ from pmabench.analysis.statics.isometric_lines import (
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
+RESULTS = (
+    Result("F", "force", "force"),
+    Result("m", "slope of force over pressure", "force per pressure", headline=True),
+    Result("c", "intercept of force over pressure", "force"),
+)
+"""What it can give; columns and figures have this order."""
 LONGEST_TRACE = 1500
+RANGE = (0.025, 0.05, 0.1, 0.5)
+"""Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
+last one, the upper half, is tried always: on a straight line it changes nothing."""
 SENSITIVE = 0.05
 """Relative change of the slope over the thresholds that is doubted."""
 
@@ -37,33 +48,39 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """Slope m [N/Pa] and intercept c [N] of F = m P + c at each contraction [m].
 
     All usable samples with force above `force_above` [N] in the wanted `phases`, the tests of one contraction pooled
-    into one least-squares line (samples count alike). The interval is Student's t on the scatter of the slopes of the
-    tests: samples within a test are no repeats. The thresholds of `also_at` [N] are shown beside it as methods of
-    their own, since a threshold on the fitted quantity bends the fit.
+    into one least-squares line (samples count alike). The repeats part is Student's t on the scatter of the sessions'
+    mean slopes, with one session on that of the tests: samples within a test are no repeats. The thresholds of
+    `also_at` [N] are shown as methods of their own, since a threshold on the fitted quantity bends the fit; the largest
+    change that one of them, the upper half of the force, or equal weights of the sessions make is the method part.
 
-    `options` (else the rule of the import map, else the values given here): `force_above` 0, `also_at` [], `phases`
-    [] (all).
+    `options` (else the rule of the import map, else the values given here): `force_above` 0, `also_at` (`RANGE` of the
+    largest force above `force_above`), `phases` [] (all).
     """
     rule, findings = rule_of(runs, options or {})
     above = float(rule.get("force_above") or 0.0)
-    thresholds = [above, *(float(x) for x in rule.get("also_at") or () if float(x) != above)]
     phases = [str(name) for name in rule.get("phases") or ()]
     groups, dropped = tests_of(runs, phases, lambda test: _lack(test, above))
+    asked = [float(x) for x in rule.get("also_at") or () if float(x) != above]
+    sessions = {session_of(test.run) for tests in groups.values() for test in tests}
     estimates: list[Estimate] = []
     others: list[Estimate] = []
     curves: list[Curve] = []
     traces: list[Trace] = []
     cells: list[dict[str, Any]] = []
     for contraction, tests in sorted(groups.items()):
+        largest = max(float(test.F.max()) for test in tests)
+        also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
+        thresholds = [above, *asked, *also]
         fits = {threshold: pooled for threshold in thresholds if (pooled := pool(tests, _over(threshold))) is not None}
         first = fits[above]
         at = {"contraction": contraction}
-        m, c = estimates_of(first, tests, at)
+        lines = [(pooled.line.m, pooled.line.c) for pooled in fits.values()]
+        m, c = estimates_of(first, tests, at, others=[*lines, first.mean])
         estimates += [m, c]
         others += [
             estimates_of(pooled, tests, at, f"{METHOD} above {show(threshold, 'force')}")[0]
             for threshold, pooled in sorted(fits.items())
-            if threshold != above
+            if threshold in asked
         ]
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
@@ -85,11 +102,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     if estimates:
         if lack := Scales.of([test.run for tests in groups.values() for test in tests]).lack(("force", "pressure")):
             findings.append(Finding("note", lack))
-        shown = "the other thresholds show what the choice of one is worth" if len(thresholds) > 1 else "one threshold"
-        findings.append(Finding("note", f"no method part of m and c: {shown}"))
+        if len(sessions) < 2:
+            findings.append(Finding("note", ONE_SESSION))
     return Analysis.of(
         runs[0].kind if runs else "isometric",
         runs,
+        results=RESULTS,
         estimates=(*estimates, *others),
         curves=curves,
         dropped=dropped,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.recorded.sweep_bandwidth import bandwidth
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
@@ -23,6 +24,17 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-sine"
+RESULTS = (
+    Result("P", "amplitude of the pressure", "pressure", headline=True),
+    Result("x", "amplitude of the contraction", "length", headline=True),
+    Result("P/x", "pressure per contraction", "gain", headline=True),
+    Result("phi_x", "phase of contraction after pressure", "angle", headline=True),
+    Result("H", "width of the loop of contraction over pressure", "length", headline=True),
+    Result("P/P_set", "pressure per commanded pressure", "ratio", headline=True),
+    Result("phi_P", "phase of pressure after its command", "angle"),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 METHOD = "sine-harmonic"
 SETTLE = 1.0
 """Left out at the start [s], rounded up to whole cycles."""
@@ -101,6 +113,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=(*import_findings(runs), *findings),

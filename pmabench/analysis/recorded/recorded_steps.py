@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.driven_motion import respond
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
@@ -22,6 +23,15 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"
+RESULTS = (
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d"),
+    Result("tau_P", "rise time of the pressure", "time", headline=True),
+    Result("X", "stroke", "length", headline=True),
+    Result("dP/dx", "pressure per contraction", "gain", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 STEP, RINGING = "recorded-step", "ringing-of-known-mass"
 BEFORE, AFTER = 0.5, 0.8
 """Samples so long before and after the command [s] enter the fit of the motion."""
@@ -130,6 +140,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=(*import_findings(runs), *findings),

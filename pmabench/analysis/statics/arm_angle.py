@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -23,6 +24,14 @@ from pmabench.model.library import MODELS
 from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"
+RESULTS = (
+    Result("alpha_0", "bending angle at the preload", "angle"),
+    Result("alpha_max", "largest bending angle", "angle", headline=True),
+    Result("P_flat", "pressure from which on the angle stays within 1° of its largest", "pressure", headline=True),
+    Result("alpha_H", "angle reached from above less from below", "angle", headline=True),
+    Result("alpha_b", "bending angle", "angle"),
+)
+"""What it can give; columns and figures have this order."""
 REST, UP, MEAN, MATRIX = "angle-at-rest", "logistic-up", "logistic-mean", "logistic-loads"
 """Methods: from the rests alone; paper 2's form through the way up, through the mean of both ways; over all loads."""
 FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
@@ -75,6 +84,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=findings,
@@ -92,7 +102,7 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     """What one load tells."""
     one = fitted.of
     at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
-    slope = np.gradient(one.mean, one.pressure) if len(one.pressure) > 1 else np.zeros(1)
+    slope = _slopes(one.pressure, one.mean)
     radius = settings.get("radius")
     per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
 
@@ -125,6 +135,15 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     if one.both:
         found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
     return found
+
+
+def _slopes(P: Array, angle: Array) -> Array:
+    """Angle over pressure at each pressure [rad/Pa]; where two rests read one pressure, that of the whole way."""
+    if len(P) < 2:
+        return np.zeros(len(P))
+    if (np.diff(P) > 0).all():
+        return np.asarray(np.gradient(angle, P))
+    return np.full(len(P), np.ptp(angle) / np.ptp(P))
 
 
 def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Estimate:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2
@@ -18,6 +19,8 @@ LAST = 0.2
 FEWEST = 5
 """Samples that it needs."""
 UNUSABLE_SHARE = 0.5
+FOLLOWS = 0.5
+"""Share of the commanded change that the measured pressure must show between the rests [1]."""
 PHASES = {"preload": -1, "up": -1, "down": 1}
 """Phase of a ramp -> the side from which its pressure is reached: -1 from below."""
 
@@ -178,4 +181,8 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         )
     if sum(rest.side < 0 for rest in rests) < 2:
         raise NotUsable(f"fewer than two rests of {FEWEST} samples on its way up")
+    wanted, found = (np.ptp([getattr(rest, name) for rest in rests if rest.side < 0]) for name in ("set", "pressure"))
+    if found < FOLLOWS * wanted:
+        told = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
+        raise NotUsable(f"over the rests on its way up the measured pressure moves by {told}: a dead or wrong channel")
     return Stair(run, trial, tuple(rests))

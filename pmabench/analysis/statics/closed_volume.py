@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
@@ -22,6 +23,13 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"
+RESULTS = (
+    Result("V", "volume inside the muscle", "volume", headline=True),
+    Result("D_0", "free diameter", "length", headline=True),
+    Result("theta_0", "braid angle at the nominal length", "angle", headline=True),
+    Result("alpha", "exponent of S(ε)", "count", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 TIGHT, PRINTED, CURVE = "closed, leak taken out", "closed, as printed", "closed, V(eps)"
 ADIABATIC = 1.4
 LEAKS = 0.02
@@ -67,7 +75,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     if not members:
-        return Analysis.of(KIND, runs, dropped=dropped, facts={"options": dict(options or {}), "trials": 0})
+        return Analysis.of(
+            KIND, runs, results=RESULTS, dropped=dropped, facts={"options": dict(options or {}), "trials": 0}
+        )
     given = _given(settings)
     scales = Scales.of(runs)
     cells: dict[float, list[_Member]] = {}
@@ -86,6 +96,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=[*sorted(estimates, key=lambda e: e.method != TIGHT), *curve],
         dropped=dropped,
         findings=findings,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -22,6 +23,13 @@ from pmabench.model.library import MODELS
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "free-contraction"
+RESULTS = (
+    Result("eps_max", "largest contraction without load, of the nominal length", "ratio", headline=True),
+    Result("L", "length without load", "length", headline=True),
+    Result("x_H", "contraction reached from above less from below", "length"),
+    Result("P_half", "pressure of half the largest contraction", "pressure", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 FREE, SIGMOID = "free-length", "sigmoid"
 FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
 """Models of the library: with coefficients of its own, and as paper 2 has it for a length."""
@@ -114,6 +122,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         dropped=dropped,
         findings=findings,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Dropped, Estimate, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.sessions import mean_over_sessions, session_of
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 METHOD = "isometric-line"
@@ -79,6 +80,8 @@ class Pooled:
     """The tests that `each` is of."""
     repeats: tuple[tuple[float, float], ...]
     """m and c of each repeat: the mean of its sides where the contraction was reached from both, else of one test."""
+    sessions: tuple[str, ...]
+    """The session of each repeat."""
 
     @property
     def rms(self) -> float:
@@ -86,8 +89,14 @@ class Pooled:
         return sqrt(sum(line.n * line.rms**2 for line in self.each) / max(1, sum(line.n for line in self.each)))
 
     def half(self, of: str) -> float | None:
-        """Half width of the 95 % interval of `m` or `c` from the scatter between repeats, Student's t."""
-        return spread([pair["mc".index(of)] for pair in self.repeats])
+        """Half width of the 95 % interval of `m` or `c` from the scatter between sessions, of one between repeats."""
+        return mean_over_sessions([pair["mc".index(of)] for pair in self.repeats], self.sessions)[1]
+
+    @property
+    def mean(self) -> tuple[float, float]:
+        """M and c as the mean of the sessions' means: each session counts alike, however many samples it has."""
+        m, c = (mean_over_sessions([pair[i] for pair in self.repeats], self.sessions)[0] for i in (0, 1))
+        return m, c
 
 
 def spread(values: Sequence[float] | Array) -> float | None:
@@ -185,18 +194,25 @@ def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
         return None
     with_line = [(test, line) for test, part in zip(tests, parts, strict=True) if (line := line_of(*part)) is not None]
     tests_with, each = [test for test, _ in with_line], tuple(line for _, line in with_line)
+    repeats = _repeats(tests_with)
     m, c = (by_repeat(tests_with, [getattr(line, of) for line in each]) for of in ("m", "c"))
     names = tuple(test.name for test in tests_with)
-    return Pooled(whole, each, names, tuple(zip(m.tolist(), c.tolist(), strict=True)))
+    sessions = tuple(session_of(tests_with[places[0]].run) for places in repeats)
+    return Pooled(whole, each, names, tuple(zip(m.tolist(), c.tolist(), strict=True)), sessions)
+
+
+def _repeats(tests: Sequence[Test]) -> list[list[int]]:
+    """Places of the tests of each repeat: of both sides where it was reached from both, else of one test."""
+    groups: dict[object, list[int]] = {}
+    for number, test in enumerate(tests):
+        repeat = (test.run.id, test.trial.repeat) if "side" in test.trial.point else number
+        groups.setdefault(repeat, []).append(number)
+    return list(groups.values())
 
 
 def by_repeat(tests: Sequence[Test], values: Sequence[float] | Array) -> Array:
     """Mean of the values of each repeat: of both sides where it was reached from both, else of one test."""
-    groups: dict[object, list[float]] = {}
-    for number, (test, value) in enumerate(zip(tests, values, strict=True)):
-        repeat = (test.run.id, test.trial.repeat) if "side" in test.trial.point else number
-        groups.setdefault(repeat, []).append(float(value))
-    return np.array([np.mean(group) for group in groups.values()])
+    return np.array([np.mean([float(values[place]) for place in places]) for places in _repeats(tests)])
 
 
 def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[str, float]:
@@ -216,11 +232,12 @@ def estimates_of(
     tests: Sequence[Test],
     at: Mapping[str, float],
     method: str = METHOD,
-    range_of: Line | None = None,
+    others: Sequence[tuple[float, float]] = (),
 ) -> tuple[Estimate, Estimate]:
     """The slope m [N/Pa] and the intercept c [N] with the interval parts of repeats and calibration.
 
-    The method part is the distance from `range_of`, the line through other samples that might have been chosen.
+    The method part is the largest distance from `others`: m and c of the lines that an analyst might as well have
+    chosen, through other samples or with other weights.
     """
     line = pooled.line
     scales = Scales.of([test.run for test in tests])
@@ -230,7 +247,7 @@ def estimates_of(
     parents = tuple(test.name for test in tests)
 
     def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float | None) -> Estimate:
-        other = None if range_of is None else abs(float(getattr(range_of, symbol)) - value)
+        other = max((abs(pair["mc".index(symbol)] - value) for pair in others), default=None)
         parts = Parts(repeats=pooled.half(symbol), method=other, calibration=calibration)
         return Estimate(
             symbol, value, unit, quantity, method, at, parts, len(pooled.each), note=note, trials=parents,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -23,6 +24,21 @@ from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "isometric-pressurisation"
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_b", "blocked force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+    Result("H", "loop width", "force"),
+    Result("F", "force", "force"),
+    Result("m", "slope of force over pressure", "force per pressure", headline=True),
+    Result("c", "intercept of force over pressure", "force"),
+    Result("p_0", "pressure at which the force begins", "pressure", headline=True),
+    Result("D_0", "free diameter", "length", headline=True),
+    Result("theta_0", "braid angle at the nominal length", "angle", headline=True),
+    Result("alpha", "exponent of S(ε)", "count", headline=True),
+)
+"""What it can give; columns and figures have this order."""
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
 SECTION = "daerden-section"
 CHANNELS = ("pressure", "force")
@@ -55,7 +71,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         begun += _begins(cell, scales)
         if cell.pooled is None:
             continue
-        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, range_of=cell.upper)
+        others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
+        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
         estimates += [m, c, _width(cell, scales)]
         line = cell.pooled.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
@@ -81,6 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         curves=curves,
         dropped=dropped,

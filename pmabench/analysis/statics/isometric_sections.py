@@ -6,7 +6,7 @@ Knows the mean curves of each contraction; not how they came about.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,6 +14,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.lines import Line, weighted_line
+from pmabench.analysis.shared.sessions import session_of
+from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.statics.isometric_curve import Mean
 from pmabench.analysis.statics.isometric_lines import Line as LineOf
 from pmabench.analysis.statics.isometric_lines import Pooled, Test
@@ -99,7 +101,7 @@ def across(cells: Sequence[Cell]) -> list[Across]:
     for k in range(1, int(np.floor(top / GRID + 0.05)) + 1):
         P = k * GRID
         rows = [
-            (cell.contraction, x, F, test.name)
+            (cell.contraction, x, F, test.name, session_of(test.run))
             for cell in cells
             for x, F, test in zip(cell.place, cell.force_at(P), cell.tests, strict=True)
             if np.isfinite(F) and F > PULLS * strongest
@@ -110,11 +112,25 @@ def across(cells: Sequence[Cell]) -> list[Across]:
         if len(places) < 3 or np.min(np.diff(centres)) < APART:
             continue
         line = weighted_line(group, x, F, np.full(len(F), float(F.max())))
+        line = _wider(line, x, F, [row[4] for row in rows])
         means = sorted((float(x[group == g].mean()), float(F[group == g].mean())) for g in places)
         off = max(abs(f - line.start - line.slope * at) for at, f in means)
         between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
         found.append(Across(P, line, off, float(np.ptp([f for _, f in means])), between, tuple(row[3] for row in rows)))
     return found
+
+
+def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
+    """The line with half widths by Student's t over the lines of the sessions, where those are wider."""
+    each = []
+    for name in dict.fromkeys(sessions):
+        mine = np.array([session == name for session in sessions])
+        if np.ptp(x[mine]) > APART:
+            each.append(np.polyfit(x[mine], F[mine], 1))
+    if len(each) < 2 or len(each) < len(set(sessions)):
+        return line
+    slope, start = (mean_with_half([float(one[i]) for one in each])[1] or 0.0 for i in (0, 1))
+    return replace(line, half_start=max(line.half_start or 0.0, start), half_slope=max(line.half_slope or 0.0, slope))
 
 
 @dataclass(frozen=True)

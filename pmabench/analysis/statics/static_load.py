@@ -6,35 +6,40 @@ Knows what the searches found; not how they were made, and not how the bench is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.declared import Result
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.statics import static_load_view as view
+from pmabench.analysis.statics.break_away import Stiffness, carried
+from pmabench.analysis.statics.static_load_points import LIFT, MEAN, SET_DOWN, Points, points_of
 from pmabench.base.quantities import show
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, RunData
 
 KIND = "static-load"
-MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
-SIDES = {LIFT: "lift", SET_DOWN: "set-down"}
-"""Method -> phase of the search."""
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+)
+"""What it can give; columns and figures have this order."""
 HALF = "static-half-difference"
+OF_ONE_SIDE = f"bias: against {MEAN}, the friction of one direction"
 GRID = 50e3
 """F_ce is given at whole multiples of this pressure, as in paper 0 [Pa]."""
 UNEQUAL = 0.25
 """Share of the half difference by which the mean may be off: a load lifts against stiction and sets down against
 sliding friction, which is taken as at least 60 % of it."""
-LONGEST_TRACE = 1500
-SHOWN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class _Line:
+class Line:
     """F_ce = a + s P [N, N/Pa] with the covariance (2, 2) of (a, s), to be multiplied by t squared."""
 
     a: float
@@ -49,6 +54,7 @@ class _Line:
     """Root mean square distance of the loads' means from the line, by what their repeats allow; 0 if not known."""
 
     def __call__(self, P: float) -> float:
+        """F_ce [N] at P [Pa]."""
         return self.a + self.s * P
 
     def half(self, row: Array) -> float:
@@ -56,46 +62,40 @@ class _Line:
         return self.factor * sqrt(max(0.0, float(row @ self.covariance @ row)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """What was found, one row per trial: load [N] and pressures [Pa]; nan where a search found nothing."""
-
-    names: tuple[str, ...]
-    load: Array
-    lift: Array
-    set_down: Array
-
-    def side(self, method: str) -> Array:
-        """Pressures of a method [Pa]."""
-        if method == MEAN:
-            return 0.5 * (self.lift + self.set_down)
-        return self.lift if method == LIFT else self.set_down
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """F_ce [N] over pressure from lift, set-down and their mean, and half their difference [N] as friction.
 
     With the load F_L on its support, F_ce(P) - f = F_L at lift and F_ce(P) + f = F_L at set-down (paper 0 at
     x = 0 with friction f): the mean pressure of the two at each load belongs to F_ce = F_L. Lines by least squares of
-    P on F_L, as it is P that carries the error. No options are known.
+    P on F_L, as it is P that carries the error.
+
+    A load that was lifted hangs above its support when it breaks away again: with the option `stiffness` (K over
+    pressure from another test of the specimen, `break_away.option_of`) the mean is of pressures carried to x = 0; the
+    sides by themselves are the paper's, as they were found.
     """
-    points, dropped = _points(runs)
+    points, dropped = points_of(runs)
+    plain = points
     estimates: list[Estimate] = []
     curves: list[Curve] = []
     findings: list[Finding] = []
-    lines: dict[str, _Line] = {}
-    for method in (MEAN, LIFT, SET_DOWN):
-        usable = np.isfinite(points.side(method))
-        line = _fit(points.load[usable], points.side(method)[usable])
+    lines: dict[str, Line] = {}
+    uncorrected: Line | None = None
+    for method in (LIFT, SET_DOWN, MEAN):
+        if method == MEAN and (stiffness := Stiffness.of((options or {}).get("stiffness"))) and SET_DOWN in lines:
+            uncorrected = _fit_side(points, MEAN)
+            points = _carried(runs, points, lines[SET_DOWN].s, stiffness)
+        line = _fit_side(points, method)
         if line is not None:
             lines[method] = line
+    lines = {method: lines[method] for method in (MEAN, LIFT, SET_DOWN) if method in lines}
     scales = Scales.of(runs)
     friction = _friction(points, lines)
     for method, line in lines.items():
-        found, through = _of_line(points, method, line, lines.get(MEAN), friction, scales)
+        of = points if method == MEAN else plain
+        found, through = _of_line(of, method, line, lines.get(MEAN), friction, scales, uncorrected)
         estimates += found
         curves.append(through)
-        findings += _line_findings(method, line)
+        findings += view.line_findings(line) if method == MEAN else []
     estimates += _half_differences(points, lines)
     if lines and (lack := scales.lack(["pressure"])):
         findings.append(Finding("note", lack))
@@ -105,54 +105,51 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("doubt", "one direction only: F_ce is off by the friction of the muscle"))
     if MEAN in lines and friction is not None:
         text = f"lift and set-down lie {show(2 * friction, 'force', 3)} apart: friction of about half of that"
-        findings.append(Finding("note", f"{text}, between sliding and static"))
+        text += ", at which a muscle at rest begins to move; F_c of other tests is that of a muscle that moves"
+        findings.append(Finding("note", f"{text}, and is smaller or alike"))
+        findings.append(view.of_place(points, uncorrected, lines[MEAN]))
     return Analysis.of(
         KIND,
         runs,
+        results=RESULTS,
         estimates=estimates,
         curves=curves,
         dropped=dropped,
         findings=findings,
-        traces=_traces(runs, points),
+        traces=view.traces(runs, plain),
         facts={
             "options": dict(options or {}),
             "trials": sum(len(run.trials) for run in runs),
             "trials_used": len(points.names),
             "loads": len(np.unique(points.load)),
             "residual_rms": lines[MEAN].rms if MEAN in lines else None,
-            "table": _table(points),
+            "table": view.table(plain),
         },
     )
 
 
-def _points(runs: Sequence[RunData]) -> tuple[_Points, list[Dropped]]:
-    rows: list[tuple[str, float, float, float]] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            name = trial.name
-            found = {phase: trial.found.get(phase) or {} for phase in ("lift", "set-down")}
-            pressures = {phase: _pressure(result) for phase, result in found.items()}
-            if trial.status not in ("finished", "failed"):
-                dropped.append(Dropped(name, trial.point, f"the trial is {trial.status}"))
-            elif "load" not in trial.point:
-                dropped.append(Dropped(name, trial.point, "the trial names no load"))
-            elif not np.isfinite(list(pressures.values())).any():
-                reasons = [str(result["reason"]) for result in found.values() if result.get("reason")]
-                dropped.append(Dropped(name, trial.point, "; ".join(reasons) or "neither lift nor set-down was found"))
-            else:
-                rows.append((name, trial.point["load"], pressures["lift"], pressures["set-down"]))
-    columns = np.array([row[1:] for row in rows], dtype=np.float64).reshape(len(rows), 3)
-    return _Points(tuple(row[0] for row in rows), columns[:, 0], columns[:, 1], columns[:, 2]), dropped
+def _fit_side(points: Points, method: str) -> Line | None:
+    usable = np.isfinite(points.side(method))
+    return _fit(points.load[usable], points.side(method)[usable])
 
 
-def _pressure(result: Mapping[str, Any]) -> float:
-    """Pressure of a search's result [Pa]; nan where it found nothing."""
-    value = result.get("pressure")
-    return float(value) if result.get("found", True) and isinstance(value, int | float) else float("nan")
+def _carried(runs: Sequence[RunData], points: Points, slope: float, stiffness: Stiffness) -> Points:
+    """The points with lift and set-down carried to x = 0."""
+    trials = {trial.name: trial for run in runs for trial in run.trials}
+    rows = zip(points.names, points.lift, points.set_down, strict=True)
+    moved = [carried(trials[name], {"lift": lift, "set-down": down}, slope, stiffness) for name, lift, down in rows]
+    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in moved]).T
+    known = place[np.isfinite(place)]
+    return replace(
+        points,
+        lift=lift,
+        set_down=down,
+        uncertain=float(half.mean()),
+        place=float(known.mean()) if len(known) else 0.0,
+    )
 
 
-def _fit(load: Array, P: Array) -> _Line | None:
+def _fit(load: Array, P: Array) -> Line | None:
     """P = c + m F_L by least squares, turned into F_ce = (P - c) / m; None below two loads.
 
     The covariance is that of single points or that of the loads' means, whichever is wider: repeats of one load share
@@ -178,7 +175,7 @@ def _fit(load: Array, P: Array) -> _Line | None:
             chosen, factor = covariance, t
     turn = np.array([[-1 / m, c / m**2], [0.0, -1 / m**2]])
     total = float(np.sum((P - P.mean()) ** 2))
-    return _Line(
+    return Line(
         a=float(-c / m),
         s=float(1 / m),
         covariance=turn @ chosen @ turn.T,
@@ -199,7 +196,7 @@ def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray
     return sqrt(between / pure) if pure > 0 else 0.0
 
 
-def _friction(points: _Points, lines: Mapping[str, _Line]) -> float | None:
+def _friction(points: Points, lines: Mapping[str, Line]) -> float | None:
     """Half difference of lift and set-down over all trials [N]."""
     apart = 0.5 * (points.lift - points.set_down)
     apart = apart[np.isfinite(apart)]
@@ -207,12 +204,13 @@ def _friction(points: _Points, lines: Mapping[str, _Line]) -> float | None:
 
 
 def _of_line(
-    points: _Points,
+    points: Points,
     method: str,
-    line: _Line,
-    mean: _Line | None,
+    line: Line,
+    mean: Line | None,
     friction: float | None,
     scales: Scales,
+    uncorrected: Line | None,
 ) -> tuple[list[Estimate], Curve]:
     """F_ce on the grid inside the domain, and the line itself; one-sided lines carry their distance to the mean.
 
@@ -229,6 +227,9 @@ def _of_line(
         value = float(row @ (line.a, line.s))
         bias = None
         off = UNEQUAL * abs(friction) if two_sided and friction is not None and row[0] else 0.0
+        if two_sided and uncorrected is not None:
+            bias = float(row @ (uncorrected.a, uncorrected.s)) - value
+            off = hypot(off, 0.5 * points.uncertain * line.s * row[0])
         if not two_sided and mean is not None:
             bias = value - float(row @ (mean.a, mean.s))
             off = abs(bias)
@@ -243,7 +244,8 @@ def _of_line(
             parts=Parts(repeats=line.half(row) if line.factor else None, method=off, calibration=calibration),
             n=len(names),
             bias=bias,
-            note=sentences(few, "" if bias is None else f"bias: against {MEAN}, the friction of one direction"),
+            corrected=two_sided and bias is not None,
+            note=sentences(few, "" if bias is None else "bias: K x at set-down" if two_sided else OF_ONE_SIDE),
             trials=names,
             coordinate=coordinate,
         )
@@ -260,7 +262,7 @@ def _of_line(
     return values, curve
 
 
-def _half_differences(points: _Points, lines: Mapping[str, _Line]) -> list[Estimate]:
+def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimate]:
     """Half the difference of lift and set-down in N, per load and over all: friction, between F_c and F_s.
 
     The pressure's scale drops out of it: a gain changes the difference and the slope alike.
@@ -303,74 +305,3 @@ def _half_differences(points: _Points, lines: Mapping[str, _Line]) -> list[Estim
 def _means(group: Array, values: Array) -> Array:
     """Mean of the values of each group."""
     return np.array([values[group == name].mean() for name in np.unique(group)])
-
-
-def _line_findings(method: str, line: _Line) -> list[Finding]:
-    if method != MEAN:
-        return []
-    text = f"F_ce = {show(line.a, 'force', 4)} + {show(line.s, 'force per pressure', 5)} P"
-    left = f"residual {show(line.rms, 'force', 2)} rms" if line.factor else "through two points"
-    found = [Finding("note", f"{text}, {left}")]
-    if line.lack > 3.0 and line.rms > 0.5:
-        found.append(
-            Finding(
-                "doubt",
-                f"the loads lie off the line {line.lack:.2g} times as far as their repeats scatter: F_ce(P) is no line"
-                " over these pressures",
-            )
-        )
-    return found
-
-
-def _table(points: _Points) -> list[dict[str, float | int | None]]:
-    """Per load: number of trials, mean and standard deviation of the pressures."""
-    rows: list[dict[str, float | int | None]] = []
-    for load in np.unique(points.load):
-        row: dict[str, float | int | None] = {"load": float(load), "n": int((points.load == load).sum())}
-        for name, values in (("lift", points.lift), ("set_down", points.set_down)):
-            known = values[(points.load == load) & np.isfinite(values)]
-            row[name] = float(known.mean()) if len(known) else None
-            row[f"{name}_sd"] = float(known.std(ddof=1)) if len(known) > 1 else None
-        rows.append(row)
-    return rows
-
-
-def _traces(runs: Sequence[RunData], points: _Points) -> tuple[Trace, ...]:
-    """All points, and displacement over pressure of a few trials."""
-    if not points.names:
-        return ()
-    traces = [
-        Trace(
-            name="static-load",
-            figure="static",
-            title="Pressure at which each load lifts and sets down",
-            columns={"load": points.load, "lift": points.lift, "set_down": points.set_down},
-            quantities={"load": "force", "lift": "pressure", "set_down": "pressure"},
-        )
-    ]
-    trials = {trial.name: trial for run in runs for trial in run.trials}
-    first = [points.names[int(np.flatnonzero(points.load == load)[0])] for load in np.unique(points.load)]
-    for name in dict.fromkeys(first[round(i)] for i in np.linspace(0, len(first) - 1, SHOWN)):
-        traces += _lift_trace(trials[name])
-    return tuple(traces)
-
-
-def _lift_trace(trial: TrialData) -> list[Trace]:
-    if "pressure" not in trial.channels or "displacement" not in trial.channels or not len(trial.t):
-        return []
-    stride = -(-len(trial.t) // LONGEST_TRACE)
-    marks = {phase: _pressure(trial.found.get(phase) or {}) for phase in SIDES.values()}
-    return [
-        Trace(
-            name=f"lift-{trial.point['load']:.0f}N",
-            figure="lift",
-            title=f"{show(trial.point['load'], 'force', 4)}: lift and set-down",
-            columns={
-                "t": (trial.t - trial.t[0])[::stride],
-                "pressure": trial.channels["pressure"][::stride],
-                "displacement": trial.channels["displacement"][::stride],
-            },
-            quantities={"t": "time", "pressure": "pressure", "displacement": "length"},
-            marks={"load": trial.point["load"], **{name: P for name, P in marks.items() if np.isfinite(P)}},
-        )
-    ]

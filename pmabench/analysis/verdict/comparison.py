@@ -60,7 +60,7 @@ class Difference:
     a: Estimate
     b: Estimate
     half: float | None
-    """95 % half width of the difference; None where neither side has an interval."""
+    """95 % half width of the difference; None unless both sides have an interval."""
     between: str = ""
     """Which sides were read between two of their points: `a`, `b`, `ab` or none."""
     term: bool = False
@@ -78,7 +78,7 @@ class Difference:
 
     @property
     def score(self) -> float | None:
-        """E_n; None without an interval, and where both intervals are nothing."""
+        """E_n; None unless both sides have an interval, and where both are of no width."""
         return self.value / self.half if self.half else None
 
     @property
@@ -128,7 +128,9 @@ def not_accepted(differences: Iterable[Difference], measure: str, limit: float) 
         size = d.score if measure == "E_n" else d.relative
         asked = f"accepted {limit:g}" if measure == "E_n" else f"accepted {100 * limit:g} %"
         if size is None:
-            lack = "no E_n: there is no interval" if measure == "E_n" else "no relative difference: the reference is 0"
+            lack = (
+                "no E_n: one side has no interval" if measure == "E_n" else "no relative difference: the reference is 0"
+            )
             failed.append(f"{named(d)}: {lack}, {asked}")
         elif abs(size) > limit:
             told = f"E_n {size:+.2f}" if measure == "E_n" else f"difference {percent(size)} %"
@@ -292,8 +294,10 @@ def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | 
     points (`alike`): each by its difference.
     """
     widths = [half for half in (one.parts.combined, other.parts.combined) if half is not None]
-    if len(widths) < 2 or one.method != other.method:
-        return hypot(*widths) if widths else None
+    if len(widths) < 2:
+        return None
+    if one.method != other.method:
+        return hypot(*widths)
     alone, common = [one.parts, other.parts], list[float]()
     if shared and one.parts.calibration is not None and other.parts.calibration is not None:
         common.append(one.parts.calibration - other.parts.calibration)
@@ -338,11 +342,16 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
 
 def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
     """What the E_n numbers do not know."""
-    bare = [d for d in differences if d.b.parts.combined is None or d.a.parts.combined is None]
+    bare = [d for d in differences if d.half is None and not d.term]
     if bare and b.published:
-        yield Finding("note", f"{b.name} tells no interval: E_n counts that of {a.name} alone")
+        known = [d for d in bare if d.a.parts.combined is not None]
+        inside = sum(abs(d.value) <= (d.a.parts.combined or 0.0) for d in known)
+        text = f"no E_n: {b.name} gives no uncertainty, and E_n needs that of both sides"
+        told = f"{text}; {inside} of its {len(known)} values lie in the interval of {a.name}" if known else text
+        yield Finding("note", told)
     elif bare:
-        yield Finding("doubt", f"{named(bare[0])} has no interval on one side: E_n counts the other alone")
+        more = f" (and {len(bare) - 1} more)" if len(bare) > 1 else ""
+        yield Finding("doubt", f"{named(bare[0])}{more} has no interval on one side: no E_n, which needs both")
     if any(d.between for d in differences):
         yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
     if a.runs & b.runs:
@@ -372,7 +381,7 @@ def _sentence(group: Sequence[Difference]) -> Finding:
     place = f"at {at}: " if at else ""
     furthest = f"furthest apart {place}{size}{score}" if len(group) > 1 else f"{place}difference {size}{score}"
     if not judged:
-        return Finding("note", f"{symbol}: {furthest}; no interval tells whether that is more than chance")
+        return Finding("note", f"{symbol}: {furthest}; without both intervals nobody knows if that is more than chance")
     if not beyond:
         points = "both points" if len(judged) == 2 else f"all {len(judged)} points"
         agree = "agree within their interval" if len(group) == 1 else f"agree at {points}"

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import hypot, isfinite
 from typing import Any
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared.reference import stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
@@ -24,6 +25,8 @@ SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
 """What is followed over a life, in this order."""
 SELF_TEST = "self-test"
 """Kind and method of what the self-test of a session found."""
+LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure rate", headline=True)
+"""What the self-test gives."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,8 @@ class Series:
 
     kind: str
     moments: tuple[Moment, ...]
+    name: str
+    """What its kind of test calls it; its symbol where nobody declared it."""
 
     @property
     def first(self) -> Estimate:
@@ -147,7 +152,9 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
     place = {past.run: past for past in life}
     latest = {(analysis.kind, tuple(sorted(analysis.runs))): analysis for analysis in analyses}
     found: dict[tuple[object, ...], list[Moment]] = {}
+    names: dict[tuple[object, ...], str] = {}
     for analysis in latest.values():
+        names |= {(analysis.kind, result.symbol): result.title for result in analysis.results}
         runs = [place[run] for run in analysis.runs if run in place]
         if not runs:
             continue
@@ -163,7 +170,8 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
                 key = (analysis.kind, e.symbol, e.coordinate, e.method, at)
                 found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
     made = [
-        Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run)))) for key, moments in found.items()
+        Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run))), names.get(key[:2], str(key[1])))
+        for key, moments in found.items()
     ]
     return sorted(made, key=lambda s: SYMBOLS.index(s.first.symbol))
 
@@ -188,7 +196,7 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
         if "pressure" in known and "falls" in known:
             at, parts = {"pressure": known["pressure"]}, Parts(repeats=known.get("half_width"))
             leak = Estimate("leak", known["falls"], "Pa/s", "pressure rate", SELF_TEST, at, parts, 1)
-            return Analysis(SELF_TEST, (run,), simulated, (leak,))
+            return Analysis(SELF_TEST, (run,), simulated, (leak,), results=(LEAK,))
     return None
 
 

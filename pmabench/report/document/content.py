@@ -34,6 +34,7 @@ from pmabench.report.figures.figures import front_pictures, kind_pictures
 from pmabench.report.figures.pictures import Picture
 from pmabench.report.words import wording
 from pmabench.report.words.method_words import described
+from pmabench.report.words.names import distinct
 from pmabench.report.words.rounding import printed
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
@@ -134,13 +135,13 @@ def content_of(
     simulated = [a.simulated for a in analyses] + [run.simulated for run in runs]
     figures, parents = _Figures(), Parents(names)
     identity = _identity(analyses, runs, published)
-    analyses, theirs, compared = overlays.beside(analyses, published, overlays.length_of(runs))
+    failed = [wording.clean(text) for text in verdicts(runs, analyses)]
+    analyses, theirs, compared = overlays.beside(distinct(analyses), published, overlays.length_of(runs))
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = _together(analyses, figures)
     sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
     limits = {run.id: limits_of(run) for run in runs}
-    failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
     findings = tables.findings_table(analyses)
     findings["finding"] = [_named(text, names) for text in findings["finding"]]

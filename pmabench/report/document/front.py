@@ -10,7 +10,8 @@ import pandas as pd
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.report.document import tables
 from pmabench.report.words import wording
-from pmabench.report.words.rounding import rounded
+from pmabench.report.words.names import declared, is_headline
+from pmabench.report.words.rounding import WITHHELD, rounded
 from pmabench.store.records import RunData
 
 TILES = 8
@@ -43,22 +44,29 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
     """Key numbers: each headline symbol by the method of its test that comes first, at the middle of what was tested.
 
     Where that method found none (no limit cycle) there is none: what others give, as a simulation, is no key number.
+    What is withheld is there without a value.
     """
     found = []
-    for symbol in wording.HEADLINES:
-        for analysis in analyses:
+    for symbol, result in declared(analyses).items():
+        for analysis in (a for a in analyses if is_headline(a, symbol)):
             told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
-            known = [e for e in told if e.value is not None and e.method == told[0].method]
+            primary = [e for e in told if e.method == told[0].method]
+            known = [e for e in primary if e.value is not None]
             members = [e for e in known if set(e.at) == set(known[0].at)]
+            held = sum(e.withheld for e in primary)
             if members:
-                found.append(_tile(members))
+                found.append(_tile(members, result.title, held))
+                break
+            if held:
+                method = wording.clean(primary[0].method, 60)
+                found.append(Tile(wording.symbol_text(symbol), wording.clean(result.title), WITHHELD, "", method, ""))
                 break
     if any(tile.symbol in ("B_c", "B_r") for tile in found):
         found = [tile for tile in found if tile.symbol != "B"]
     return found[:TILES]
 
 
-def _tile(members: list[Estimate]) -> Tile:
+def _tile(members: list[Estimate], title: str, held: int) -> Tile:
     varying = [
         name for name in wording.in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1
     ]
@@ -81,9 +89,10 @@ def _tile(members: list[Estimate]) -> Tile:
             f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} {word} {places[0]} "
             f"{'to' if word == 'from' else 'and'} {places[1]} {at_unit.unit}"
         )
-    name = wording.SYMBOLS.get(middle.symbol, "")
+    if held:
+        reach = f"{reach}; {WITHHELD} at {_many(held, 'further place', 'further places')}".removeprefix("; ")
     where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)
-    return Tile(wording.symbol_text(middle.symbol), name, value, unit.unit, where, reach.strip())
+    return Tile(wording.symbol_text(middle.symbol), wording.clean(title), value, unit.unit, where, reach.strip())
 
 
 @dataclass(frozen=True)
@@ -98,14 +107,18 @@ class Verdict:
 def verdict_of(
     analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str], *, accepted: bool
 ) -> Verdict:
-    """The worst that is known: acceptance, faults, runs that did not finish, doubts; `accepted`: limits were given."""
+    """The worst that is known: acceptance, faults, runs that did not finish, doubts.
+
+    `failed`: reasons why results are not accepted (limits not kept, withheld values, refusals); `accepted`: limits were
+    given.
+    """
     faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
     unfinished = sum(run.status != "finished" for run in runs)
-    told = [_many(len(failed), "acceptance limit is not met", "acceptance limits are not met")] if failed else []
+    told = [_many(len(failed), "reason, which comes first below", "reasons, which come first below")] if failed else []
     told += [_many(faults, "fault", "faults")] if faults else []
     told += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
     told += [_many(doubts, "doubt", "doubts")] if doubts else []
-    if not any(e.value is not None for a in analyses for e in a.estimates):
+    if not any(e.value is not None or e.withheld for a in analyses for e in a.estimates):
         return Verdict("fault", "No result", "; ".join(["no coefficient came out", *told]) + ".")
     if failed or faults:
         return Verdict("fault", "Not accepted" if failed else "Faults were found", "; ".join(told) + ".")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from pmabench.report.words.rounding import UNRESOLVED
+from pmabench.report.words.rounding import UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
 BRIEF = 32
@@ -16,7 +16,7 @@ SHORT = 16
 """Rows of a table that is not broken across pages."""
 FEWEST_IN_GROUP = 3
 """Rows a method, from which on methods become headings of groups of rows instead of a column."""
-MUTED = ("not identifiable", UNRESOLVED)
+MUTED = ("not identifiable", UNRESOLVED, WITHHELD)
 """Texts that stand in place of a number."""
 _PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
 _NUMBER = re.compile(r"[−-]?[\d.,]+(×10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from pmabench.analysis.results import Estimate
+from pmabench.report.document.tables import note_text
 from pmabench.report.words.wording import clean
 
 BRIEF = 18
@@ -40,8 +41,7 @@ class Parents:
 
     def of(self, estimate: Estimate) -> tuple[str, str]:
         """Trials and note of an estimate."""
-        note = clean(estimate.note if estimate.note != estimate.coordinate else "")
-        return self.trials.of(trials_told(estimate.trials, self.names)), self.notes.of(note)
+        return self.trials.of(trials_told(estimate.trials, self.names)), self.notes.of(note_text(estimate))
 
 
 def trials_told(trials: Sequence[str], names: Mapping[str, str]) -> str:

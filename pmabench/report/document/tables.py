@@ -11,13 +11,14 @@ from typing import Any
 
 import pandas as pd
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.quantities import QUANTITIES
-from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, cut, half_width, rounded
+from pmabench.report.words.names import declared
+from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
 from pmabench.report.words.wording import (
     AGREEMENT,
     POINTS,
-    SYMBOLS,
     clean,
     in_order,
     kind_title,
@@ -49,12 +50,18 @@ def cell(estimate: Estimate) -> str:
     scale = shown(estimate.quantity, estimate.unit).scale
     half = estimate.parts.combined
     if estimate.value is None:
-        return "not identifiable"
+        return WITHHELD if estimate.withheld else "not identifiable"
     if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
     return rounded(estimate.value / scale, None if half is None else half / scale)
+
+
+def note_text(estimate: Estimate) -> str:
+    """What is said of an estimate; begins with `withheld: ` where its value is."""
+    note = clean(estimate.note if estimate.note != estimate.coordinate else "")
+    return f"{WITHHELD}: {note}" if estimate.withheld else note
 
 
 def least(estimate: Estimate) -> float:
@@ -66,7 +73,7 @@ def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
     chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
     methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
-    return pivot_table([e for e in chosen if e.method in methods])
+    return pivot_table([e for e in chosen if e.method in methods], declared(analyses))
 
 
 def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
@@ -88,7 +95,7 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
-    frame = _beside(slim, lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+    frame = _beside(slim, declared(analyses), lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
     methods = ", ".join(dict.fromkeys(e.method for e in chosen if set(e.at) & set(alike)))
     return frame, f"{clean(methods)} at {point_text(alike)}" if alike else ""
 
@@ -97,17 +104,20 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
     """For each coefficient that several methods give, one row per pressure and one column per method; text."""
     chosen = [e for a in analyses for e in a.estimates if set(e.at) == {"pressure"} and not e.coordinate]
     tables = []
-    for symbol in in_order((e.symbol for e in chosen), SYMBOLS):
+    results = declared(analyses)
+    for symbol, result in results.items():
         members = [e for e in chosen if e.symbol == symbol]
         if symbol in COEFFICIENTS and len({e.method for e in members}) > 1:
-            name = f"{_column(members[0])}, {SYMBOLS[symbol]}"
-            tables.append(Table(name, _beside(members, lambda e: clean(e.method))))
+            name = ", ".join(part for part in (_column(members[0]), clean(result.title)) if part)
+            tables.append(Table(name, _beside(members, results, lambda e: clean(e.method))))
     return tables
 
 
-def _beside(estimates: Sequence[Estimate], column: Callable[[Estimate], str]) -> pd.DataFrame:
-    """One row per operating point, the columns in the order of symbols."""
-    order = in_order((e.symbol for e in estimates), SYMBOLS)
+def _beside(
+    estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]
+) -> pd.DataFrame:
+    """One row per operating point, the columns in the order of `results`."""
+    order = list(results)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
     points = in_order((name for e in estimates for name in e.at), POINTS)
     heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
@@ -130,9 +140,10 @@ def other_tables(analysis: Analysis) -> list[Table]:
             continue
         groups.setdefault(tuple(sorted(e.at)), []).append(e)
     tables = []
+    results = declared([analysis])
     for names, members in groups.items():
         if not names:
-            tables.append(Table("Values for the whole campaign", whole_table(members)))
+            tables.append(Table("Values for the whole campaign", whole_table(members, results)))
             continue
         constant = {name: members[0].at[name] for name in names if len({e.at[name] for e in members}) == 1}
         if len(constant) == len(names):
@@ -141,7 +152,7 @@ def other_tables(analysis: Analysis) -> list[Table]:
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
         caption = f"Values by {' and '.join(moving) or 'operating point'}" + (f", at {told}" if told else "")
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
-        tables.append(Table(caption, pivot_table(_merged(slim))))
+        tables.append(Table(caption, pivot_table(_merged(slim), results)))
     return tables
 
 
@@ -161,11 +172,10 @@ def _column(e: Estimate) -> str:
     return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
 
 
-def pivot_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
-    """One row per method and operating point, one column per symbol; text cells."""
+def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
+    """One row per method and operating point, one column per symbol in the order of `results`; text cells."""
     names = in_order((name for e in estimates for name in e.at), POINTS)
-    symbols = in_order((e.symbol for e in estimates), SYMBOLS)
-    columns = list(dict.fromkeys(_column(e) for s in symbols for e in estimates if e.symbol == s))
+    columns = list(dict.fromkeys(_column(e) for s in results for e in estimates if e.symbol == s))
     methods = list(dict.fromkeys(e.method for e in estimates))
     rows: dict[tuple[int, tuple[float, ...]], dict[str, str]] = {}
     for e in estimates:
@@ -180,12 +190,12 @@ def pivot_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
     return frame.fillna("")
 
 
-def whole_table(estimates: Sequence[Estimate]) -> pd.DataFrame:
+def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
     """Estimates without an operating point, a row each."""
     rows = [
         {
             "symbol": symbol_text(e.symbol, e.coordinate),
-            "quantity": SYMBOLS.get(e.symbol, ""),
+            "quantity": clean(results[e.symbol].title),
             "value": cell(e),
             "unit": shown(e.quantity, e.unit).unit,
             "method": clean(e.method),
@@ -214,7 +224,7 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
         bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
         if e.bias and abs(e.bias) / unit.scale < least(e):
             bias = UNRESOLVED
-        told = parents(e) if parents else ("", clean(e.note if e.note != e.coordinate else ""))
+        told = parents(e) if parents else ("", note_text(e))
         rows.append(
             {
                 "method": clean(e.method),

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import floor, log10, nan
 
 import numpy as np
 import pandas as pd
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
 from pmabench.report.document.tables import cell, least
 from pmabench.report.figures import plots
 from pmabench.report.figures.pictures import Picture, picture
 from pmabench.report.figures.plots import Array, Points
+from pmabench.report.words.names import declared
 from pmabench.report.words.rounding import RAISED
 from pmabench.report.words.wording import (
-    GROUPS,
     POINTS,
-    SYMBOLS,
     Shown,
     clean,
     in_order,
@@ -28,6 +28,8 @@ from pmabench.report.words.wording import (
     symbol_text,
 )
 
+TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
+"""Symbols that are drawn over all tests together, those of one plot together."""
 BESIDE = {"pressure", "mean", "amplitude"}
 """Coordinates that a value in a plot over pressure may have: means and amplitudes of sines stand side by side."""
 MOST_SERIES = 8
@@ -36,17 +38,18 @@ FEWEST = 3
 CURVE_POINTS = 60
 
 
-def over_pressure(analyses: Sequence[Analysis]) -> list[Picture]:
-    """K, damping and F_ce over pressure, of all tests and methods together."""
+def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | None = None) -> list[Picture]:
+    """K, damping and F_ce over pressure, of all tests and methods together; `results`: where others declare them."""
+    results = declared(analyses) if results is None else results
     found = []
-    for symbols in list(GROUPS)[:3]:
+    for symbols in TOGETHER:
         members = [
             (analysis, e)
             for analysis in analyses
             for e in analysis.estimates
             if e.symbol in symbols and "pressure" in e.at and set(e.at) <= BESIDE and not e.coordinate
         ]
-        drawn = _figure(symbols, "pressure", _without_variants(members))
+        drawn = _figure(symbols, results, "pressure", _without_variants(members))
         if drawn is not None:
             found.append(drawn)
     return found
@@ -65,20 +68,21 @@ def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tupl
 def others(analysis: Analysis) -> list[Picture]:
     """Every further coefficient of an analysis that varies with exactly one coordinate of its operating point."""
     found = []
-    symbols = in_order((e.symbol for e in analysis.estimates), SYMBOLS)
-    groups = [group for group in GROUPS if set(group) & set(symbols)]
-    groups += [(symbol,) for symbol in symbols if not any(symbol in group for group in GROUPS)]
-    for group in groups:
+    results = declared([analysis])
+    groups: dict[str, list[str]] = {}
+    for result in results.values():
+        groups.setdefault(result.plot or f" {result.symbol}", []).append(result.symbol)
+    for group in groups.values():
         members = [e for e in analysis.estimates if e.symbol in group and e.at]
         over = _varying(members)
-        shown_already = over == "pressure" and group in list(GROUPS)[:3]
+        shown_already = over == "pressure" and any(set(group) <= set(symbols) for symbols in TOGETHER)
         if over is None or shown_already or (over == "frequency" and any(t.figure == "bode" for t in analysis.traces)):
             continue
-        if group == ("m",) and any(t.figure == "section" for t in analysis.traces):
+        if group == ["m"] and any(t.figure == "section" for t in analysis.traces):
             continue
         if len({e.at[over] for e in members}) < FEWEST:
             continue
-        drawn = _figure(group, over, [(analysis, e) for e in members])
+        drawn = _figure(group, results, over, [(analysis, e) for e in members])
         if drawn is not None:
             found.append(drawn)
     return found
@@ -91,7 +95,9 @@ def _varying(estimates: Sequence[Estimate]) -> str | None:
     return varying[0] if len(varying) == 1 and all(varying[0] in e.at for e in estimates) else None
 
 
-def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis, Estimate]]) -> Picture | None:
+def _figure(
+    symbols: Sequence[str], results: Mapping[str, Result], over: str, members: Sequence[tuple[Analysis, Estimate]]
+) -> Picture | None:
     """One plot; None where fewer than two values can be drawn."""
     known = [e for _, e in members if e.value is not None]
     units = {shown(e.quantity, e.unit) for e in known}
@@ -137,8 +143,9 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
                 published=key in theirs,
             )
         )
-    names = _and([f"{SYMBOLS.get(s, '')} {s}".strip() for s in dict.fromkeys(e.symbol for e in known)])
-    y_label = unit.label(", ".join(in_order({e.symbol for e in known}, SYMBOLS)))
+    titled = {e.symbol: results.get(e.symbol) for e in known}
+    names = _and([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
+    y_label = unit.label(", ".join(clean(s) for s in in_order(titled, results)))
     simulated = any(analysis.simulated for analysis, _ in members)
     ends = sorted(e.at[over] / x_unit.scale for e in known)
     values = sorted((e.value or 0.0) / unit.scale for e in known)
@@ -153,12 +160,14 @@ def _figure(symbols: Sequence[str], over: str, members: Sequence[tuple[Analysis,
         caption = f"{bars}."
     if theirs:
         caption += f" Crosses: {_and(list(dict.fromkeys(clean(key[2], 60) for key in theirs)))}, not measured here."
-    missing = [e for _, e in members if e.value is None]
-    if missing:
-        places = _and([f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]])
-        caption += f" Not identifiable: {places}{' and others' if len(missing) > 6 else ''}."
-    named = names[:1].upper() + names[1:] if symbols[0] in SYMBOLS else names
-    title = f"{GROUPS.get(tuple(symbols), named)} over {spoken(over)}"
+    for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
+        missing = [e for _, e in members if e.value is None and e.withheld == withheld]
+        if missing:
+            at = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
+            caption += f" {word}: {_and(at)}{' and others' if len(missing) > 6 else ''}."
+    leading = next(iter(titled.values()))
+    named = names[:1].upper() + names[1:] if leading and leading.title else names
+    title = f"{clean(leading.plot) if leading and leading.plot else named} over {spoken(over)}"
     return picture(
         lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
         title,

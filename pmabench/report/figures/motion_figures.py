@@ -70,7 +70,9 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     rms = float(np.sqrt(np.mean(np.concatenate([values for _, values in parts]) ** 2))) / unit.scale
     caption = (
         f"Measured less modelled contraction of {len(parts)} free runs, {rms:.2g} {unit.unit} rms. Left: "
-        "autocorrelation; what stays far from 0 over long lags is form that the model lacks, and no noise. Right: "
+        "autocorrelation. A free run that comes to rest a little off, as friction lets it, stays off until the next "
+        "command, so its errors agree over seconds and say little of the form; that is tested on the segments of the "
+        "fit, see `form` among the findings. Right: "
         "quantiles of the residuals, each trial by its own standard deviation, beside those of a normal distribution."
     )
     alt = (

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.declared import Result
 from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
 from pmabench.report.files.csv_files import write_tables
@@ -114,6 +115,7 @@ def read_analysis(folder: Path) -> Analysis:
             traces=tuple(_trace(folder, t) for t in data["traces"]),
             facts=dict(data["facts"]),
             refusals=tuple(_text(reason) for reason in data.get("refusals", ())),
+            results=tuple(_result(r) for r in data.get("results", ())),
         )
 
 
@@ -229,6 +231,11 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
         budget=tuple(_source(s) for s in e.get("budget", ())),
         withheld=_flag(e.get("withheld", False)),
     )
+
+
+def _result(r: Mapping[str, Any]) -> Result:
+    texts = {name: _text(r[name]) for name in ("symbol", "title", "quantity", "plot", "unit")}
+    return Result(**texts, headline=_flag(r["headline"]))
 
 
 def _source(s: Mapping[str, Any]) -> Source:

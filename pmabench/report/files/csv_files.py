@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.report.words.rounding import WITHHELD
 from pmabench.report.words.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
 
 FORMULA = tuple("=+-@＝＋－＠")
@@ -74,9 +75,13 @@ def inert(value: Any) -> Any:
 
 
 def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
-    """One row per method and operating point; each symbol's value and half width as numbers in display units."""
+    """One row per method and operating point; each symbol's value and half width as numbers in display units.
+
+    Where a value is withheld its cell is empty, and the last column says why.
+    """
     names = in_order((name for e in estimates for name in e.at), POINTS)
     rows: dict[tuple[str, tuple[float | None, ...]], dict[str, Any]] = {}
+    held: dict[int, list[str]] = {}
     for e in estimates:
         unit = shown(e.quantity, e.unit)
         row = rows.setdefault((e.method, tuple(e.at.get(name) for name in names)), {"method": e.method})
@@ -86,7 +91,10 @@ def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
         ascii_unit = f" [{plain_unit(unit.unit)}]" if unit.unit else ""
         row[f"{symbol}{ascii_unit}"] = None if e.value is None else e.value / unit.scale
         row[f"{symbol} half width 95 %{ascii_unit}"] = None if half is None else half / unit.scale
-    return list(rows.values())
+        if e.withheld:
+            held.setdefault(id(row), []).append(f"{symbol}: {WITHHELD}: {e.note}")
+    told = [row | ({"withheld": "; ".join(held.get(id(row), []))} if held else {}) for row in rows.values()]
+    return told
 
 
 def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
@@ -105,7 +113,8 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
             told["bias"] = e.bias
             row |= {key: None if value is None else value / unit.scale for key, value in told.items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
-            rows.append(row | {"note": e.note, "trials": " ".join(e.trials)})
+            note = f"{WITHHELD}: {e.note}" if e.withheld else e.note
+            rows.append(row | {"note": note, "trials": " ".join(e.trials)})
     return rows
 
 

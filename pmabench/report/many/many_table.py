@@ -10,11 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pmabench.analysis.declared import in_common
 from pmabench.base.errors import RecordError
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many import many_cache
 from pmabench.report.many.many import Many
-from pmabench.report.words.wording import POINTS, SYMBOLS, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.report.words.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
 
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"
@@ -68,7 +69,9 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
     rows: list[dict[str, Any]] = []
     points: set[str] = set()
     symbols: set[tuple[str, str, str, str]] = set()
+    orders: dict[str, list[str]] = {}
     for entry in entries:
+        orders[entry["kind"]] = entry["symbols"]
         about = {name: entry[name] for name in ("run", "started", "specimen", "kind", "simulated")}
         about |= {"not accepted": "; ".join(entry["verdicts"]), "analysis": entry["folder"]}
         found: dict[tuple[Any, ...], dict[str, Any]] = {}
@@ -85,7 +88,7 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
                 row[head] = None if value is None else value / unit.scale
         rows += found.values()
     numbers = dict(_point_head(name) for name in in_order(sorted(points), POINTS))
-    for name in in_order(sorted({symbol[0] for symbol in symbols}), SYMBOLS):
+    for name in in_common(orders.values()):
         for symbol in sorted(symbol for symbol in symbols if symbol[0] == name):
             numbers |= dict(_heads(*symbol))
     return rows, numbers

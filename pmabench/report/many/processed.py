@@ -50,6 +50,7 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
 def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.analysis.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.files.analysis_folder import write_analysis
+    from pmabench.report.words.names import declared
     from pmabench.store.chain import open_chains
     from pmabench.store.fingerprint import stamp
     from pmabench.store.folder import plain, read_manifest
@@ -70,6 +71,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "simulated": analysis.simulated,
             "folder": f"{folder}/{analysis.kind}",
             "stamp": stamp(written),
+            "symbols": list(declared([analysis])),
             "estimates": [
                 {
                     "symbol": e.symbol,

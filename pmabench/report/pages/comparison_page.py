@@ -18,6 +18,7 @@ from pmabench.report.figures.overlays import Comparison
 from pmabench.report.figures.pictures import Picture, drawable, picture
 from pmabench.report.pages.comparison_tables import curve_rows, rows_of
 from pmabench.report.pages.page import Page, TextTable, write_page
+from pmabench.report.words.names import declared
 from pmabench.report.words.wording import clean, in_order, spoken, symbol_text
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def write_comparison(
 ) -> Path:
     """Write the page; raises RecordError where it cannot be."""
     simulated = a.simulated or b.simulated
-    drawn = over_pressure([_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))])
+    sides = [_drawn(side, found.differences, which) for which, side in (("a", a), ("b", b))]
+    drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]))
     scores = _scores(found.differences, simulated=simulated)
     heads, rows = rows_of(a, b, found.differences)
     curve_heads, beside = curve_rows(curves)

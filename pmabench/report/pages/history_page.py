@@ -16,7 +16,7 @@ from pmabench.report.figures.pictures import LARGEST, Picture, picture
 from pmabench.report.pages.history_tables import run_rows, value_rows
 from pmabench.report.pages.page import Page, TextTable, write_page
 from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import SYMBOLS, clean, kind_title, point_text, shown
+from pmabench.report.words.wording import clean, kind_title, point_text, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +68,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         return figure
 
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
-    name = SYMBOLS.get(e.symbol, e.symbol)
+    name = clean(one.name, 200)
     told = "95 % intervals" if bars.any() else "values without intervals"
     rows = [
         {

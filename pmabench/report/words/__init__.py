@@ -1,1 +1,1 @@
-"""Words and numbers: `wording` (symbols, kinds, points), `method_words`, `rounding`."""
+"""Words and numbers: `names` (coefficients), `wording` (kinds, points), `method_words`, `rounding`."""

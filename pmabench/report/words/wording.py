@@ -1,6 +1,6 @@
-"""Words and units of reports: what symbols, methods, kinds and operating points are called; holds no results.
+"""Words and units of reports: what methods, kinds and operating points are called; holds no results.
 
-Unknown names are shown as they are: a new kind of test needs no entry here.
+Unknown names are shown as they are: a new kind of test needs no entry here. Coefficients have theirs in `names`.
 """
 
 from __future__ import annotations
@@ -12,111 +12,6 @@ from dataclasses import dataclass
 from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean as clean
-
-SYMBOLS: dict[str, str] = {
-    "F_ce": "contractile force",
-    "F_b": "blocked force",
-    "K": "stiffness",
-    "B_c": "damping, contracting",
-    "B_r": "damping, relaxing",
-    "B": "damping, mean of both directions",
-    "F_c": "Coulomb friction",
-    "F_f": "friction, half the difference of both directions",
-    "H": "loop width",
-    "W": "loop area, energy lost per cycle",
-    "W_c": "work given while contracting",
-    "eta": "work given back, of the work taken up",
-    "V": "volume inside the muscle",
-    "tau_F": "time constant of the force after a step",
-    "tau_p": "time constant of the pressure after a step",
-    "P_err": "largest error of the pressure along the sine",
-    "F_rms": "rms error of the modelled force",
-    "F_e": "force of the rubber without pressure",
-    "A": "size of the rubber term",
-    "B1": "contraction at which the rubber term is 0 again",
-    "B2": "pole of the rubber term",
-    "phi": "phase of force before displacement",
-    "tau_c": "time constant, contracting",
-    "tau_r": "time constant, relaxing",
-    "t_d": "dead time",
-    "f_b": "bandwidth under commanded pressure, −3 dB",
-    "K_u": "ultimate gain",
-    "T_u": "ultimate period",
-    "m": "slope of force over pressure",
-    "c": "intercept of force over pressure",
-    "p_0": "pressure at which the force begins",
-    "D_0": "free diameter",
-    "theta_0": "braid angle at the nominal length",
-    "alpha": "exponent of S(ε)",
-    "tau_P": "rise time of the pressure",
-    "X": "stroke",
-    "dP/dx": "pressure per contraction",
-    "P/x": "pressure per contraction",
-    "phi_x": "phase of contraction after pressure",
-    "phi_P": "phase of pressure after its command",
-    "e_ss": "steady-state error",
-    "OS": "overshoot",
-    "t_r": "rise time",
-    "t_s": "settling time",
-    "IAE": "integral of the absolute error",
-    "x_pp": "limit cycle, peak to peak",
-    "T_c": "period of the limit cycle",
-    "e_sim": "difference from the simulation, rms",
-    "e_fs": "steady-state error, of full scale",
-    "accuracy": "agreement of model and test at rest",
-    "misfit": "residual of the model over time",
-    "L": "length without load",
-    "eps_max": "largest contraction without load, of the nominal length",
-    "x_H": "contraction reached from above less from below",
-    "P_half": "pressure of half the largest contraction",
-    "alpha_0": "bending angle at the preload",
-    "alpha_max": "largest bending angle",
-    "P_flat": "pressure from which on the angle stays within 1° of its largest",
-    "alpha_H": "angle reached from above less from below",
-    "alpha_b": "bending angle",
-}
-"""Symbol -> its name; the order is that of columns and figures."""
-
-HEADLINES = (
-    "F_ce",
-    "K",
-    "B_c",
-    "B_r",
-    "B",
-    "F_c",
-    "K_u",
-    "T_u",
-    "e_ss",
-    "OS",
-    "t_s",
-    "x_pp",
-    "T_c",
-    "F_b",
-    "eps_max",
-    "m",
-    "p_0",
-    "L",
-    "P_half",
-    "alpha_max",
-    "P_flat",
-    "alpha_H",
-    "D_0",
-    "theta_0",
-    "alpha",
-)
-"""Symbols of the key numbers on the first page, in this order."""
-
-GROUPS: dict[tuple[str, ...], str] = {
-    ("K",): "Stiffness K",
-    ("B_c", "B_r", "B"): "Damping",
-    ("F_ce",): "Contractile force F_ce",
-    ("F_c",): "Coulomb friction F_c",
-    ("tau_c", "tau_r"): "Time constants",
-    ("t_d",): "Dead times t_d",
-    ("accuracy",): "Accuracy of the closed form at rest",
-    ("misfit",): "Residual of the closed form, rms over time",
-}
-"""Symbols that share one plot, and its title; the first three are drawn over all tests together."""
 
 AGREEMENT = "agreement"
 """Kind of the analysis that compares tests and is none itself."""

@@ -2,7 +2,7 @@
 
 A file can crash a parser, make it hang or take all memory; then this process ends, and nothing else does. Started by
 `warm.py` as `python -m pmabench.store.importers.child FORMAT`. A question is one line of JSON and the bytes of the
-file; the answer one line of JSON and the columns as float64, little endian.
+file, of text a piece of it; the answer one line of JSON and the columns as float64, little endian.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from pmabench.base.system import end_after_cpu, limit_memory
 MEMORY = 2_000_000_000
 """Bytes of addresses."""
 CPU = 2.0
-"""Seconds of CPU for a file ..."""
+"""Seconds of CPU for a file, or a piece of text ..."""
 CPU_PER_MB = 0.3
-"""... and for each MB of it more, so that large files can be read and small ones cannot hang."""
+"""... and for each MB of it more, so that large ones can be read and small ones cannot hang."""
 
 
 def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
     """Answer until nobody asks any more."""
     absent = _warm(kind)
+    reader: Any = None
     while line := ask.readline():
         question = json.loads(line)
         content = ask.read(question["bytes"])
@@ -36,7 +37,11 @@ def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
             continue
         end_after_cpu(CPU + CPU_PER_MB * len(content) / 1e6)
         try:
-            head, arrays = _read(kind, question, content)
+            if kind == "text":
+                reader = _text(question) if "layout" in question else reader
+                head, arrays = _rows(reader, content, last=question["last"])
+            else:
+                head, arrays = _read(kind, question, content)
         except InvalidFile as error:
             head, arrays = {"problems": [[p.line, p.column, p.message] for p in error.problems]}, []
         except (MemoryError, RecursionError) as error:
@@ -69,28 +74,38 @@ def _warm(kind: str) -> str:
     return ""
 
 
+def _text(question: Mapping[str, Any]) -> Any:
+    """A reader for the text file that begins; its pieces follow."""
+    from pmabench.store.importers.map_file import TextLayout
+    from pmabench.store.importers.text import TextReader
+
+    layout = TextLayout.model_validate(question["layout"])
+    keys = ("path", "wanted", "optional", "ignored", "texts", "order")
+    return TextReader(layout=layout, **{key: question[key] for key in keys})
+
+
+def _rows(reader: Any, content: bytes, *, last: bool) -> tuple[dict[str, Any], list[Any]]:
+    """The rows that a piece of text completes; the end of the file is a piece, too."""
+    import numpy as np
+
+    rows = reader.feed(content)
+    if last:
+        rows = reader.joined([rows, reader.end()])
+    head = {"columns": list(rows.columns), "rows": len(rows.lines), "starts": rows.starts}
+    if last:
+        head |= {"cut_end": reader.cut_end, "cut_row": reader.cut_row}
+    head["head"] = reader.head
+    return head, [
+        *(np.ascontiguousarray(v, dtype="<f8") for v in rows.columns.values()),
+        rows.lines.astype("<f8"),
+    ]
+
+
 def _read(kind: str, question: Mapping[str, Any], content: bytes) -> tuple[dict[str, Any], list[Any]]:
     """The head of the answer and its arrays; raises InvalidFile."""
     import numpy as np
 
     path: str = question["path"]
-    if kind == "text":
-        from pmabench.store.importers.map_file import TextLayout
-        from pmabench.store.importers.text import parse
-
-        table = parse(
-            path,
-            content,
-            TextLayout.model_validate(question["layout"]),
-            question["wanted"],
-            question["optional"],
-            question["ignored"],
-        )
-        head = {"columns": list(table.columns), "rows": len(table.lines), "cut_end": table.cut_end}
-        return head, [
-            *(np.ascontiguousarray(v, dtype="<f8") for v in table.columns.values()),
-            table.lines.astype("<f8"),
-        ]
     from pmabench.store.importers.recorded import Column, chosen
 
     only = None if question["wanted"] is None else {*question["wanted"], *question["optional"]}

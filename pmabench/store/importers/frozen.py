@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from pmabench.base.quantities import show
+from pmabench.store.importers.effect import slope
 from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.records import Array, Flag
 
@@ -129,8 +130,7 @@ def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> No
         near = below & (si > top - 0.4 * span)
     if near.sum() < SAMPLES or np.ptp(ref[near]) == 0:
         return
-    line = np.polyfit(ref[near] - ref[near].mean(), si[near], 1)
-    onward = float(line[0]) * moves
+    onward = (slope(ref[near], si[near]) or 0.0) * moves
     marks = np.unique(si)
     if onward <= max(PILED * span, 3.0 * float(np.diff(marks[-3:]).max())):
         return

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -19,11 +19,14 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.importers import plausible, quality, siblings, units
+from pmabench.store.folder import Copy
+from pmabench.store.importers import long, plausible, quality, siblings, units
 from pmabench.store.importers.found import Checked, Found, plain
+from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import Muscle, slope_of
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
+from pmabench.store.importers.questions import Question
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
@@ -40,6 +43,8 @@ FOLLOWS = {
 }
 """Kind of run -> channel that rises with pressure."""
 MOST_FILES = 10_000
+SAME = 0.5
+"""Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ class ImportedRun:
     findings: tuple[Found, ...]
     flagged: Mapping[str, int]
     """Name of the flag in lower case -> number of samples."""
+    unresolved: tuple[Question, ...] = ()
+    """Questions of the map that nobody answered."""
 
 
 @dataclass(frozen=True)
@@ -69,42 +76,71 @@ class _Named:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """One file, read and checked."""
+    """One test of one file, read and checked."""
 
     table: Table
     named: _Named
     t: Array
+    """Time stamps [s]; of a long file those of the rows on which trials were cut."""
     checked: tuple[Checked, ...]
+    """Channels of the same rows as `t`."""
     flags: Flags
+    """Of all rows."""
     findings: tuple[Found, ...]
     parts: tuple[Segment, ...]
     notes: tuple[str, bytes] | None
-    held: bool
-    """The muscle was held at a length: its force follows pressure."""
-    questions: tuple[Mapping[str, str], ...]
-    """What changes numbers and cannot be decided: `what`, `where`, `question`."""
+    rules: ImportMap
+    """Of this test."""
+    name: str
+    """Of this test among those of the file; empty where it is the only one."""
+    whole: frozenset[str]
+    """Roles of channels that are stored as int32: whole counts throughout."""
+    period: float
+    """Median distance of the samples [s]."""
+    summary: Summary
+    questions: tuple[Question, ...]
+    """Of the map, and what its numbers cannot decide."""
+
+    def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
+        """Time stamps [s] and channels of all rows in order, so many at a time as fit into memory."""
+        if len(self.t) == len(self.table):
+            yield self.t, self.checked
+            return
+        for begin, end in long.parts(len(self.table)):
+            part = self.table.part(begin, end)
+            yield _times(part, self.rules), _channels(part, self.rules)
 
 
-def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[ImportedRun]:
-    """Make one run below `out` of each file, as the map at `map_path` says; the files themselves are never touched.
+def import_files(
+    files: Sequence[Path],
+    map_path: Path,
+    out: Path,
+    answers: Sequence[tuple[str, str]] = (),
+    *,
+    unresolved: bool = False,
+) -> list[ImportedRun]:
+    """Make one run below `out` of each test in the files, as the map at `map_path` says; files are never touched.
+
+    `answers` and `unresolved`: to the questions of the map, as for `read_map`.
 
     Raises InvalidFile with the problems of the map, or else of all files, and leaves nothing behind then. Files of one
     call are compared with each other where the map names `siblings`.
     """
-    rules = read_map(map_path)
+    rules = read_map(map_path, answers, unresolved=unresolved)
     if not files or len(files) > MOST_FILES:
         raise invalid(map_path, f"is for 1 to {MOST_FILES} files at a time, {len(files)} were given")
     problems: list[Problem] = []
     summaries: list[Summary] = []
     hashes: list[str] = []
+    prepared: list[_Prepared] = []
     for path in files:
         try:
-            prepared = prepare(path, rules)
+            prepared = prepare_all(path, rules)
         except InvalidFile as error:
             problems.extend(error.problems)
             continue
-        summaries.append(_summary(prepared))
-        hashes.append(prepared.table.sha256)
+        summaries += [each.summary for each in prepared]
+        hashes.append(prepared[0].table.sha256)
     if not problems:
         problems = [
             Problem(str(path), 0, 0, f"holds the same bytes as {files[hashes.index(digest)]}")
@@ -113,15 +149,18 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
         ]
     if problems:
         raise InvalidFile(problems)
-    among = [plausible.answered(found, rules.confirmed) for found in siblings.compare(summaries, rules.siblings)]
+    found = siblings.compare(summaries, rules.siblings)
+    among = iter([plausible.answered(each, rules.confirmed) for each in found])
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
-        for path, digest, apart in zip(files, hashes, among, strict=True):
-            prepared = prepare(path, rules)
-            if prepared.table.sha256 != digest:
-                raise invalid(path, "was changed while it was read")
-            made.append(_write(prepared, rules, apart, out))
+        for path, digest in zip(files, hashes, strict=True):
+            if len(files) > 1:
+                prepared = prepare_all(path, rules)
+            for each in prepared:
+                if each.table.sha256 != digest:
+                    raise invalid(path, "was changed while it was read")
+                made.append(_write(each, rules, next(among), out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -133,23 +172,123 @@ def import_files(files: Sequence[Path], map_path: Path, out: Path) -> list[Impor
 
 
 def prepare(path: Path, rules: ImportMap) -> _Prepared:
-    """Read, scale and check one file."""
+    """Read, scale and check one file, of several tests in it the first."""
+    return prepare_all(path, rules)[0]
+
+
+def prepare_all(path: Path, rules: ImportMap) -> list[_Prepared]:
+    """Read, scale and check every test of one file."""
+    found = [(each, table) for each in rules.each_test() for table in _read(path, each).tests()]
+    if rules.tests and len(found) != len(rules.tests):
+        told = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
+        raise invalid(path, told)
+    prepared = []
+    for number, (each, table) in enumerate(found):
+        name = "" if len(found) == 1 else rules.tests[number].name if rules.tests else str(number + 1)
+        prepared.append(_prepared(path, rules.of_test(number, each), table, name, number))
+    return prepared
+
+
+def _read(path: Path, rules: ImportMap) -> Table:
     wanted = [column.column for column in rules.columns if not column.optional]
     optional = [column.column for column in rules.columns if column.optional]
-    table = read_table(path, rules.layout, wanted, optional, rules.ignored)
+    return read_table(path, rules.layout, wanted, optional, rules.ignored, rules.stamps)
+
+
+def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int) -> _Prepared:
     units.agree(path, rules.columns, table.units)
     named = _named(path, rules, table.started)
+    if name:
+        named = replace(named, test=named.test or number + 1)
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part), _summed)
+    seen, found = looked.seen, looked.seen.found
+    muscle = _muscle(rules, named.point)
+    more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.confirmed)
+    found += more
+    parts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+    if not parts:
+        found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
+    told = tuple(_placed(each, seen.t, len(table)) for each in found)
+    return _Prepared(
+        table=table,
+        named=named,
+        t=seen.t,
+        checked=seen.checked,
+        flags=looked.flags,
+        findings=told,
+        parts=tuple(parts),
+        notes=_notes(path, rules.notes),
+        rules=rules,
+        name=name,
+        whole=looked.whole,
+        period=looked.period,
+        summary=Summary(
+            tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
+            {role: pair[0] for role, pair in looked.peaks.items()},
+            {role: pair[1] for role, pair in looked.peaks.items()},
+            not any(each.level == "fault" for each in told),
+            _slope(seen) if muscle.held else None,
+        ),
+        questions=(*rules.unresolved, *questions),
+    )
+
+
+def _muscle(rules: ImportMap, point: Mapping[str, float]) -> Muscle:
+    """What map and name tell of the muscle in a file."""
+    size = {key: rules.specimen.get(key) for key in ("inner_diameter", "nominal_length")}
+    diameter, length = (float(value) if value is not None else None for value in size.values())
+    return Muscle(diameter, length, point.get("contraction"), held=rules.kind == "isometric")
+
+
+def _slope(seen: Seen) -> float | None:
+    """Slope of force over pressure where there is force [N/Pa]."""
+    good = (seen.flags & np.uint16(UNUSABLE)) == 0
+    if not {"pressure", "force"} <= set(seen.values) or not good.any():
+        return None
+    return slope_of(seen.values["pressure"][good], seen.values["force"][good])
+
+
+def _times(table: Table, rules: ImportMap) -> Array:
+    """Time stamps [s] of a table in memory; raises InvalidFile where a row has none."""
     time = next(column for column in rules.columns if column.role == "time")
     t = table.columns[time.column] * time.slope
     if np.isnan(t).any() or np.abs(t).max() > 9e9:
         row = int(np.argmax(~(np.abs(t) <= 9e9)))
-        raise invalid(path, "a row has no time, or one out of all range", int(table.lines[row]), 1)
-    checked = tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+        raise invalid(table.path, "a row has no time, or one out of all range", table.line(row), 1)
+    return t
+
+
+def _coarse(table: Table, t: Array) -> None:
+    """Raises InvalidFile where most rows have the time of the row before: when they were taken nobody knows."""
+    steps = np.diff(t)
+    same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
+    if same <= SAME * len(t) or not len(forward):
+        return
+    told = (
+        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
+        f"{np.median(forward):.3g} s: when each row was taken is not known. "
+        'Export the time with its fraction, or "ignore" it and say "period"'
+    )
+    raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
+
+
+def _channels(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
+    return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+
+
+def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
+    """Scale and check the rows of a table in memory."""
+    t, checked = _times(table, rules), _channels(table, rules)
+    _coarse(table, t)
     flags, found = quality.inspect(t, checked, rules.rate, rules.gap, rules.leap)
+    flags, more = plausible.stopped(t, checked, flags, held=rules.kind == "isometric")
+    found += more
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
         text = "the file ends within its last row or part: the last number may be cut"
         found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
+    if table.cut_row:
+        found.append(Found("doubt", "cut-row", table.cut_row, "", 1, len(t) - 1, float(t[-1])))
     found += [Found("doubt", "contradiction", text) for text in table.doubts]
     if table.left_out:
         text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
@@ -162,35 +301,30 @@ def prepare(path: Path, rules: ImportMap) -> _Prepared:
     declared = rules.column("pressure")
     if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
-    muscle = _muscle(rules, named.point)
-    flags, more, questions = plausible.judge(t, checked, flags, muscle, rules.confirmed)
-    found += more
     phase = rules.column("phase")
     if phase is not None and phase.column in table.columns:
         values["phase"] = table.columns[phase.column]
-    parts = segments(t, values, flags, rules, named.point)
-    if not parts:
-        found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
-    told = tuple(_placed(each, t) for each in found)
-    return _Prepared(
-        table, named, t, checked, flags, told, tuple(parts), _notes(path, rules.notes), muscle.held, tuple(questions)
-    )
+    return Seen(t, checked, values, flags, found)
 
 
-def _muscle(rules: ImportMap, point: Mapping[str, float]) -> Muscle:
-    """What map and name tell of the muscle in a file."""
-    size = {key: rules.specimen.get(key) for key in ("inner_diameter", "nominal_length")}
-    diameter, length = (float(value) if value is not None else None for value in size.values())
-    return Muscle(diameter, length, point.get("contraction"), held=rules.kind == "isometric")
+def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
+    """Channels of whole counts, and peaks of the samples that are neither dropouts nor out of range."""
+    good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
+    peaks = {
+        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
+        for channel in seen.checked
+        if good.any()
+    }
+    return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
 
 
-def _placed(found: Found, t: Array) -> Found:
+def _placed(found: Found, t: Array, rows: int) -> Found:
     """What is about the whole file begins with its first row."""
-    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=len(t))
+    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
 
 
 def _is_channel(column: ColumnRule, table: Table) -> bool:
-    return column.role not in {"time", "phase"} and column.column in table.columns
+    return column.role not in {"time", "date", "phase"} and column.column in table.columns
 
 
 def _checked(table: Table, rule: ColumnRule) -> Checked:
@@ -248,35 +382,12 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     return found[0].name, found[0].read_bytes()
 
 
-def _summary(prepared: _Prepared) -> Summary:
-    """Peaks of the samples that are neither dropouts nor out of range."""
-    good = (prepared.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
-    peaks: dict[str, float] = {}
-    numbers: dict[str, float] = {}
-    for channel in prepared.checked:
-        if good.any():
-            peaks[channel.rule.role] = float(channel.si[good].max())
-            numbers[channel.rule.role] = float(prepared.table.columns[channel.rule.column][good].max())
-    point = tuple(sorted((name, round(value, 9)) for name, value in prepared.named.point.items()))
-    trusted = not any(found.level == "fault" for found in prepared.findings)
-    return Summary(point, peaks, numbers, trusted, _slope(prepared) if prepared.held else None)
-
-
-def _slope(prepared: _Prepared) -> float | None:
-    """Slope of force over pressure where there is force [N/Pa]."""
-    values = {channel.rule.role: channel.si for channel in prepared.checked}
-    if not {"pressure", "force"} <= set(values):
-        return None
-    good = (prepared.flags & np.uint16(UNUSABLE)) == 0
-    return slope_of(values["pressure"][good], values["force"][good]) if good.any() else None
-
-
 def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
     if any(found.level == "fault" and not found.withholds for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *(_placed(found, prepared.t) for found in apart))
+    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in apart))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
@@ -285,12 +396,14 @@ def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: P
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
-        columns = [channel.rule.record(_is_int(channel)) for channel in prepared.checked]
-        period = float(np.median(np.abs(np.diff(prepared.t)))) if len(prepared.t) > 1 else 0.0
-        writer.open_stream("file", columns, 1.0 / period if period > 0 else 0.0)
-        time_ns = np.round(prepared.t * 1e9).astype(np.int64)
-        raw = {c.rule.role: c.raw.astype(np.int32) if _is_int(c) else c.raw for c in prepared.checked}
-        writer.append("file", time_ns, raw, flags)
+        columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
+        writer.open_stream("file", columns, 1.0 / prepared.period if prepared.period > 0 else 0.0)
+        begin = 0
+        for t, checked in prepared.blocks():
+            raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
+            time_ns = np.round(t * 1e9).astype(np.int64)
+            writer.append_now("file", time_ns, raw, flags[begin : begin + len(t)])
+            begin += len(t)
         _events(writer, prepared)
         writer.close("finished")
     except BaseException:
@@ -303,10 +416,11 @@ def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: P
         id=writer.folder.name,
         source=prepared.table.path,
         kind=rules.kind,
-        rows=len(prepared.t),
+        rows=len(prepared.table),
         trials=len(prepared.parts),
         findings=findings,
         flagged=flagged,
+        unresolved=prepared.questions,
     )
 
 
@@ -327,9 +441,10 @@ def _events(writer: RunWriter, prepared: _Prepared) -> None:
         writer.event("trial-end", part.end, trial=index, status="finished")
 
 
-def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes]:
+def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
     """The source as it is, its notes, and the map with all that it includes."""
-    kept = {f"source/{_legal(prepared.table.path.name)}": prepared.table.content}
+    table = prepared.table
+    kept: dict[str, bytes | Copy] = {f"source/{_legal(table.path.name)}": Copy(table.path, table.sha256)}
     if prepared.notes is not None:
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
@@ -348,7 +463,7 @@ def _manifest(
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
     told = [plain(found) for found in findings]
     for found in told:
-        found["line"] = None if found["index"] is None else int(table.lines[found["index"]])
+        found["line"] = None if found["index"] is None else table.line(found["index"])
     return {
         "kind": rules.kind,
         "protocol": rules.name,
@@ -363,16 +478,17 @@ def _manifest(
             "file": table.path.name,
             "folder": table.path.resolve().parent.name,
             "sha256": table.sha256,
-            "bytes": len(table.content),
-            "rows": len(prepared.t),
+            "bytes": table.size,
+            "rows": len(prepared.table),
+            **({"test": prepared.name} if prepared.name else {}),
             "started_known": prepared.named.started is not None,
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,
             "findings": told,
-            "unresolved": [dict(question) for question in prepared.questions],
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.analysis.model_dump(mode="json"),
+            "unresolved": [vars(question) for question in prepared.questions],
         },
     }

@@ -16,6 +16,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.store.importers.effect import in_words, slope
 from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.importers.questions import Question
 from pmabench.store.importers.units import spelled
 from pmabench.store.records import Array
 
@@ -42,6 +43,8 @@ ATMOSPHERE = (97.5e3, 104e3)
 """Absolute pressure of the air [Pa], up to 300 m above the sea."""
 VACUUM = -30e3
 """Lower gauge pressures [Pa] no supply of a muscle makes."""
+MANY = 100
+"""Samples from which on it shows in which steps a channel reads."""
 LEVELS = 25
 """Fewer steps of a converter over the whole span are coarse."""
 
@@ -75,7 +78,7 @@ def area_factor(angle: float) -> float:
     return (3.0 * cos(a) ** 2 - 1.0) / sin(a) ** 2
 
 
-def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle) -> list[dict[str, str]]:
+def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle) -> list[Question]:
     """Report pressures and forces that no muscle gives; returns questions that the numbers cannot decide."""
     pressure, force = channels.get("pressure"), channels.get("force")
     if pressure is None or good.sum() < 20:
@@ -116,7 +119,7 @@ def _steepest(P: Array, F: Array) -> float | None:
     return float(np.median(F[high] / P[high])) if high.any() else None
 
 
-def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Checked) -> list[dict[str, str]]:
+def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Checked) -> list[Question]:
     """Hold the force per pressure [N/Pa] against what diameters give."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
@@ -180,7 +183,7 @@ def _other_unit(peak: float) -> str:
     return f" ({' '.join(asked)})" if asked else ""
 
 
-def _psi(pressure: Checked, peak: float) -> list[dict[str, str]]:
+def _psi(pressure: Checked, peak: float) -> list[Question]:
     """The question whether kPa are psi, where nothing decides it."""
     if pressure.rule.raw_unit != "kPa" or not AS_PSI[0] <= peak <= AS_PSI[1]:
         return []
@@ -189,7 +192,7 @@ def _psi(pressure: Checked, peak: float) -> list[dict[str, str]]:
         f"({show(peak / 1e3 * PSI, 'pressure', 3)}) and low for kPa; say specimen inner_diameter, by which force "
         "may decide it, or confirmed: [pressure-unit]"
     )
-    return [{"what": "pressure-unit", "where": pressure.rule.column, "question": question}]
+    return [Question("pressure-unit", pressure.rule.column, question, "kPa")]
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:
@@ -208,7 +211,7 @@ def _converter(report: Report, channel: Checked, good: Bools) -> None:
     rule = channel.rule
     numbers = (channel.raw * rule.back[0] + rule.back[1])[good]
     marks = np.unique(numbers)
-    if len(marks) < 3 or np.ptp(numbers) == 0:
+    if len(numbers) < MANY or len(marks) < 3:
         return
     whole = bool(np.all(marks == np.round(marks)))
     scaled = rule.raw_unit in {"count", "g", "Pa", "mV", "mbar", "hPa", "um"}

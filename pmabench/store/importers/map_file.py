@@ -18,11 +18,17 @@ Reading = Annotated[
 """A number with its unit, kept apart."""
 TIME = "@time"
 """The column that `period` makes."""
+PLACE = "{test}"
+"""In the name of a column: the name of the test."""
 Text = Annotated[str, Field(max_length=600)]
 Short = Annotated[str, Field(min_length=1, max_length=120)]
 
+Encoding = Literal[
+    "utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be", "shift_jis", "euc_jp", "gb18030", "big5", "euc_kr"
+]
 Role = Literal[
     "time",
+    "date",
     "pressure",
     "displacement",
     "force",
@@ -48,12 +54,18 @@ class TextLayout(Strict):
     names: Annotated[list[Short], Field(max_length=200)] = []
     """Names of the columns in order, where the file does not give them."""
     decimal: Literal["point", "comma"] = "point"
-    encoding: Literal["utf-8", "latin-1", "utf-16"] = "utf-8"
+    thousands: Literal["comma", "point", "blank", "apostrophe"] | None = None
+    """Sign between groups of three digits, as in 1,234.5."""
+    encoding: Encoding = "utf-8"
     blank_lines: Literal["refuse", "skip"] = "refuse"
     comment: Annotated[str, Field(min_length=1, max_length=8)] | None = None
     """Lines that begin so are left out."""
     skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
     """Lines before the header, or before the data."""
+    lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
+    """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
+    repeated_header: Literal["refuse", "new test"] = "refuse"
+    """What the line of names means where it is repeated further down: another test begins, which makes a run too."""
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
     """Texts that stand for "no value"; nothing else may."""
     period: Annotated[Time, Field(gt=0.0)] | None = None
@@ -69,6 +81,14 @@ class TextLayout(Strict):
             raise ValueError(
                 'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
             )
+        if (
+            self.thousands is not None
+            and self.thousands in (self.decimal, self.delimiter)
+            and not (self.quoted and self.thousands != self.decimal)
+        ):
+            raise ValueError(f"{self.thousands} cannot be the sign of thousands and of something else at once")
+        if self.header == "none" and (self.lines_below_header or self.repeated_header != "refuse"):
+            raise ValueError('"lines_below_header" and "repeated_header" need "header: first line"')
         if self.delimiter == "blank" and self.quoted:
             raise ValueError('"quoted: true" needs a delimiter that is no run of blanks')
         return self
@@ -135,6 +155,26 @@ class ColumnFile(Strict):
     gain_uncertainty: Ratio = 0.0
     reference: Text = ""
     """Where the scale comes from."""
+    written: Literal[
+        "number",
+        "index",
+        "header step",
+        "clock",
+        "date and time",
+        "epoch",
+        "serial days",
+        "matlab days",
+        "labview",
+    ] = "number"
+    """How a column of time is written: `number` counts units from any zero; `index` counts samples, `period` apart;
+    `header step` counts samples, whose Start and Increment the header gives; `clock` is HH:MM:SS, of one day or with a
+    column `is: date`; `date and time` both in one text; `epoch` counts units from 1970, `labview` seconds from 1904;
+    `serial days` and `matlab days` count days, as spreadsheets and datenum do.
+    """
+    order: Literal["year first", "day first", "month first"] = "year first"
+    """Order of a date whose year comes last, as in 01/03/2024."""
+    period: Annotated[Time, Field(gt=0.0)] | None = None
+    """Distance of the samples that `written: index` counts."""
     marks: Annotated[dict[Short, Annotated[int, Field(ge=-1000, le=1000)]], Field(max_length=20)] = {}
     """Of a phase column: name of the phase -> its number."""
     optional: bool = False
@@ -142,13 +182,18 @@ class ColumnFile(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> ColumnFile:
-        measured = self.is_ not in {"time", "phase", "ignore"}
+        measured = self.is_ not in {"time", "date", "phase", "ignore"}
         if self.points is not None and self.line is not None:
             raise ValueError('give "points" or "line", not both')
-        if (measured or self.is_ == "time") and not self.unit:
+        counts = self.is_ == "time" and self.written in ("number", "epoch")
+        if (measured or counts) and not self.unit:
             raise ValueError(f'"{self.is_}" needs "unit", the unit of its raw reading')
         if (self.is_ == "phase") != bool(self.marks):
             raise ValueError('"is: phase" and "marks" belong together')
+        if self.is_ != "time" and (self.written != "number" or self.period is not None):
+            raise ValueError(f'"{self.is_}" takes no "written" and no "period"')
+        if (self.written == "index") != (self.period is not None):
+            raise ValueError('"written: index" and "period" belong together, for instance "period: 1 ms"')
         if self.contraction is not None and self.is_ != "displacement":
             raise ValueError('"contraction" stands with "is: displacement" only')
         given = {
@@ -223,6 +268,14 @@ class Trials(Strict):
         return self
 
 
+class TestFile(Strict):
+    """One of several tests in a file; each becomes a run with a clock of its own."""
+
+    name: Short
+    """What takes the place of {test} in the names of the columns; where the header is repeated any name."""
+    point: dict[PointName, Reading] = {}
+
+
 class SpecimenText(Strict):
     """What is known of the muscle."""
 
@@ -257,6 +310,10 @@ class MapFile(Strict):
     """Day of the recording, where the name of the file does not tell."""
     file: Layout
     columns: Annotated[dict[Short, Column], Field(max_length=200)]
+    tests: Annotated[list[TestFile], Field(max_length=200)] = []
+    """Several tests in each file: names of columns that hold {test} are those of each test in turn; else in the order
+    in which the header is repeated.
+    """
     name_tells: NameFile | None = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
     """File beside it that holds notes, `*` is any text."""
@@ -278,4 +335,18 @@ class MapFile(Strict):
         for role in ("time", "pressure"):
             if role not in roles:
                 raise ValueError(f'no column is "{role}"')
+        (time,) = (column for column in self.columns.values() if column.is_ == "time")
+        if "date" in roles and time.written != "clock":
+            raise ValueError('a column of dates belongs to a time that is "written: clock"')
+        if not isinstance(self.file, TextLayout) and time.written in ("clock", "date and time", "header step"):
+            raise ValueError(f'"written: {time.written}" is for text; {self.file.format} holds numbers')
+        if self.tests:
+            placed = any(PLACE in name for name in self.columns)
+            repeated = isinstance(self.file, TextLayout) and self.file.repeated_header == "new test"
+            if placed == repeated:
+                raise ValueError('"tests" needs either "{test}" in names of columns or "repeated_header: new test"')
+            if len({test.name for test in self.tests}) < len(self.tests):
+                raise ValueError("two tests have the same name")
+        elif any(PLACE in name for name in self.columns):
+            raise ValueError('"{test}" in the name of a column needs "tests"')
         return self

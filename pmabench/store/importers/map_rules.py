@@ -6,8 +6,8 @@ Reads the map and nothing else; knows no data.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,19 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.map_file import TIME, AnalysisRule, ColumnFile, Layout, Line, MapFile, TextLayout, Trials
+from pmabench.store.importers.map_file import (
+    PLACE,
+    TIME,
+    AnalysisRule,
+    ColumnFile,
+    Layout,
+    Line,
+    MapFile,
+    TextLayout,
+    Trials,
+)
+from pmabench.store.importers.questions import Question, settle
+from pmabench.store.importers.times import Stamps
 
 POINT_QUANTITY = {
     "contraction": "length",
@@ -27,8 +39,6 @@ POINT_QUANTITY = {
     "pressure": "pressure",
     "frequency": "frequency",
 }
-OPEN = "??"
-"""What a proposed map begins a value with that no file tells."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -91,6 +101,14 @@ class NameRule:
 
 
 @dataclass(frozen=True)
+class TestRule:
+    """One of several tests in a file: its name and its point [SI]."""
+
+    name: str
+    point: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class ImportMap:
     """A map, ready to use."""
 
@@ -115,31 +133,56 @@ class ImportMap:
     siblings: Mapping[str, float]
     specimen: Mapping[str, Any]
     analysis: AnalysisRule
+    stamps: Stamps
+    tests: tuple[TestRule, ...]
+    unresolved: tuple[Question, ...] = ()
+    """Questions that nobody answered, with what is taken for them."""
     confirmed: tuple[str, ...] = ()
     """Kinds of findings that somebody has looked at and found right."""
+
+    def each_test(self) -> list[ImportMap]:
+        """A map for each test whose columns have names of their own; else the map itself."""
+        if not any(PLACE in column.column for column in self.columns):
+            return [self]
+        return [self._named(test.name) for test in self.tests]
+
+    def of_test(self, number: int, rules: ImportMap) -> ImportMap:
+        """`rules` with the point of a test."""
+        if not self.tests:
+            return rules
+        return replace(rules, point={**rules.point, **self.tests[number].point})
+
+    def _named(self, test: str) -> ImportMap:
+        """The columns of one test; those of the others are ignored."""
+
+        def named(column: str) -> str:
+            return column.replace(PLACE, test)
+
+        columns = tuple(replace(column, column=named(column.column)) for column in self.columns)
+        own = {column.column for column in columns}
+        all_names = [
+            name.replace(PLACE, each.name)
+            for name in (*(column.column for column in self.columns), *self.ignored)
+            for each in self.tests
+        ]
+        stamps = replace(self.stamps, column=named(self.stamps.column), date=named(self.stamps.date))
+        ignored = tuple(dict.fromkeys(name for name in all_names if name not in own))
+        return replace(self, columns=columns, ignored=ignored, stamps=stamps)
 
     def column(self, role: str) -> ColumnRule | None:
         """The column with a role, where there is one."""
         return next((column for column in self.columns if column.role == role), None)
 
 
-def read_map(path: Path) -> ImportMap:
-    """Read a map file; raises InvalidFile with every mistake at file:line:column."""
+def read_map(path: Path, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False) -> ImportMap:
+    """Read a map file; raises InvalidFile with every mistake, or every open question, at file:line:column.
+
+    `answers` are (key, value) of questions that the map leaves open. With `unresolved` what the map proposes is taken
+    for the others, and they are in `unresolved` of the rules.
+    """
     document = read_document(path)
-    left = list(_left_open(document.data, ()))
-    if left:
-        told = "was left open by import --guess (??), for no file tells it: write it here, or guess again with --span"
-        raise InvalidFile(document.problem(location, told) for location in left)
-    return _Rules(document, validate(MapFile, document)).build()
-
-
-def _left_open(value: Any, location: Location) -> Iterator[Location]:
-    """Places of texts that begin with `??`."""
-    if isinstance(value, str) and value.startswith(OPEN):
-        yield location
-    elif isinstance(value, Mapping | list):
-        for key, inside in value.items() if isinstance(value, Mapping) else enumerate(value):
-            yield from _left_open(inside, (*location, key))
+    left = settle(document, answers, unresolved=unresolved)
+    return replace(_Rules(document, validate(MapFile, document)).build(), unresolved=left)
 
 
 class _Rules:
@@ -204,6 +247,17 @@ class _Rules:
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
             confirmed=tuple(file.confirmed),
+            stamps=self.stamps(),
+            tests=tuple(
+                TestRule(
+                    test.name,
+                    {
+                        name: self.si(reading, POINT_QUANTITY[name], ("tests", number, "point", name))
+                        for name, reading in test.point.items()
+                    },
+                )
+                for number, test in enumerate(file.tests)
+            ),
         )
         if self.problems:
             raise InvalidFile(self.problems)
@@ -213,8 +267,10 @@ class _Rules:
         at: Location = ("columns", name)
         if file.is_ == "phase":
             return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ == "date":
+            return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
-            slope = self.si((1.0, file.unit), "time", (*at, "unit"))
+            slope = self.si((1.0, file.unit), "time", (*at, "unit")) if file.written == "number" else 1.0
             return ColumnRule(name, "time", file.unit, slope, optional=False)
         quantity = CHANNEL_QUANTITY[file.is_]
         slope, offset, bend = self.scale(file, quantity, at)
@@ -267,6 +323,16 @@ class _Rules:
                 "sha256": "",
             },
         )
+
+    def stamps(self) -> Stamps:
+        """How the column of time is written, and which one holds its dates."""
+        names = {c.is_: name for name, c in self.file.columns.items() if c.is_ in ("time", "date")}
+        time = self.file.columns[names["time"]]
+        dated = self.file.columns.get(names.get("date", ""), time)
+        unit = 1.0
+        if time.written == "epoch":
+            unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
+        return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
         """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""

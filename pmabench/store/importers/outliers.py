@@ -48,6 +48,7 @@ SMALLEST = 0.02
 """Share of the span of a channel below which nothing is a spike."""
 SCATTERED = 0.005
 """Share of the samples that are the most scattered; at least six."""
+ENDS = (SCATTERED, 1.0 - SCATTERED)
 RARE = 6.5
 """Standard deviations of the noise from sample to sample within which nothing is a spike."""
 ENOUGH = 100_000
@@ -184,7 +185,7 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     if len(rows) < FEW:
         return out
     values = si[rows]
-    span = float(np.ptp(np.quantile(values, [SCATTERED, 1.0 - SCATTERED])))
+    span = float(np.ptp(np.quantile(values, ENDS)))
     steps = np.abs(np.diff(values))
     changes = np.flatnonzero(steps > 0) + 1
     begins, ends = changes[:-1], changes[1:]
@@ -225,27 +226,45 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
     since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
     stand on one side only, so much is taken off as these move.
     """
+    low, high = _extremes(values)
+    beyond = np.fmax(values - high, low - values)
+    out = np.zeros(len(values))
     padded = np.pad(values, AROUND, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    away = np.abs(np.arange(-AROUND, AROUND + 1)) >= ALONE
-    near = slice(AROUND - ALONE, AROUND + ALONE + 1)
-    out = np.empty(len(values))
-    for begin in range(0, len(values), 100_000):
-        part = slice(begin, begin + 100_000)
-        here, around = values[part], windows[part]
-        low, high = np.nanmin(around[:, away], axis=1), np.nanmax(around[:, away], axis=1)
-        beyond = np.maximum(here - high, low - here)
-        apart = np.abs(here - np.nanmedian(around[:, near], axis=1))
+    outside = np.flatnonzero(beyond > 0)  # all others lie among their neighbours: 0
+    for begin in range(0, len(outside), 100_000):
+        rows = outside[begin : begin + 100_000]
+        around = windows[rows]
+        near = around[:, AROUND - ALONE : AROUND + ALONE + 1]
+        median = np.partition(near, ALONE, axis=1)[:, ALONE]
+        cut = np.isnan(near).any(axis=1)
+        median[cut] = np.nanmedian(near[cut], axis=1)
         before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
         after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
-        step = np.where(np.isnan(before - after), high - low, np.abs(before - after))
-        out[part] = np.minimum(beyond, apart) - (step if swings else np.where(np.isnan(before - after), step, 0.0))
+        end = np.isnan(before - after)
+        step = np.where(end, high[rows] - low[rows], np.abs(before - after))
+        off = step if swings else np.where(end, step, 0.0)
+        out[rows] = np.minimum(beyond[rows], np.abs(values[rows] - median)) - off
     return np.maximum(out, 0.0)
+
+
+def _extremes(values: Array) -> tuple[Array, Array]:
+    """The lowest and the highest of the neighbours of each value, the 3rd to the 12th on either side."""
+    wide, ends = AROUND - ALONE + 1, []
+    for least, nothing in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+        run = np.pad(values, AROUND, constant_values=nothing)
+        done = 1
+        while done < wide:  # the extreme of so many values in a row, from that of fewer
+            more = min(done, wide - done)
+            run, done = least(run[:-more], run[more:]), done + more
+        ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
+    return ends[0], ends[1]
 
 
 def _level(around: Array) -> Array:
     """The middle of three neighbours; NaN where one is beyond the end."""
-    return np.asarray(np.sort(around, axis=1)[:, 1] + 0.0 * around.sum(axis=1))
+    low, high = np.minimum(around[:, 0], around[:, 1]), np.maximum(around[:, 0], around[:, 1])
+    return np.asarray(np.maximum(low, np.minimum(high, around[:, 2])))
 
 
 def spike_limit(values: Array, apart: Array) -> float:
@@ -255,15 +274,18 @@ def spike_limit(values: Array, apart: Array) -> float:
     `SPIKE` times further out than all that follow.
     """
     most = max(6, int(MANY * len(apart)))
-    largest = np.sort(np.partition(apart, -most - 1)[-most - 1 :])[::-1] if len(apart) > most else np.sort(apart)[::-1]
-    count = min(max(6, int(SCATTERED * len(apart))), len(largest) - 1)
-    resolution = _resolution(values)
-    low, high = (float(end) for end in np.quantile(values[apart <= largest[-1]], [SCATTERED, 1.0 - SCATTERED]))
-    few = len(np.unique(values[:ENOUGH])) <= 20
-    noise = float(np.median(np.abs(np.diff(values, n=3)))) / (0.6745 * sqrt(20.0))
+    above = apart[apart > 0]
+    top = np.sort(np.partition(above, -most - 1)[-most - 1 :] if len(above) > most else above)[::-1]
+    largest = np.zeros(most + 1)
+    largest[: len(top)] = top
+    count = max(6, int(SCATTERED * len(apart)))
+    some = values[:: 1 + len(values) // ENOUGH]
+    resolution, few = _resolution(values), len(np.unique(some)) <= 20
+    low, high = (float(end) for end in np.quantile(some[apart[:: 1 + len(values) // ENOUGH] <= largest[-1]], ENDS))
+    noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
     least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
     least += 1e-9 * float(np.abs(values).max())
-    usual = 2.0 * SPIKE * max(resolution, float(np.quantile(np.abs(np.diff(values)), 0.75)))
+    usual = 2.0 * SPIKE * max(resolution, float(np.quantile(np.abs(np.diff(values[:ENOUGH])), 0.75)))
     apart_from = np.maximum(largest[count + 1 :], max(least, usual) / SPIKE)
     gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
     last = int(gaps[-1]) + 1 if len(gaps) else count - 1

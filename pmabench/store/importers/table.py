@@ -3,33 +3,72 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid
 from pmabench.base.text import printable
 from pmabench.store.importers.map_file import TIME, BinaryLayout, TextLayout
-from pmabench.store.importers.warm import read_apart
+from pmabench.store.importers.spool import Columns
+from pmabench.store.importers.times import Clock, Stamps, step_in
+from pmabench.store.importers.warm import Answer, read_apart, read_text_apart
 from pmabench.store.records import Array
 
-MAX_BYTES = 200_000_000
+MAX_BYTES = 2_000_000_000
+"""Of a text file, which is read in pieces."""
+MAX_WHOLE = 200_000_000
+"""Of a file that is read at once, as those of LabVIEW and MATLAB are."""
+PIECE = 4_000_000
+"""Bytes of a text file that are read at a time."""
+
+
+@dataclass
+class Lines:
+    """Line in the file of each row, kept as the rows at which the lines do not simply follow each other."""
+
+    count: int = 0
+    _rows: list[int] = field(default_factory=list)
+    _lines: list[int] = field(default_factory=list)
+
+    def append(self, lines: Array) -> None:
+        """The lines of further rows, from 1."""
+        if not len(lines):
+            return
+        jumps = [0, *(np.flatnonzero(np.diff(lines) != 1) + 1).tolist()]
+        for row in jumps:
+            expected = self._lines[-1] + self.count + row - self._rows[-1] if self._rows else -1
+            if int(lines[row]) != expected:
+                self._rows.append(self.count + row)
+                self._lines.append(int(lines[row]))
+        self.count += len(lines)
+
+    def __getitem__(self, row: int) -> int:
+        at = bisect_right(self._rows, row) - 1
+        return self._lines[at] + row - self._rows[at]
+
+    def __len__(self) -> int:
+        return self.count
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one file."""
+    """Columns of one file, or of one of several tests in it."""
 
     path: Path
     sha256: str
-    content: bytes
-    columns: dict[str, Array]
-    """Name -> numbers, shape (n,); NaN where the file says that there is none."""
-    lines: NDArray[np.int64]
+    """Of the whole file."""
+    size: int
+    """Bytes of the whole file."""
+    columns: Mapping[str, Array]
+    """Name -> numbers, shape (n,); NaN where the file says that there is none. Read from disk where they are many."""
+    lines: Lines
     """Line in the file of each row, from 1; number of the row where the file has no lines."""
     cut_end: bool
     """The last row may be cut."""
@@ -40,6 +79,44 @@ class Table:
     doubts: tuple[str, ...]
     left_out: tuple[str, ...]
     """Columns of the file that were not asked for."""
+    cut_row: str = ""
+    """What was left out at the end of the file, since it is no whole row."""
+    starts: tuple[int, ...] = ()
+    """Rows before which the header was repeated: another test begins."""
+    begin: int = 0
+    """First row in the file."""
+
+    def __len__(self) -> int:
+        if isinstance(self.columns, Columns):
+            return self.columns.rows
+        return max(map(len, self.columns.values()), default=0)
+
+    def line(self, row: int) -> int:
+        """Line in the file of a row."""
+        return self.lines[self.begin + row]
+
+    def part(self, begin: int, end: int) -> Table:
+        """Rows `begin` to `end` (without it), in memory."""
+        if isinstance(self.columns, Columns):
+            columns = self.columns.part(begin, end)
+        else:
+            columns = {name: values[begin:end] for name, values in self.columns.items()}
+        whole = end == len(self)
+        return replace(
+            self,
+            columns=columns,
+            begin=self.begin + begin,
+            cut_end=self.cut_end and whole,
+            cut_row=self.cut_row if whole else "",
+            doubts=self.doubts if begin == 0 else (),
+            left_out=self.left_out if begin == 0 else (),
+        )
+
+    def tests(self) -> list[Table]:
+        """The tests of the file, each with rows and a clock of its own; the table itself where it holds one."""
+        if not self.starts:
+            return [self]
+        return [replace(self.part(a, b), starts=()) for a, b in pairwise((0, *self.starts, len(self))) if b > a]
 
 
 def read_table(
@@ -48,49 +125,199 @@ def read_table(
     wanted: Sequence[str] | None,
     optional: Sequence[str] = (),
     ignored: Sequence[str] = (),
+    stamps: Stamps | None = None,
+    most: int | None = None,
 ) -> Table:
     """The `wanted` columns of a file, and those of `optional` that it has, read in a process apart.
 
-    `wanted` None: all of a format that names them itself; they may differ in length then. Raises InvalidFile with
-    every fault, at file:line where there is one.
+    `wanted` None: all of a format that names them itself; they may differ in length then. `stamps`: how its time is
+    written; the column of time holds seconds then, unless it holds plain numbers. `most`: bytes of text from its
+    beginning that are read. Raises InvalidFile with every fault, at file:line where there is one.
     """
-    content = content_of(path)
     made = layout.period is not None
     asked = None if wanted is None else [name for name in wanted if not (made and name == TIME)]
-    told = layout.model_dump(mode="json") if isinstance(layout, TextLayout) else None
-    answer = read_apart(layout.format, str(path), content, asked, optional, ignored, told)
-    columns: dict[str, Array] = dict(answer.columns)
-    if layout.period is not None:
-        if TIME in columns:
-            raise invalid(path, f'has a column "{TIME}" of its own; leave out "period"')
-        columns[TIME] = np.arange(len(answer.lines), dtype=np.float64) * np.float64(layout.period)
-    head = answer.head
-    started = head.get("started")
-    units = dict(zip(answer.columns, head.get("units", []), strict=False))
+    if isinstance(layout, TextLayout):
+        table = _read_text(path, layout, asked or [], optional, ignored, stamps, most)
+    else:
+        table = _read_whole(path, layout, asked, optional, ignored, stamps)
+    if layout.period is None:
+        return table
+    if TIME in table.columns:
+        raise invalid(path, f'has a column "{TIME}"; leave out "period"')
+    return replace(table, columns=_with_period(table, float(layout.period)), units={**table.units, TIME: "s"})
+
+
+def _with_period(table: Table, period: float) -> Mapping[str, Array]:
+    """The columns with one of time made from the number of the row; each test of a file begins at 0."""
+    rows = len(table)
+    starts = np.array((0, *table.starts))
+    if not isinstance(table.columns, Columns):
+        return {**table.columns, TIME: np.arange(rows) * period}
+    columns = Columns()
+    for begin in range(0, rows, PIECE // 8):
+        end = min(begin + PIECE // 8, rows)
+        row = np.arange(begin, end)
+        first = starts[np.searchsorted(starts, row, "right") - 1]
+        t: Array = (row - first) * np.float64(period)
+        columns.append({**table.columns.part(begin, end), TIME: t})
+    return columns
+
+
+def _read_whole(
+    path: Path,
+    layout: BinaryLayout,
+    asked: Sequence[str] | None,
+    optional: Sequence[str],
+    ignored: Sequence[str],
+    stamps: Stamps | None,
+) -> Table:
+    content = content_of(path)
+    answer = read_apart(layout.format, str(path), content, asked, optional, ignored)
+    columns, head = dict(answer.columns), answer.head
+    started = datetime.fromisoformat(head["started"]) if head.get("started") else None
+    if stamps is not None and stamps.column in columns:
+        clock = Clock(stamps)
+        columns[stamps.column] = clock.seconds(columns[stamps.column])
+        started = clock.started or started
+    lines = Lines()
+    lines.append(answer.lines)
     return Table(
         path=path,
         sha256=hashlib.sha256(content).hexdigest(),
-        content=content,
+        size=len(content),
         columns=columns,
-        lines=answer.lines.astype(np.int64),
+        lines=lines,
         cut_end=bool(head.get("cut_end")),
-        units={**units, TIME: "s"} if made else units,
-        started=datetime.fromisoformat(started) if started else None,
+        units=dict(zip(answer.columns, head.get("units", []), strict=False)),
+        started=started,
         doubts=tuple(printable(text) for text in head.get("doubts", [])),
         left_out=tuple(printable(text) for text in head.get("left_out", [])),
     )
 
 
-def content_of(path: Path) -> bytes:
-    """The bytes of a file; raises InvalidFile where it is none, is empty or larger than 200 MB."""
+def _read_text(
+    path: Path,
+    layout: TextLayout,
+    wanted: Sequence[str],
+    optional: Sequence[str],
+    ignored: Sequence[str],
+    stamps: Stamps | None,
+    most: int | None,
+) -> Table:
+    _size_of(path, MAX_BYTES)
+    question = {
+        "layout": layout.model_dump(mode="json"),
+        "wanted": list(wanted),
+        "optional": list(optional),
+        "ignored": list(ignored),
+        "texts": stamps.texts if stamps is not None else {},
+        "order": stamps.order if stamps is not None else "",
+    }
+    digest, rows = hashlib.sha256(), _Rows(path, stamps)
     try:
-        if path.is_dir():
-            raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
-        if not path.is_file():
-            raise invalid(path, "is not a file" if path.exists() else "there is no such file")
-        if path.stat().st_size > MAX_BYTES:
-            raise invalid(path, f"is larger than {MAX_BYTES // 1_000_000} MB; import it in parts")
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            for answer in read_text_apart(str(path), _pieces(file, digest, most), question):
+                rows.take(answer)
+            size = file.tell()
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    return Table(
+        path=path,
+        sha256=digest.hexdigest(),
+        size=size,
+        columns=rows.columns,
+        lines=rows.lines,
+        cut_end=rows.cut_end,
+        units={},
+        started=rows.started,
+        doubts=(),
+        left_out=(),
+        cut_row=printable(rows.cut_row),
+        starts=tuple(rows.starts),
+    )
+
+
+def _pieces(file: IO[bytes], digest: Any, most: int | None) -> Iterator[bytes]:
+    """The file from its beginning, piece by piece, while its hash is taken; of `most` bytes only whole lines."""
+    left = most if most is not None else MAX_BYTES
+    while left > 0 and (piece := file.read(min(PIECE, left))):
+        digest.update(piece)
+        left -= len(piece)
+        if left <= 0 and most is not None and file.read(1):
+            piece = piece[: piece.rfind(b"\n") + 1]
+        yield piece
+
+
+class _Rows:
+    """Gathers the answers of the child, its times turned into seconds, test by test."""
+
+    def __init__(self, path: Path, stamps: Stamps | None) -> None:
+        self.path, self.stamps = path, stamps
+        self.columns, self.lines = Columns(), Lines()
+        self.starts: list[int] = []
+        self.started: datetime | None = None
+        self.cut_end, self.cut_row = False, ""
+        self._clock: Clock | None = None
+
+    def take(self, answer: Answer) -> None:
+        """The rows of the next piece."""
+        columns, count = dict(answer.columns), len(answer.lines)
+        starts = [int(start) for start in answer.head.get("starts", ())]
+        if self.stamps is not None and self.stamps.column in columns:
+            t, date = columns[self.stamps.column], columns.pop(self.stamps.date, None)
+            if self._clock is None:
+                self._clock = self._first_clock(self.stamps, t, answer.head.get("head", ()))
+            parts = []
+            for begin, end in pairwise((0, *starts, count)):
+                if begin in starts:
+                    self._clock = Clock(self.stamps, self._clock.step)
+                parts.append(self._clock.seconds(t[begin:end], None if date is None else date[begin:end]))
+                self.started = self.started or self._clock.started
+            columns[self.stamps.column] = np.concatenate(parts)
+        if columns or count:
+            self.columns.append(columns)
+        self.starts += [self.lines.count + start for start in starts if self.lines.count + start > 0]
+        self.lines.append(answer.lines)
+        self.cut_end = bool(answer.head.get("cut_end"))
+        self.cut_row = str(answer.head.get("cut_row", ""))
+
+    def _first_clock(self, stamps: Stamps, t: Array, head: Sequence[str]) -> Clock:
+        """The clock of the file; raises InvalidFile where the file itself contradicts the map."""
+        step = step_in(head)
+        if stamps.written == "header step" and step is None:
+            told = 'has no header that gives Start and Increment, which "written: header step" needs'
+            raise invalid(self.path, told)
+        sequence = len(t) > 2 and bool(np.all(np.diff(t) == 1.0))
+        if stamps.written == "number" and step is not None and sequence:
+            told = (
+                f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
+                f'{step[1]:g} s: say "written: header step"'
+            )
+            raise invalid(self.path, told)
+        return Clock(stamps, step)
+
+
+def _size_of(path: Path, most: int) -> int:
+    """Bytes of a file; raises InvalidFile where it is none or larger than `most`."""
+    if path.is_dir():
+        raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
+    if not path.is_file():
+        raise invalid(path, "is not a file" if path.exists() else "there is no such file")
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    if size > most:
+        raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
+    return size
+
+
+def content_of(path: Path, most: int | None = None) -> bytes:
+    """The bytes of a file, `most` from its beginning; raises InvalidFile where it is none, empty or too large."""
+    _size_of(path, MAX_WHOLE if most is None else MAX_BYTES)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_WHOLE if most is None else most)
     except OSError as error:
         raise invalid(path, f"cannot be read: {error.strerror or error}") from error
     if not content.strip():

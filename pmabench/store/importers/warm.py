@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, Any
@@ -64,17 +64,32 @@ class _Child:
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
 
-    def ask(self, path: str, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
+    def ask(self, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
         """Head and numbers of the answer; `EOFError` where the process ended instead."""
-        ask, answer = self.process.stdin, self.process.stdout
-        if ask is None or answer is None:
+        self.send(content, question)
+        return self.answer(len(content))
+
+    def send(self, content: bytes, question: Mapping[str, Any]) -> None:
+        """Put a question; its answer is fetched by `answer` before the next one."""
+        ask = self.process.stdin
+        if ask is None:
             raise EOFError
-        told = json.dumps({**question, "path": path, "bytes": len(content)}).encode() + b"\n"
+        told = json.dumps({**question, "bytes": len(content)}).encode() + b"\n"
         self.asked += 1
-        with self._within(START + WALL * (CPU + CPU_PER_MB * len(content) / 1e6)):
+        with self._within(START + WALL * CPU):
             try:
                 ask.write(told + content)
                 ask.flush()
+            except (BrokenPipeError, ValueError) as error:
+                raise EOFError from error
+
+    def answer(self, size: int) -> tuple[Mapping[str, Any], bytes]:
+        """Head and numbers of the answer to a question with `size` bytes."""
+        answer = self.process.stdout
+        if answer is None:
+            raise EOFError
+        with self._within(START + WALL * (CPU + CPU_PER_MB * size / 1e6)):
+            try:
                 head = json.loads(_exactly(answer.readline(LONGEST_HEAD)))
                 count = _count(head)
                 return head, _exactly(answer.read(8 * count), 8 * count)
@@ -148,22 +163,67 @@ def read_apart(
     wanted: Sequence[str] | None,
     optional: Sequence[str] = (),
     ignored: Sequence[str] = (),
-    layout: Mapping[str, Any] | None = None,
 ) -> Answer:
-    """The `wanted` columns (None: all) of a file of format `kind` (`text`, `lvm`, `tdms`, `mat`), read in its child.
+    """The `wanted` columns (None: all) of a file of format `kind` (`lvm`, `tdms`, `mat`), read in its child.
 
     Raises InvalidFile with what is wrong with the file, also where reading it ended the child; ReaderMissing where
     the package that reads the format is not installed.
     """
-    question = {"wanted": wanted, "optional": list(optional), "ignored": list(ignored), "layout": layout}
-    question["wanted"] = None if wanted is None else list(wanted)
+    question = {
+        "path": path,
+        "wanted": None if wanted is None else list(wanted),
+        "optional": list(optional),
+        "ignored": list(ignored),
+    }
     with _lock:
-        head, numbers = _asked(kind, path, content, question)
-        if "lack" in head and _children[kind].asked > 1:  # what others left behind may be in the way
+        with _asking(kind, path, len(content)) as child:
+            head, numbers = child.ask(content, question)
+        if "lack" in head and child.asked > 1:  # what others left behind may be in the way
             _children.pop(kind).end()
-            head, numbers = _asked(kind, path, content, question)
+            with _asking(kind, path, len(content)) as child:
+                head, numbers = child.ask(content, question)
         if "lack" in head:
             _children.pop(kind).end()
+    _check(kind, path, head)
+    return _answer(head, numbers)
+
+
+def read_text_apart(path: str, pieces: Iterable[bytes], question: Mapping[str, Any]) -> Iterator[Answer]:
+    """The rows that each piece of a text file completes; the last answer says how the file ends.
+
+    `question`: `layout`, `wanted`, `optional`, `ignored`, `texts` and `order` as `TextReader` has them. The child reads
+    a piece while the caller works on what the one before held. Raises InvalidFile as `read_apart` does.
+    """
+    asked: dict[str, Any] = {**question, "path": path}
+    pending: Answer | None = None
+    with _lock:
+        for piece, last in _with_last(pieces):
+            with _asking("text", path, len(piece)) as child:
+                child.send(piece, {**asked, "last": last})
+                if pending is not None:
+                    yield pending  # a caller that stops here ends the child, for its answer is still to come
+                head, numbers = child.answer(len(piece))
+            asked = {}
+            if "lack" in head:
+                _children.pop("text").end()
+            _check("text", path, head)
+            pending = _answer(head, numbers)
+    if pending is not None:
+        yield pending
+
+
+def _with_last(pieces: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Each piece, and whether it is the last."""
+    before: bytes | None = None
+    for piece in pieces:
+        if before is not None:
+            yield before, False
+        before = piece
+    yield before or b"", True
+
+
+def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
+    """Raises what an answer without numbers says."""
     if "absent" in head:
         needs = NEEDS.get(kind, "")
         raise ReaderMissing(
@@ -180,23 +240,22 @@ def read_apart(
         raise InvalidFile(
             Problem(path, int(line), int(column), printable(text)) for line, column, text in head["problems"]
         )
-    return _answer(head, numbers)
 
 
-def _asked(kind: str, path: str, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
+@contextmanager
+def _asking(kind: str, path: str, size: int) -> Iterator[_Child]:
+    """The child of a format; where it ends in between, that is a fault of the file."""
     child = _children.get(kind)
     if child is None or child.owner != os.getpid() or child.process.poll() is not None:
         if child is not None and child.owner == os.getpid():
             child.end()
         child = _children[kind] = _Child(kind)
     try:
-        return child.ask(path, content, question)
+        yield child
     except EOFError as error:
         _children.pop(kind, None)
         code = child.ended()
-        raise invalid(
-            path, f"{_why(code, len(content))}; it is damaged or hostile, and nothing of it was taken"
-        ) from error
+        raise invalid(path, f"{_why(code, size)}; it is damaged or hostile, and nothing of it was taken") from error
     except BaseException:
         _children.pop(kind, None)
         child.end()

@@ -50,6 +50,7 @@ WRONG_MAPS = {
         ("options", "map", "inputs", "pressure", "bit"),
         "only an input register",
     ),
+    "an uptime that begins again": ({"uptime": INPUT}, ("options", "map", "uptime", "type"), "needs 32 bits"),
     "a channel without register": ({"inputs": {"presure": INPUT}}, ("channels", "pressure", "input"), "did you mean"),
     "an output without register": (
         {"outputs": {"dump": {"address": 1}}},

@@ -38,6 +38,7 @@ WORDS = {
         *("cmd", "command", "set", "setpoint", "sp", "ref", "reference", "desired", "target", "soll", "out", "output"),
         *("demand", "commanded", "des", "vpr", "u"),
     },
+    "not measured": {"calc", "calculated", "theory", "theoretical", "model", "predicted", "simulated"},
     "supply": {"supply", "comp", "compressor", "tank", "reservoir", "source", "inlet", "line"},
     "phase": {"phase", "state", "step", "stage", "branch"},
     "other": {
@@ -54,6 +55,9 @@ WORDS = {
         "count",
     },
 }
+HELD, STILL = 0.02, 3e-4
+"""A length is held that moves by less than this share of itself, or by less than this [m]."""
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
 OF_ROLE = {
     "pressure_command": "pressure",
     "displacement_command": "length",
@@ -73,6 +77,8 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    question: str = ""
+    """What is asked about its role, where the choice is open."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
 
@@ -80,6 +86,10 @@ class Proposal:
     def good(self) -> Array:
         """Values without those that are none."""
         return self.values[np.isfinite(self.values)]
+
+
+_JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target)")
+"""A quantity and what makes a command of it in one word: `Pset`."""
 
 
 def unit_in(name: str) -> str:
@@ -100,6 +110,9 @@ def words(name: str) -> set[str]:
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
     plain = plain.translate(str.maketrans("ãáàâéêíóõúçÃÁÉÍÓÚÇ", "aaaaeeiooucaaeiouc"))
     found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
+    for word in tuple(found):
+        if joined := _JOINED.fullmatch(word):
+            found |= {joined[1], joined[2]}
     return found | {"_".join(re.split(r"[\s_]+", plain.strip().lower()))}
 
 
@@ -128,6 +141,11 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
         together = _together(proposal.values, pressure.values)
         if abs(together) > 0.8:
             proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
+            if all(p.role != "force" for p in proposals):
+                told = (
+                    f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
+                )
+                proposal.question = f"{told}: force, displacement, or ignore (then it is left out)?"
         else:
             proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
 
@@ -148,7 +166,9 @@ def _by_name(proposal: Proposal) -> None:
     elif quantity == "length" or (quantity in {"", "reading"} and hits & {"displacement"} and not hits & {"force"}):
         role = "displacement_command" if "command" in hits else "displacement"
     elif quantity == "force" or ("force" in hits and quantity in {"", "reading", "mass"}):
-        role = "force"
+        role = "ignore" if hits & {"command", "not measured"} else "force"
+        if role == "ignore":
+            proposal.reasons.append(f"{told}: a force that nobody measured")
     elif "command" in hits and quantity in {"", "reading"}:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
@@ -187,18 +207,41 @@ def _time(proposals: Sequence[Proposal]) -> None:
         _time_unit(good[0])
 
 
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+FASTEST, SLOWEST = 2e4, 2.0
+"""Usual samples a second."""
+SHORTEST = 2.0
+"""A test of a muscle lasts at least so long [s]."""
+
+
 def _time_unit(time: Proposal) -> None:
     steps = np.diff(time.values)
     step = float(np.median(steps[steps > 0]))
-    for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
-        if 2e4 >= 1.0 / (step * factor) >= 2.0:
+    for unit, factor in TIMES.items():
+        if FASTEST >= 1.0 / (step * factor) >= SLOWEST:
             time.unit = unit
             time.reasons.append(
                 f"steps of {step:.4g}: in {unit} these are {1.0 / (step * factor):.4g} samples a second"
             )
+            _which_time(time, step)
             return
     time.unit = "s"
     time.doubts.append(f"steps of {step:.4g}: the unit of time is not told; s is taken")
+    time.question = f'in which unit is "{time.name[:40]}"? Its steps of {step:.4g} are no usual sampling in s, ms or us'
+
+
+def _which_time(time: Proposal, step: float) -> None:
+    """A time without unit that may be in several, or that only counts the samples, is asked for."""
+    steps = np.diff(time.values)
+    rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
+    lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
+    possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
+    told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
+    if bool(np.all(steps == 1.0)):
+        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or the number of the sample'
+        time.question = f"{head} (then ignore it, and write the time between samples as period: under file)? {told}"
+    elif len(possible) > 1:
+        time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
@@ -213,6 +256,12 @@ def _one_each(proposals: Sequence[Proposal]) -> None:
                 proposal.role = "ignore"
                 proposal.doubts.append(f'may be {role.replace("_", " ")} too; "{best.name[:40]}" is taken')
         best.doubts.append(f"{len(same)} columns look like {role.replace('_', ' ')}; this one was taken")
+        if role in {"pressure", "force", "displacement"}:
+            names = ", ".join(f'"{p.name[:40]}"' for p in same if p is not best)
+            told = (
+                f'is "{best.name[:40]}" the measured {role}? It moves most against its scatter, but {names} may be it'
+            )
+            best.question = f"{told}; then write ignore here and {role} there"
     pressure = [p for p in proposals if p.role == "pressure"]
     spare = [p for p in proposals if p.role in {"supply", "pressure_command"}]
     if not pressure and spare:
@@ -311,6 +360,21 @@ def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
     smallest.doubts.append(
         "that it is a displacement is a guess by its size: no name tells it; look whether it is not the force"
     )
+
+
+def held(column: Proposal, pressure: Proposal | None) -> bool:
+    """Whether a length is held: it moves by little of itself, and not with the pressure."""
+    x = column.good
+    if len(x) < 3:
+        return False
+    low, high = (float(value) for value in np.quantile(x, [0.01, 0.99]))
+    if high - low == 0:
+        return True
+    together = 0.0
+    if pressure is not None:
+        together = _together(column.values, pressure.values)
+    still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
+    return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 
 
 def _together(a: Array, b: Array) -> float:

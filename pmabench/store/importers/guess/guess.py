@@ -13,7 +13,7 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
-from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
+from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.map_file import BinaryLayout, TextLayout
 from pmabench.store.importers.map_rules import ImportMap, read_map
@@ -30,6 +30,8 @@ MAGIC = (
     (b"MATLAB ", "mat"),
 )
 _MATRIX = re.compile(r"(.+)\(:,\d+\)")
+LOOKED_AT = 20_000_000
+"""Bytes of a text file that are looked at."""
 LONG_PAUSE = 2.0
 """Seconds; a log that pauses so long several times was switched off between its parts."""
 
@@ -60,6 +62,8 @@ class Guess:
     doubts: list[str] = field(default_factory=list)
     known: str = ""
     """Name of a shipped map that takes these files as they are."""
+    frequency: float = 0.0
+    """Of a command that is one sine [Hz], to the resolution of its spectrum."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
 
@@ -84,6 +88,7 @@ def _guess(files: Sequence[Path]) -> Guess:
     _sampling(guess)
     _kind(guess)
     _names(guess)
+    _frequency(guess)
     guess.known = _known(files[0])
     for role in ("time", "pressure"):
         if guess.role(role) is None:
@@ -100,9 +105,11 @@ def _guess(files: Sequence[Path]) -> Guess:
 
 
 def _look(path: Path) -> Guess:
-    content = content_of(path)
+    content = content_of(path, LOOKED_AT)
     kind = next((kind for magic, kind in MAGIC if content.startswith(magic)), "text")
     if kind == "text":
+        if len(content) == LOOKED_AT:
+            content = content[: content.rfind(b"\n") + 1] or content
         return _look_at_text(path, guess_layout(str(path), content))
     layout = BinaryLayout.model_validate({"format": kind})
     table = read_table(path, layout, None)
@@ -137,7 +144,7 @@ def _look(path: Path) -> Guess:
 
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
-    table = read_table(path, told.layout, numbers, (), told.texts)
+    table = read_table(path, told.layout, numbers, (), told.texts, most=LOOKED_AT)
     columns = [
         Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name), bare=not told.named)
         for name in numbers
@@ -225,9 +232,11 @@ def _kind(guess: Guess) -> None:
         )
         return
     sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
-    if displacement is None:
+    still = displacement is not None and guess.role("force") is not None and held(displacement, guess.role("pressure"))
+    if displacement is None or still:
         guess.kind, guess.trials = "isometric", {"by": "file"}
-        told.append("no displacement: force over pressure at one contraction in each file")
+        what = "the length is held" if still else "no displacement"
+        told.append(f"{what}: force over pressure at one contraction in each file")
         cycles = _found(guess, "ramp")
         if cycles > 1:
             guess.trials, guess.smallest_of = (
@@ -237,6 +246,7 @@ def _kind(guess: Guess) -> None:
             told.append(f"the pressure rises and falls {cycles} times: each is a trial")
     elif sine:
         guess.kind, guess.trials = "recorded-sine", {"by": "file"}
+        guess.frequency = sine
         told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
     elif command is not None and (edge := _edge(command.values)) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
@@ -319,7 +329,7 @@ _PARTS = (
     (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
     (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
     (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
 
@@ -333,23 +343,47 @@ def _names(guess: Guess) -> None:
         guess.reasons["name_tells"] = [f"the name of the {guess.form_of} tells {', '.join(sorted(keys))}"]
 
 
-def _told_by(guess: Guess, of: str) -> tuple[set[str], str, list[str], dict[str, str], bool]:
+def _frequency(guess: Guess) -> None:
+    """A sine whose frequency no name tells is fitted in each file, where that can be done."""
+    if guess.frequency and not any("{frequency}" in form for form in guess.forms) and _found(guess, "sine") > 0:
+        guess.frequency, guess.smallest_of = 0.0, "pressure_command"
+        guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
+        guess.reasons["trials"].append("no name tells its frequency, so it is fitted to each file")
+
+
+CONTRACTED = re.compile(
+    r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
+)
+"""What stands before a length that is a contraction, and no diameter."""
+
+
+def _told_by(guess: Guess, of: str, *, lengths: bool = True) -> tuple[set[str], str, list[str], dict[str, str], bool]:
+    """Keys that the names tell, from files or folders, their forms, units, and whether they have a decimal comma.
+
+    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
+    """
+    sizes: set[str] = set()
     units: dict[str, str] = {}
     comma = False
     forms: dict[str, None] = {}
     for path in guess.files:
         form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
         for pattern, key, unit in _PARTS:
-            match = pattern.search(form)
+            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
+            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
+            match = next(iter(called or found), None)
             if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
                 continue
             if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
                 continue
+            sizes |= {match[0]} if key == "contraction" and not called else set()
             comma |= "," in match[0]
             form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
             if unit:
                 units[key] = unit
         forms[form] = None
+    if len(sizes) == 1:
+        return _told_by(guess, of, lengths=False)
     keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
     if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
         keys = set()
@@ -360,6 +394,8 @@ def _known(path: Path) -> str:
     """The shipped map that takes a file as it is, without a fault and at the rate that it expects."""
     from pmabench.store.importers.importing import prepare
 
+    if path.stat().st_size > LOOKED_AT:
+        return ""
     for rules in _shipped():
         try:
             findings = prepare(path, rules).findings

@@ -10,15 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.base.text import printable
-from pmabench.store.importers.guess.columns import OF_ROLE, Proposal
+from pmabench.store.importers.guess import asked
+from pmabench.store.importers.guess.asked import Asked, quantity_of
+from pmabench.store.importers.guess.columns import Proposal
 from pmabench.store.importers.guess.guess import Guess
 from pmabench.store.importers.map_file import TextLayout
-from pmabench.store.importers.map_rules import OPEN
+from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
 
 EDGE = {"pressure": "bar", "length": "mm", "force": "N"}
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual ranges of sensors: unit, ends, and beyond which it is another."""
+LEAST_STEP = "10 kPa"
 GRAM, KILOGRAM = 0.00980665, 9.80665
 
 
@@ -35,7 +38,8 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     """The map as YAML. `spans`: role -> what its sensor measures over its usual range."""
     lines = [
         "# Proposed by pmabench import --guess, each choice with its reason. Look at all: a guess is no knowledge.",
-        "# Where ?? stands the files do not tell it, and the import refuses the map until you do.",
+        "# ?? is a question that no file answers: write the answer in its place. What follows it is taken with",
+        "# `import --unresolved` until then, and no result is accepted.",
         *(_comment(f"DOUBT: {text}") for text in guess.doubts),
         *([_comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
         "schema: pmabench.map/1",
@@ -54,20 +58,24 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
-    lines.append(_trials(guess, spans))
+    lines += _trials(guess, spans)
+    lines += _analysis(guess)
     lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
 
 def still_open(text: str) -> list[int]:
     """Lines of a map in which something is to be filled in, from 1."""
-    return [
-        number for number, line in enumerate(text.split("\n"), 1) if OPEN in line.split("  # ")[0] and line[:1] != "#"
-    ]
+    lines = enumerate(text.split("\n"), 1)
+    return [number for number, line in lines if OPEN in line.split("  # ")[0] and not line.lstrip().startswith("#")]
 
 
 def _comment(text: str) -> str:
     return f"# {printable(text, 400)}"
+
+
+def _question(question: Asked) -> str:
+    return _comment(f"{OPEN} {question.text}")
 
 
 def _why(guess: Guess, key: str) -> str:
@@ -115,8 +123,11 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     head = [f"  {_comment(text)}" for text in column.reasons]
     head += [f"  {_comment('DOUBT: ' + text)}" for text in column.doubts]
     name = _text(column.name)
+    which = Asked(column.role, column.question)
+    asking = [_question(which)] if column.question else []
+    role = which.scalar if column.question else column.role
     if column.role == "ignore":
-        return [*head, f"  {name}: ignore"]
+        return [*head, *(f"  {line}" for line in asking), f"  {name}: {role}"]
     if column.role == "phase":
         marks = np.unique(column.good)
         called = (
@@ -128,7 +139,10 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         optional = ", optional: true" if column.name in guess.optional else ""
         return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
     if column.role == "time":
-        return [*head, f"  {name}: {{is: time, unit: {column.unit or 's'}}}"]
+        return [*head, *(f"  {line}" for line in asking), *_time(column, guess)]
+    if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
+        head.append(f"  {_comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
+        return [*head, f"  {name}: ignore"]
     body, why = _scale(column, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
@@ -147,13 +161,26 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         *head,
         *(f"  {_comment(text)}" for text in why),
         f"  {name}:",
-        *(f"    {line}" for line in [f"is: {column.role}", *body]),
+        *(f"    {line}" for line in [*asking, f"is: {role}", *body]),
     ]
+
+
+def _time(column: Proposal, guess: Guess) -> list[str]:
+    """The time with its unit, and what is asked about both."""
+    unit, role, asking = column.unit or "s", "time", []
+    if column.question:
+        unit = Asked(unit, "").scalar
+    for clock in asked.two_clocks(guess.columns):
+        role = clock.scalar
+        asking.append(f"  {_question(clock)}")
+    return [*asking, f"  {_text(column.name)}: {{is: {role}, unit: {unit}}}"]
 
 
 def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
     """Unit, calibration and range of a column, and why."""
-    quantity, unit = OF_ROLE.get(column.role, column.role.removesuffix("_command")), column.unit
+    quantity, unit = quantity_of(column), column.unit
+    if (unit_asked := asked.unit_of(column)) is not None:
+        return [_question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == ("length" if quantity == "length" else quantity):
         if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
             offset = {
@@ -167,6 +194,8 @@ def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
             }
             line = f"line: {{slope: 1 {unit}/{unit}, offset: -{offset[unit]} {unit}}}"
             return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
+        if (air := asked.gauge_of(column)) is not None:
+            return [f"unit: {unit}", _question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
         return [f"unit: {unit}"], []
     if quantity == "force" and unit in {"g", "kg"}:
         factor = GRAM if unit == "g" else KILOGRAM
@@ -174,49 +203,61 @@ def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
             f"a weight in {unit}, with 9.80665 m/s2"
         ]
     edge = EDGE[quantity]
-    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", f"{OPEN} {edge}")
+    low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", OPEN)
     top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
     for known, begin, end, most in LOOPS:
         if unit == known and top <= most:
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
-            why += "; what it spans you say" if span else "; what it spans stands in no file"
-            body = [f"unit: {unit}", f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]']
-            return body + (["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else []), [why]
+            points = f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]'
+            asking = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {_ends(edge)}'
+            lines = [points] if span else [_question(Asked("", asking)), points]
+            return [f"unit: {unit}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
     told = unit or "count"
-    if span is not None and len(column.good):
-        ends = float(column.good.min()), float(column.good.max())
-        return [f"unit: {told}", f'points: [["{OPEN} {told}", {low}], ["{OPEN} {told}", {high}]]'], [
-            f"readings from {ends[0]:.4g} to {ends[1]:.4g}: the calibration stands in no file"
-        ]
-    return [f"unit: {told}", f'line: {{slope: "{OPEN} {edge}/{told}", offset: "{OPEN} {edge}"}}'], [
-        "its calibration stands in no file"
-    ]
+    ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
+    reads = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {told}'
+    if span is not None:
+        which = _question(Asked("", f"{reads}: at which readings has it the {quantity} {low}, and {high}?"))
+        return [f"unit: {told}", which, f'points: [["{OPEN}", {low}], ["{OPEN}", {high}]]'], []
+    which = _question(
+        Asked("", f"{reads}: which line makes a {quantity} of it? Slope in {edge}/{told}, offset in {edge}")
+    )
+    return [f"unit: {told}", which, f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'], []
+
+
+def _ends(edge: str) -> str:
+    return {"bar": "10 bar", "mm": "100 mm", "N": "1000 N"}[edge]
 
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     """How the reading tells contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
     pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
-    unsure = "whether its reading falls or rises while the muscle shortens is not told here; rises is taken"
+    unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
+    open_sign = [
+        _question(Asked("rises", unsure)),
+        f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
+    ]
+    if guess.kind == "isometric":
+        return [], []
     others = [c for c in (pressure, force) if c is not None]
     good = np.isfinite(column.values) & (column.values != 0)
     for other in others:
         good &= np.isfinite(other.values) & (other.values != 0)
     x = column.values[good]
     if pressure is None or len(x) < 20 or np.ptp(x) == 0 or np.ptp(pressure.values[good]) == 0:
-        return [], [unsure]
+        return open_sign, []
     P = pressure.values[good]
     if guess.kind == "recorded-pull" and force is not None:
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
         except np.linalg.LinAlgError:
-            return [], [unsure]
+            return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
         why = f"at equal pressure the force falls where it {'rises' if rises else 'falls'}; zero is its end there"
     else:
         together = float(np.corrcoef(P, x)[0, 1])
         if abs(together) < 0.5:
-            return [], [unsure]
+            return open_sign, []
         rises, zero = together > 0, float(np.median(x[np.quantile(P, 0.02) >= P]))
         why = f"it {'rises' if rises else 'falls'} with the pressure; zero is its reading at the lowest one here"
         if rises and QUANTITY.get(unit) == "length" and abs(zero) < 0.05 * np.ptp(x):
@@ -251,25 +292,45 @@ def _name_tells(guess: Guess) -> list[str]:
     keys = set(guess.form_units)
     lacking = sorted(key for key in keys if any("{" + key + "}" not in form for form in guess.forms))
     if lacking:
-        told = ", ".join(f"{key}: 0 {guess.form_units[key]}" for key in lacking)
-        lines.append(f"  otherwise: {{{told}}}  # the names without it: 0 is taken")
+        without = next(form for form in guess.forms if "{" + lacking[0] + "}" not in form)
+        which = Asked("", f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none')
+        told = ", ".join(f"{key}: {Asked(f'0 {guess.form_units[key]}', '').scalar}" for key in lacking)
+        lines += [f"  {_question(which)}", f"  otherwise: {{{told}}}"]
     return [*lines, ""]
 
 
-def _trials(guess: Guess, spans: Mapping[str, Span]) -> str:
-    trials = dict(guess.trials)
+def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
+    trials, lines = dict(guess.trials), list[str]()
     channel = guess.role(guess.smallest_of)
     if "smallest" in trials and channel is not None:
         trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
-    return f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"
+    at = asked.contraction_of(guess)
+    if isinstance(at, Asked):
+        lines.append(_question(at))
+    if at:
+        trials["point"] = f"{{contraction: {at.scalar if isinstance(at, Asked) else at}}}"
+    if guess.kind == "recorded-sine" and trials["by"] == "file" and not any("{frequency}" in f for f in guess.forms):
+        which = Asked(f"{guess.frequency:.3g} Hz", "which frequency has the sine? It is read off its spectrum only")
+        trials["point"] = f"{{frequency: {which.scalar}}}"
+        lines.append(_question(which))
+    return [*lines, f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"]
+
+
+def _analysis(guess: Guess) -> list[str]:
+    found = asked.threshold_of(guess)
+    if found is None:
+        return []
+    above, others = found
+    also = f", also_at: [{', '.join(others)}]" if others else ""
+    return [_question(above), f"analysis: {{force_above: {above.scalar}{also}}}"]
 
 
 def _smallest(reading: float, command: Proposal, span: Span | None) -> str:
-    """A step of the command in a unit of pressure; a share of its usual range where that is not known."""
+    """A step of the command in a unit of pressure; where its scale is open, what no test goes below."""
     if QUANTITY.get(command.unit) == "pressure":
         return f"{reading:.3g} {command.unit}"
     top = float(np.quantile(command.good, 0.999))
     for known, begin, end, most in LOOPS:
         if span is not None and command.unit == known and top <= most:
             return f"{reading / (end - begin) * (span.high - span.low):.3g} {span.unit}"
-    return f'"{OPEN} bar"'
+    return LEAST_STEP

@@ -1,0 +1,66 @@
+"""What the symbols of results are called, as their kinds of test declared it; one name for one thing in a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+from pmabench.analysis.declared import Result, in_common
+from pmabench.analysis.results import Analysis, Curve, Estimate
+
+
+def declared(analyses: Iterable[Analysis]) -> dict[str, Result]:
+    """Every symbol of the analyses with its declaration, in the order of columns.
+
+    A symbol that no analysis declares has no title and is shown as a headline: its kind of test is not known here.
+    """
+    known: dict[str, Result] = {}
+    orders = []
+    analyses = list(analyses)
+    for result in (result for analysis in analyses for result in analysis.results):
+        known.setdefault(result.symbol, result)
+    for analysis in analyses:
+        found = [result.symbol for result in analysis.results] or [e.symbol for e in analysis.estimates]
+        orders.append(list(dict.fromkeys(found)))
+        for e in analysis.estimates:
+            known.setdefault(e.symbol, Result(e.symbol, "", e.quantity, headline=True))
+    return {symbol: known[symbol] for symbol in in_common(orders)}
+
+
+def is_headline(analysis: Analysis, symbol: str) -> bool:
+    """Whether the symbol is a key number of this analysis."""
+    found = declared([analysis]).get(symbol)
+    return found is not None and found.headline
+
+
+def distinct(analyses: Sequence[Analysis]) -> list[Analysis]:
+    """The analyses, their symbols renamed where an earlier one calls another quantity so: `K (bulk modulus)`."""
+    first: dict[str, Result] = {}
+    told = []
+    for analysis in analyses:
+        names = {
+            result.symbol: f"{result.symbol} ({result.title})"
+            for result in analysis.results
+            if not _same(first.setdefault(result.symbol, result), result)
+        }
+        told.append(_renamed(analysis, names) if names else analysis)
+    return told
+
+
+def _same(one: Result, other: Result) -> bool:
+    return (one.title, one.quantity, one.unit) == (other.title, other.quantity, other.unit)
+
+
+def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:
+    def estimate(e: Estimate) -> Estimate:
+        return replace(e, symbol=names.get(e.symbol, e.symbol))
+
+    def curve(c: Curve) -> Curve:
+        return replace(c, symbol=names.get(c.symbol, c.symbol), terms=tuple(estimate(term) for term in c.terms))
+
+    return replace(
+        analysis,
+        estimates=tuple(estimate(e) for e in analysis.estimates),
+        curves=tuple(curve(c) for c in analysis.curves),
+        results=tuple(replace(r, symbol=names.get(r.symbol, r.symbol)) for r in analysis.results),
+    )

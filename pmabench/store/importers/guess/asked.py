@@ -1,0 +1,207 @@
+"""What no file tells and what changes results, as plain questions: each with its candidates and what they make of it.
+
+Pure functions of a guess; writes nothing. Where something may be taken until somebody answers, it is proposed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.base.quantities import show
+from pmabench.files.quantity import unit_factor
+from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, lattice, words
+from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.questions import OPEN
+from pmabench.store.importers.units import QUANTITY
+from pmabench.store.records import Array
+
+HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}
+"""Between what the highest value lies in a test of a muscle of 5 to 80 mm [SI]: less moves nothing, more bursts it."""
+UNITS = {
+    "pressure": ("kPa", "bar", "psi", "MPa", "Pa"),
+    "force": ("N", "kgf", "lbf"),
+    "length": ("mm", "cm", "m", "in"),
+}
+"""Units that are asked for, the likelier ones first."""
+AIR = (9e4, 1.06e5)
+"""A pressure that never falls below such a value [Pa] is likely absolute."""
+SHARES = (0.0, 0.02, 0.05, 0.1)
+"""Thresholds of force that are tried, as shares of the highest one."""
+CHANGES = 0.02
+"""A threshold that moves the slope by more than this share is asked for."""
+CONTRACTIONS = {"contraction", "disp", "displacement", "stroke", "shortening"}
+"""Words of a column that is a contraction by its name."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A value of the map that is a question."""
+
+    value: str
+    """What may be taken until it is answered; empty where nothing may."""
+    text: str
+    """The question, in one line."""
+
+    @property
+    def scalar(self) -> str:
+        """The value as YAML."""
+        return json.dumps(f"{OPEN} {self.value}".strip(), ensure_ascii=False)
+
+    @property
+    def comment(self) -> str:
+        """The question as the comment above the value."""
+        return f"{OPEN} {self.text}"
+
+
+def quantity_of(column: Proposal) -> str:
+    """What a column measures: `pressure`, `force` or `length`."""
+    return OF_ROLE.get(column.role, column.role.removesuffix("_command"))
+
+
+def unit_of(column: Proposal) -> Asked | None:
+    """Which unit a column has, where the file does not say it or says one in which its numbers cannot be."""
+    quantity, top = quantity_of(column), _top(column.good)
+    if quantity not in HIGHEST or top == 0:
+        return None
+    said = QUANTITY.get(column.unit) == quantity
+    if column.unit and not said:
+        return None  # grams, milliamperes, counts: the line or its ends are asked for
+    fits = [unit for unit in UNITS[quantity] if _possible(top, unit, quantity)]
+    if said and not column.bare:
+        if column.role == "supply" or _possible(top, column.unit, quantity):
+            return None
+        head = (
+            f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
+        )
+        return Asked(column.unit, f"{head}: which unit is it? {_candidates(top, fits, quantity)}")
+    if not fits or (_whole(column.good) and quantity != "pressure" and not column.bare):
+        return None  # a line from counts is asked for
+    head = f'in which unit is "{column.name}"? The file does not say it.'
+    if column.bare:
+        role = column.role.replace("_", " ")
+        head = f"nothing names this column, which by its numbers is the {role}: is it, and in which unit?"
+    counts = _whole(column.good) or lattice(column.good) > 0
+    more = "; or counts of a converter (count, with the line to the quantity)" if counts else ""
+    value = "" if _whole(column.good) else column.unit if column.unit in fits else fits[0]
+    return Asked(value, f"{head} {_candidates(top, fits, quantity)}{more}")
+
+
+def gauge_of(column: Proposal) -> Asked | None:
+    """Whether a pressure is absolute, which never falls to 0 and does not say what it is."""
+    if (
+        column.role != "pressure"
+        or QUANTITY.get(column.unit) != "pressure"
+        or re.search("abs|gauge", column.name, re.I)
+    ):
+        return None
+    factor = unit_factor(column.unit, "pressure")
+    low, top = (float(v) * factor for v in np.quantile(column.good, [0.001, 0.995])) if len(column.good) else (0.0, 0.0)
+    if not (AIR[0] <= low <= AIR[1] and top > 1.2 * low):
+        return None
+    head = f'"{column.name}" never falls below {show(low, "pressure", 4)}: is it absolute'
+    told = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
+    return Asked(_air(column.unit), f"{head}? {told}")
+
+
+def _air(unit: str) -> str:
+    return f"{-101325.0 / unit_factor(unit, 'pressure'):.6g} {unit}"
+
+
+def contraction_of(guess: Guess) -> Asked | str:
+    """At which contraction a file was held, where no name tells it; a text where the file does, empty: not needed."""
+    if guess.kind != "isometric" or any("{contraction}" in form for form in guess.forms):
+        return ""
+    column = guess.role("displacement")
+    head = "at which contraction was the muscle held? No name tells it"
+    if column is None or QUANTITY.get(column.unit) != "length":
+        return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
+    middle = f"{float(np.median(column.good)):.4g} {column.unit}"
+    if words(column.name) & CONTRACTIONS and not column.bare:
+        return middle
+    if "length" in words(column.name) or "len" in words(column.name):
+        return Asked("", f'{head}; "{column.name}" is {middle} throughout: the length at no load less that is it')
+    return Asked(middle, f'{head}; "{column.name}" is {middle} throughout: is that it?')
+
+
+def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
+    """From which force on samples enter the slope, where it changes it; and the other thresholds to show.
+
+    None where no threshold changes anything.
+    """
+    pressure, force = guess.role("pressure"), guess.role("force")
+    if guess.kind != "isometric" or pressure is None or force is None:
+        return None
+    good = np.isfinite(pressure.values) & np.isfinite(force.values)
+    P, F = pressure.values[good], force.values[good]
+    if len(P) < 50:
+        return None
+    low, top = (float(value) for value in np.quantile(F, [0.01, 0.995]))
+    slopes = [slope for share in SHARES if (slope := _slope(P, F, low + share * (top - low)))]
+    if len(slopes) < len(SHARES):
+        return None
+    spread = (max(slopes) - min(slopes)) / abs(slopes[-1])
+    if spread <= CHANGES:
+        return None
+    known = force.unit if QUANTITY.get(force.unit) == "force" else ""
+    at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
+    told = "; ".join(
+        f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)
+    )
+    head = "from which force on do samples count? Below it the muscle hangs slack, and the slope moves by"
+    text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {told})"
+    if not known:
+        return Asked("", f"{text}; in N"), []
+    return Asked(at[2], text), [at[1], at[3]]
+
+
+def _slope(P: Array, F: Array, above: float) -> float:
+    """Slope of the straight line through what lies above a force; 0 where there is none."""
+    use = F > above
+    if use.sum() < 20 or np.ptp(P[use]) == 0:
+        return 0.0
+    return float(np.polyfit(P[use], F[use], 1)[0])
+
+
+def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
+    """Which of two times counts, where they do not agree."""
+    time = next((column for column in columns if column.role == "time"), None)
+    for other in columns if time is not None else ():
+        if not any(reason.startswith("a second time") for reason in other.reasons) or time is None:
+            continue
+        ours, theirs = (_seconds(each) for each in (time, other))
+        if abs(theirs / ours - 1) > 0.001:
+            told = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
+            yield Asked("time", f"which clock is right? {told}; the other one then is to be: ignore")
+
+
+def _seconds(column: Proposal) -> float:
+    return (
+        float(column.good[-1] - column.good[0]) * unit_factor(column.unit or "s", "time") if len(column.good) else 0.0
+    )
+
+
+def _top(values: Array) -> float:
+    return float(np.quantile(np.abs(values), 0.995)) if len(values) else 0.0
+
+
+def _possible(top: float, unit: str, quantity: str) -> bool:
+    low, high = HIGHEST[quantity]
+    return low <= top * unit_factor(unit, quantity) <= high
+
+
+def _reach(top: float, unit: str, quantity: str) -> str:
+    return f"at most {show(top * unit_factor(unit, quantity), quantity, 3)}"
+
+
+def _candidates(top: float, units: list[str], quantity: str) -> str:
+    return "; ".join(f"{unit}: {_reach(top, unit, quantity)}" for unit in units)
+
+
+def _whole(values: Array) -> bool:
+    """Whole numbers throughout, and more than a few of them."""
+    return len(values) > 0 and bool(np.all(values == np.round(values))) and len(np.unique(values)) > 12

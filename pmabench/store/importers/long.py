@@ -1,0 +1,210 @@
+"""Files of more rows than fit into memory: inspected in parts, what was found put together, and thinned for cutting.
+
+Every part is inspected as a file would be, with some rows before it, so that what begins there is seen; what these rows
+alone show is taken off again. Trials are cut on rows that keep the course of the signal: of each stretch the lowest
+and the highest value, and all rows around steps, changes of phase and gaps.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmabench.store.importers.found import Checked, Found
+from pmabench.store.importers.map_rules import ImportMap
+from pmabench.store.importers.table import Table
+from pmabench.store.records import Array, Flags
+
+PART = 400_000
+"""Rows that are inspected together; a file that is not longer is inspected whole."""
+BEFORE = 10_000
+"""Rows before a part that are looked at with it."""
+STRETCHES = 100_000
+"""Of each of so many stretches of a long file the extremes are kept for cutting it into trials."""
+OF_WHOLE = frozenset({"left-out", "contradiction", "cut-end", "cut-row"})
+"""Kinds of findings that are about the file as such: the parts do not repeat them."""
+_ROW = re.compile(r"\b(rows?) (\d+)(?: to (\d+))?")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the inspection of some rows gave."""
+
+    t: Array
+    """Time stamps [s], shape (n,)."""
+    checked: tuple[Checked, ...]
+    """Channels, shape (n,)."""
+    values: Mapping[str, Array]
+    """Channels [SI] and other columns by their role, shape (n,)."""
+    flags: Flags
+    found: list[Found]
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """What all rows of a file gave."""
+
+    seen: Seen
+    """The rows on which trials are cut, with their flags, and all findings."""
+    flags: Flags
+    """Of all rows."""
+    whole: frozenset[str]
+    """Roles of channels that hold whole counts throughout."""
+    peaks: Mapping[str, tuple[float, float]]
+    """Role -> highest value [SI] of the samples in which nothing is wrong, and highest number in the file."""
+    period: float
+    """Median distance of the samples [s]."""
+
+
+def parts(rows: int) -> Iterator[tuple[int, int]]:
+    """Begin and end of each part."""
+    for begin in range(0, rows, PART):
+        yield begin, min(begin + PART, rows)
+
+
+def inspected(
+    table: Table,
+    rules: ImportMap,
+    inspect: Callable[[Table], Seen],
+    summarise: Callable[[Seen, Table], tuple[frozenset[str], Mapping[str, tuple[float, float]]]],
+) -> Inspected:
+    """Inspect all rows, part by part where they are many."""
+    rows = len(table)
+    if rows <= PART:
+        here = table.part(0, rows)
+        seen = inspect(here)
+        return Inspected(seen, seen.flags, *summarise(seen, here), _period(seen.t))
+    flags = np.zeros(rows, dtype=np.uint16)
+    merged = _Findings()
+    kept: list[Seen] = []
+    periods: list[float] = []
+    whole: frozenset[str] | None = None
+    peaks: dict[str, tuple[float, float]] = {}
+    for begin, end in parts(rows):
+        early = max(0, begin - BEFORE)
+        seen = inspect(table.part(early, end))
+        merged.add(seen.found, early)
+        if early < begin:
+            merged.take_off(inspect(table.part(early, begin)).found)
+        core = _slice(seen, slice(begin - early, None))
+        flags[begin:end] = core.flags
+        counts, highest = summarise(core, table.part(begin, end))
+        whole = counts if whole is None else whole & counts
+        for role, (value, number) in highest.items():
+            before = peaks.get(role, (value, number))
+            peaks[role] = (max(value, before[0]), max(number, before[1]))
+        periods.append(_period(core.t))
+        kept.append(_slice(core, _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))))
+    seen = replace(_joined(kept), found=merged.told())
+    return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)))
+
+
+def _period(t: Array) -> float:
+    return float(np.median(np.abs(np.diff(t)))) if len(t) > 1 else 0.0
+
+
+def _slice(seen: Seen, rows: slice | np.ndarray) -> Seen:
+    return Seen(
+        seen.t[rows],
+        tuple(Checked(channel.rule, channel.raw[rows], channel.si[rows]) for channel in seen.checked),
+        {role: values[rows] for role, values in seen.values.items()},
+        seen.flags[rows],
+        seen.found,
+    )
+
+
+def _joined(kept: list[Seen]) -> Seen:
+    channels = range(len(kept[0].checked))
+    checked = tuple(
+        Checked(
+            kept[0].checked[k].rule,
+            np.concatenate([seen.checked[k].raw for seen in kept]),
+            np.concatenate([seen.checked[k].si for seen in kept]),
+        )
+        for k in channels
+    )
+    return Seen(
+        np.concatenate([seen.t for seen in kept]),
+        checked,
+        {role: np.concatenate([seen.values[role] for seen in kept]) for role in kept[0].values},
+        np.concatenate([seen.flags for seen in kept]),
+        [],
+    )
+
+
+def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
+    """Rows that keep the course of what trials are cut by."""
+    rows = len(seen.t)
+    keep = np.zeros(rows, dtype=bool)
+    keep[[0, -1]] = True
+    size = -(-rows // stretches)
+    for role in ("pressure", "pressure_command"):
+        values = seen.values.get(role)
+        if values is None:
+            continue
+        padded = np.pad(np.nan_to_num(values, nan=float(np.nanmedian(values))), (0, -rows % size), mode="edge")
+        blocks = padded.reshape(-1, size)
+        first = np.arange(len(blocks)) * size
+        for at in (blocks.argmin(axis=1), blocks.argmax(axis=1)):
+            keep[np.minimum(first + at, rows - 1)] = True
+    edges = np.abs(np.diff(seen.t)) > min(rules.gap, rules.trials.longer_than or np.inf)
+    edges |= np.diff(seen.t) < 0
+    for role, values in seen.values.items():
+        if role.endswith("command") and rules.trials.smallest:
+            edges |= np.abs(np.diff(values)) >= rules.trials.smallest
+        elif role in ("phase", "trial"):
+            edges |= np.diff(values) != 0
+    keep[:-1] |= edges
+    keep[1:] |= edges
+    return np.flatnonzero(keep)
+
+
+class _Findings:
+    """Findings of parts put together: one of each kind and channel, counted over the whole file."""
+
+    def __init__(self) -> None:
+        self._all: dict[tuple[str, str], list[Found]] = {}
+        self._parts = 0
+
+    def add(self, found: list[Found], begin: int) -> None:
+        """Those of a part whose first row is `begin` of the file."""
+        self._parts += 1
+        for each in found:
+            if each.kind in OF_WHOLE and (each.kind, each.channel) in self._all:
+                continue
+            self._all.setdefault((each.kind, each.channel), []).append(_moved(each, begin))
+
+    def take_off(self, found: list[Found]) -> None:
+        """Those of the rows before the part that was added last: they were counted with the part before it."""
+        for each in found:
+            same = self._all.get((each.kind, each.channel))
+            if same and each.count:
+                left = same[-1].count - each.count
+                same[-1:] = [replace(same[-1], count=left)] if left > 0 else []
+
+    def told(self) -> list[Found]:
+        """One finding of each kind and channel, the first, and how often it was found."""
+        order = {"note": 0, "doubt": 1, "fault": 2}
+        merged = []
+        for same in self._all.values():
+            if not same:
+                continue
+            first, count = same[0], sum(each.count for each in same)
+            level = max((each.level for each in same), key=lambda level: order.get(level, 0))
+            text = first.text
+            if len(same) > 1:
+                text += f"; in {len(same)} of the {self._parts} parts in which the file was looked at"
+                text += f", {count:,} samples in all" if count else ""
+            merged.append(replace(first, level=level, text=text, count=count))
+        return merged
+
+
+def _moved(found: Found, begin: int) -> Found:
+    """A finding with rows of the file in place of those of its part."""
+    if not begin:
+        return found
+    text = _ROW.sub(lambda m: f"{m[1]} {int(m[2]) + begin}" + (f" to {int(m[3]) + begin}" if m[3] else ""), found.text)
+    return replace(found, text=text, index=None if found.index is None else found.index + begin)

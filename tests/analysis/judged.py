@@ -1,0 +1,56 @@
+"""Campaigns of the independent simulator `tests.judge` as runs of the project, with the limits of its protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pmabench.files.document import read_document
+from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
+from tests.judge.campaign import RATE, Trial
+
+PROTOCOL = Path(__file__).resolve().parents[2] / "protocols" / "contraction-relaxation.yaml"
+CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
+
+
+@lru_cache(maxsize=1)
+def accepted() -> dict[str, object]:
+    """The limits of the shipped protocol, as a plan has them: K +- 2 %."""
+    asked = read_document(PROTOCOL).data["accept"]
+    return {
+        "limits": [
+            {"what": what, "measure": measure, "limit": float(str(limit).removesuffix("%")) / 100, "place": ""}
+            for what, limits in asked.items()
+            for measure, limit in limits.items()
+        ]
+    }
+
+
+def as_run(trials: Sequence[Trial], name: str = "judged") -> RunData:
+    """The campaign as `store` would load it; every trial begins with its moment at rest, as own runs record it."""
+    return RunData(
+        id=name, path="", kind="contraction-relaxation", status="finished", simulated=True, manifest={},
+        plan={"accept": accepted()}, events=(), channels={
+            channel: ChannelInfo(channel, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
+            for channel, (quantity, unit) in CHANNELS.items()
+        }, rate=RATE, trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
+    )  # fmt: skip
+
+
+def _trial(run: str, number: int, trial: Trial) -> TrialData:
+    values = [0.0, *(value for _, value in trial.commands)]
+    phases = ["contract", *["relax"] * (len(trial.commands) - 2), "vent"]
+    commands = tuple(
+        Command(at, "pressure", "set", value, before, phase)
+        for (at, value), before, phase in zip(trial.commands, values[:-1], phases, strict=True)
+    )
+    command = np.zeros(len(trial.t))
+    for at, value in trial.commands:
+        command[trial.t >= at - 1e-9] = value
+    channels = {name: getattr(trial, name) for name in CHANNELS} | {"pressure_command": command}
+    point = {"load": trial.load, "mass": trial.mass, "pressure": trial.target}
+    flags = np.zeros(len(trial.t), dtype=np.uint16)
+    return TrialData(run, number, point, 0, False, "finished", trial.t, channels, flags, commands, {})

@@ -1,0 +1,130 @@
+"""The simulator itself: its steps are fine enough, its faults have their size, its truth is what was printed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tests.judge.campaign import (
+    CAUSES,
+    FULL,
+    NOISE,
+    PLAN,
+    PRESSURES,
+    RELAX,
+    campaign,
+    commands,
+    lagged,
+    muscle_of,
+    truth,
+)
+from tests.judge.motion import DEAD_TIME, FILLING, GRAVITY, RATE, hang, pressure
+from tests.judge.muscle import FRICTION, Muscle, damping_down, damping_up, pull, stiffness
+
+
+def test_the_lines_are_those_that_were_printed():
+    P = np.array([150e3, 200e3, 314e3, 350e3, 500e3, 550e3])
+    assert pull(P) == pytest.approx([481.1, 626.6, 958.34, 1063.1, 1499.6, 1645.1])
+    assert stiffness(P) == pytest.approx([27885.0, 26280.0, 22620.6, 23265.0, 25950.0, 26845.0])
+    assert damping_up(P) == pytest.approx([2900.0] * 6)
+    assert damping_down(P) == pytest.approx([1570.0, 1570.0, 1570.0, 1570.0, 2001.0, 2170.0])
+
+
+def test_the_pressure_follows_its_commands_after_the_dead_time():
+    t = np.array([0.0, 0.2 + DEAD_TIME, 0.2 + DEAD_TIME + FILLING, 5.0])
+    assert pressure(((0.2, 300e3),), t) == pytest.approx([0.0, 0.0, 300e3 * (1 - np.exp(-1)), 300e3])
+
+
+@pytest.mark.parametrize("muscle", [Muscle(), Muscle(bend=0.2), Muscle(creep=0.1)], ids=["straight", "bent", "creeps"])
+def test_half_the_step_changes_less_than_the_noise(muscle):
+    masses, steps = np.array([6.0, 41.0]), [commands(500e3), commands(350e3)]
+    once, twice = (hang(muscle, masses, steps, 3.0, np.array([10.0, 10.0]), fine=fine) for fine in (2, 4))
+    assert np.sqrt(np.mean((once.x - twice.x) ** 2)) < 0.2 * NOISE["displacement"]
+    assert np.sqrt(np.mean((once.force - twice.force) ** 2)) < 0.2 * NOISE["force"]
+
+
+def test_the_lift_is_that_of_an_adaptive_solver():
+    mass, steps = 26.0, commands(350e3)
+
+    def slope(t, y):
+        P = pressure(steps, np.array([t]))
+        excess = float((pull(P) - stiffness(P) * y[0] - damping_up(P) * y[1])[0]) - mass * GRAVITY - FRICTION
+        return [y[1], excess / mass]
+
+    t = np.arange(round(2.0 * RATE)) / RATE
+    P = pressure(steps, t)
+    lifts = float(np.interp(mass * GRAVITY + FRICTION, pull(P[t < 1.0]), t[t < 1.0]))
+    solved = solve_ivp(slope, (lifts, 2.0), [0.0, 0.0], t_eval=t[t > lifts], rtol=1e-8, atol=1e-10, max_step=0.01)
+    ours = hang(Muscle(), np.array([mass]), [steps], 2.0, np.array([10.0])).x[0][: len(t)]
+    moving = solved.y[1] > 1e-5
+    assert ours[t > lifts][moving] == pytest.approx(solved.y[0][moving], abs=NOISE["displacement"])
+
+
+def test_at_rest_the_cell_reads_the_weight_and_friction_holds():
+    for trial in campaign("clean", 1.0, 1)[::7]:
+        P, rest = np.array([trial.target]), slice(2000, 2500)
+        x, force = float(np.mean(trial.displacement[rest])), float(np.mean(trial.force[rest]))
+        assert force == pytest.approx(trial.load, abs=0.06)
+        unbalanced = float(pull(P)[0] - stiffness(P)[0] * x) - trial.load
+        assert 0.9 * FRICTION < unbalanced < FRICTION + 0.1
+        assert float(np.mean(trial.force[:100])) == pytest.approx(0.0, abs=0.12)
+
+
+def test_the_faults_have_their_size_in_the_record():
+    def end(cause, seed, channel, rows=slice(0, 100)):
+        whole = [getattr(trial, channel) for trial in campaign(cause, 1.0, seed)]
+        return float(np.mean(whole[-1][rows]) - np.mean(whole[0][rows]))
+
+    assert end("cell-drift", 2, "force") == pytest.approx(15.0, abs=0.5)
+    assert end("cell-drift", 3, "force") == pytest.approx(-15.0, abs=0.5)
+    assert end("slip-3", 2, "displacement") == pytest.approx(0.0, abs=2e-6)
+    assert end("slip-3", 3, "displacement") == pytest.approx(-3e-3, abs=2e-6)
+    # heaviest weight at least pressure, before and after: the muscle's mount shortens the stroke by as much
+    last = [campaign(cause, 1.0, 2)[-1].displacement[2000:2500].mean() for cause in ("clean", "slip-3")]
+    assert last[0] - last[1] == pytest.approx(3e-3, abs=2e-5)
+
+
+def test_a_late_pressure_and_a_lagged_force_are_late_by_their_time():
+    clean, late = (campaign(cause, 1.0, 1)[4] for cause in ("clean", "pressure-late"))
+    rows = (clean.pressure > 50e3) & (clean.pressure < 300e3)
+    rows[800:] = False
+    at = np.interp(late.pressure[rows], clean.pressure[:800], clean.t[:800])
+    assert np.mean(clean.t[rows] - at) == pytest.approx(FULL["pressure-late"], abs=1e-3)
+    ramp = np.arange(200) / RATE
+    assert (ramp - lagged(ramp, 10e-3))[-1] == pytest.approx(10e-3, rel=1e-6)
+
+
+def test_creep_goes_on_under_load_and_leaves_with_it():
+    trials = campaign("creep", 1.0, 1)
+    held = trials[2].displacement[1000], trials[2].displacement[2500]
+    assert 0.01 < held[1] / held[0] - 1 < 0.05
+    assert max(abs(float(np.mean(trial.displacement[-100:]))) for trial in trials) < 1e-4
+
+
+def test_truth_is_exact_where_the_muscle_is_straight_and_a_range_where_it_is_not():
+    P = np.array(PRESSURES)
+    for cause in (*CAUSES, "clean"):
+        for symbol, of in truth(cause, 1.0).items():
+            low, high = of(P)
+            assert (low <= high).all()
+            assert (low < high).all() == (symbol == "K" and cause in ("bend", "creep"))
+    low, high = truth("bend", 1.0)["K"](P)
+    assert (low > 0.8 * stiffness(P)).all()
+    assert (high < 1.2 * stiffness(P)).all()
+
+
+def test_a_bent_muscle_balances_where_its_truth_says():
+    P, load = np.array(PRESSURES), 6.0 * GRAVITY
+    muscle = muscle_of("bend", 1.0)
+    x = muscle._rest(P, load)
+    assert pull(P) - stiffness(P) * x * (1 + 0.2 * (1 - x / 60e-3)) == pytest.approx(load)
+
+
+def test_the_same_seed_gives_the_same_campaign_and_another_seed_another():
+    one, again, other = (campaign("force-lag", 0.5, seed)[3] for seed in (4, 4, 5))
+    assert np.array_equal(one.force, again.force)
+    assert not np.array_equal(one.force, other.force)
+    assert len(PLAN) == 24
+    assert commands(350e3)[-1][1] == 0.0
+    assert commands(350e3)[2][0] - commands(350e3)[1][0] == pytest.approx(RELAX)

@@ -1,0 +1,217 @@
+"""What changes results and what no file tells is a question with its candidates; open ones go along to the report."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmabench.base.errors import InvalidFile
+from pmabench.cli.main import main
+from pmabench.files.document import Document
+from pmabench.store.importers import warm
+from pmabench.store.importers.guess.columns import words
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text
+from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.questions import questions_of
+
+T = np.arange(0, 20, 0.01)
+RISE = 500.0 * np.clip(T / 10, 0, 1) * np.clip((20 - T) / 10, 0, 1)
+"""Pressure up and down [kPa]."""
+NOISE = np.random.default_rng(3).standard_normal((3, len(T)))
+P = RISE + 0.2 * NOISE[0]
+F = 1.2 * P + 5.0 + NOISE[1]
+"""A straight line from the first kPa on: no threshold changes its slope."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_child_stays():
+    yield
+    warm.close_readers()
+
+
+def file(path, columns, digits=4):
+    """A CSV of columns by name."""
+    rows = zip(*(np.round(values, digits) for values in columns.values()), strict=True)
+    lines = [",".join(f"{value:.10g}" for value in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def asked(path):
+    """Key -> question of the guessed map of one file."""
+    questions = questions_of(Document("map.yaml", map_text(guess_files([path]), {})))
+    return {question.what: question for question in questions}
+
+
+def call(*args, code=0):
+    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_a_file_that_tells_everything_is_asked_nothing(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    assert asked(path) == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "used", "candidates"),
+    [
+        ("P [kPa]", 0.01, "kPa", "bar: at most 498 kPa"),
+        ("P [MPa]", 0.01, "MPa", "bar: at most 498 kPa"),
+        ("P [bar]", 1.0, "bar", "kPa: at most 498 kPa"),
+        ("P", 0.01, "bar", "bar: at most 498 kPa"),
+        ("P", 0.145, "kPa", "kPa: at most 72.1 kPa; psi: at most 497 kPa"),
+    ],
+)
+def test_a_pressure_whose_unit_cannot_be_or_is_not_given_is_asked_for(tmp_path, name, scale, used, candidates):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, name: scale * P, "F [N]": F})
+    found = asked(path)
+    assert list(found) == [f"columns.{name}.unit"]
+    question = found[f"columns.{name}.unit"]
+    assert question.used == used
+    assert candidates in question.question
+
+
+def test_whole_numbers_without_a_unit_are_never_newtons(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "load cell": F}, digits=4)
+    assert asked(path)["columns.load cell.unit"].used == "N"
+    path = file(tmp_path / "held_9mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "load cell": np.round(F)})
+    found = asked(path)
+    assert [(key, found[key].used) for key in found] == [
+        ("columns.load cell.line.slope", ""),
+        ("columns.load cell.line.offset", ""),
+    ]
+    assert "which line makes a force of it" in found["columns.load cell.line.slope"].question
+
+
+def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P + 101.3, "F [N]": F})
+    found = asked(path)
+    assert list(found) == ["columns.P [kPa].line.offset"]
+    assert found["columns.P [kPa].line.offset"].used == "-101.325 kPa"
+
+
+def test_the_contraction_that_no_name_tells_is_asked_for(tmp_path):
+    path = file(tmp_path / "monday.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    assert [(key, question.used) for key, question in asked(path).items()] == [("trials.point.contraction", "")]
+    path = file(tmp_path / "Festo-10mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    assert list(asked(path)) == ["trials.point.contraction"], "the 10 mm may be its diameter"
+
+
+@pytest.mark.parametrize(
+    ("name", "told", "used"),
+    [("contraction [mm]", True, ""), ("x [mm]", False, "8 mm"), ("muscle length [mm]", False, "")],
+)
+def test_a_constant_length_is_no_step_test(tmp_path, name, told, used):
+    still = 8.0 + 0.004 * NOISE[2]
+    path = file(tmp_path / "monday.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, name: still})
+    guess = guess_files([path])
+    assert guess.kind == "isometric"
+    found = asked(path)
+    if told:
+        assert found == {}
+        assert "point: {contraction: 8 mm}" in map_text(guess, {})
+    else:
+        assert found["trials.point.contraction"].used == used
+
+
+def test_a_threshold_that_moves_the_slope_is_asked_for_with_what_each_does(tmp_path):
+    slack = np.maximum(0.0, 1.2 * (P - 150.0)) + NOISE[1]
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": slack})
+    question = asked(path)["analysis.force_above"]
+    assert question.used in {"19 N", "20 N", "21 N"}, "a twentieth of 420 N, the noise aside"
+    assert "the slope moves by" in question.question
+
+
+def test_the_frequency_of_a_sine_is_fitted_where_no_name_tells_it(tmp_path):
+    command = 300.0 + 100.0 * np.sin(2 * np.pi * 0.73 * T)
+    late = 300.0 + 90.0 * np.sin(2 * np.pi * 0.73 * T - 0.3) + 0.2 * NOISE[0]
+    x = 10.0 + 3.0 * np.sin(2 * np.pi * 0.73 * T - 0.5) + 0.002 * NOISE[2]
+    path = file(tmp_path / "wave.csv", {"t [s]": T, "P [kPa]": late, "Pset [kPa]": command, "x [mm]": x})
+    guess = guess_files([path])
+    assert {column.name: column.role for column in guess.columns}["Pset [kPa]"] == "pressure_command"
+    assert guess.kind == "recorded-sine"
+    assert guess.trials["by"] == "sine"
+    assert asked(path) == {}
+    (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
+    call("import", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
+    (run,) = (tmp_path / "runs").iterdir()
+    told = json.loads(call("runs", "show", run, "--json"))
+    assert [trial["point"]["frequency"] for trial in told["trials"]] == [pytest.approx(0.73, rel=2e-3)]
+
+
+@pytest.mark.parametrize("name", ["Pset [kPa]", "Psoll [bar]", "p_cmd", "SetPressure", "P des", "pRef"])
+def test_a_commanded_pressure_is_known_by_its_name(name):
+    assert {"set", "soll", "cmd", "des", "ref"} & words(name)
+
+
+def test_two_clocks_that_disagree_are_a_question(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, "time daq [s]": 1.1 * T})
+    question = asked(path)["columns.t [s].is"]
+    assert question.used == "time"
+    assert '"t [s]" lasts 19.99 s, "time daq [s]" 21.99 s' in question.question
+    path = file(tmp_path / "held_9mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F, "time daq [ms]": 1e3 * T})
+    assert asked(path) == {}
+
+
+def test_a_time_that_counts_samples_is_a_question(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t": np.arange(len(T)), "P [kPa]": P, "F [N]": F})
+    assert "or the number of the sample" in asked(path)["columns.t.unit"].question
+
+
+def test_open_questions_are_refused_answered_or_go_along(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": 0.01 * P, "F [N]": F})
+    told = call("import", "--guess", path, "-o", tmp_path / "map.yaml")
+    assert "1 question that no file answers" in told
+    assert "[until then: kPa]" in told
+    words = ["import", path, "--map", tmp_path / "map.yaml", "--out"]
+    refused = call(*words, tmp_path / "none", code=3)
+    assert "which unit is it? bar: at most 498 kPa" in refused
+    assert "--set 'columns.P [kPa].unit=...'" in refused
+    assert not (tmp_path / "none").exists()
+    told = call(*words, tmp_path / "typo", "--set", "columns.P.unit=bar", code=3)
+    assert "does not ask that" in told
+    call(*words, tmp_path / "bar", "--set", "columns.P [kPa].unit=bar")
+    (run,) = (tmp_path / "bar").iterdir()
+    data = json.loads(call("process", run, "--json"))
+    slope = next(e for e in data["analyses"][0]["estimates"] if e["symbol"] == "m")
+    assert slope["value"] == pytest.approx(1.2e-3, rel=0.01)
+    assert json.loads((run / "manifest.json").read_text())["imported"]["unresolved"] == []
+    open_ended = call(*words, tmp_path / "open", "--unresolved")
+    assert "not answered: columns.P [kPa].unit:" in open_ended
+    (run,) = (tmp_path / "open").iterdir()
+    (entry,) = json.loads((run / "manifest.json").read_text())["imported"]["unresolved"]
+    assert (entry["what"], entry["used"]) == ("columns.P [kPa].unit", "kPa")
+    told = call("process", run, code=6)
+    assert "NOT ACCEPTED: isometric: not answered:" in told
+    page = tmp_path / "page.html"
+    call("report", run, "-o", page)
+    front = page.read_text(encoding="utf-8").split("<nav")[0]
+    assert "not answered" in front
+    assert "bar: at most 498 kPa" in front
+
+
+def test_a_source_that_was_changed_afterwards_is_reported(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": F})
+    call("import", "--guess", path, "-o", tmp_path / "map.yaml")
+    call("import", path, "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs")
+    (run,) = (tmp_path / "runs").iterdir()
+    source = run / "source" / path.name
+    source.chmod(0o644)
+    source.write_text(source.read_text(encoding="utf-8").replace("F [N]", "F [lbf]"), encoding="utf-8")
+    told = call("process", run, code=6)
+    assert f"source/{path.name} was changed: its sha256 does not fit" in told
+
+
+def test_questions_of_maps_that_people_wrote(tmp_path):
+    text = "schema: pmabench.map/1\nname: a\nsource: b\nkind: '?? isometric'\nfile: {format: lvm}\ncolumns: {}\n"
+    (tmp_path / "map.yaml").write_text(text + "sampling: {rate: ['??', 9 Hz], gap: 1 s}\n", encoding="utf-8")
+    with pytest.raises(InvalidFile) as caught:
+        read_map(tmp_path / "map.yaml", unresolved=True)
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.message.split(";")[0]) == (7, "not answered: no file tells it")
+    assert Path(problem.path).name == "map.yaml"
