@@ -14,8 +14,9 @@ from pmabench.analysis.shared import repeats
 from pmabench.analysis.statics.break_away import option_of
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import STATIC, agreement
+from pmabench.analysis.verdict.agreement import agreement
 from pmabench.analysis.verdict.checks import with_checks
+from pmabench.analysis.verdict.offers import STATIC
 from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show

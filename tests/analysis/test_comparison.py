@@ -219,12 +219,15 @@ def test_the_simulated_muscle_of_serres_lies_on_the_published_lines():
 
 @pytest.fixture(scope="module")
 def benches():
-    """One bench twice, and one whose force cell reads 3 % more: F_ce, K, B and F_c come out 3 % larger."""
+    """One bench twice, and one whose force cell reads 3 % more: F_ce, K, B and F_c come out 3 % larger.
+
+    Loads are forces without weight: against weights the cell would be known to read 3 % more.
+    """
     cells = [(load, P) for load in (58.86, 156.96, 255.06) for P in (3e5, 4e5, 5e5)]
-    first, again = (contraction_run(rig(), cells, 1, seed, name) for seed, name in ((1, "r1"), (2, "r2")))
+    first, again = (contraction_run(rig(hanging=False), cells, 1, seed, name) for seed, name in ((1, "r1"), (2, "r2")))
     gained = [
         replace(t, channels={**t.channels, "force": 1.03 * t.channels["force"]})
-        for t in contraction_run(rig(), cells, 1, 3, "r3").trials
+        for t in contraction_run(rig(hanging=False), cells, 1, 3, "r3").trials
     ]
     runs = {"first": first, "again": again, "gained": replace(again, id="r3", trials=tuple(gained))}
     return {

@@ -175,7 +175,7 @@ def test_step_fits_have_the_skew_of_the_pressure_in_every_interval() -> None:
     """What a pressure that is 20 ms late or early, or drifts from one to the other, does is what the part says."""
     plain = told(contraction.reduce([strokes()]))
     off = [
-        told(contraction.reduce([delayed(strokes(), "pressure", first, last)]))
+        told(contraction.reduce([with_clocks(delayed(strokes(), "pressure", first, last), "pressure", 0.02)]))
         for first in (0.02, -0.02)
         for last in (0.02, -0.02)
     ]

@@ -280,3 +280,22 @@ def test_names_in_a_file_reach_no_terminal_as_they_are(tmp_path):
         assert "room" in told.output
         assert not {"\x1b", "\x9b"} & set(told.output)
         assert "\nfault: none" not in told.output
+
+
+def test_the_header_of_a_segment_may_begin_with_any_of_its_keys():
+    """`Notes` before `Channels`, as LabVIEW writes it where the measurement has a description."""
+    content = (OLD / "foreign" / "one.lvm").read_bytes()
+    expected = read("lvm", content).columns
+    for line in (b"Notes\tmuscle 3, new hose\r\n", b"Test_Name\tpull\r\nNotes\tChannels of the second rig\r\n"):
+        noted = content.replace(b"Channels\t", line + b"Channels\t", 1)
+        assert noted != content
+        found = read("lvm", noted).columns
+        assert all(np.array_equal(found[name], expected[name]) for name in expected)
+
+
+def test_an_lvm_file_that_is_cut_in_mid_row_is_read_to_its_last_whole_row():
+    content = (OLD / "foreign" / "one.lvm").read_bytes().rstrip()
+    expected = read("lvm", content + b"\r\n").columns
+    answer = read("lvm", content[: content.rindex(b"\t", 0, content.rindex(b"\t")) - 3])
+    assert all(np.array_equal(answer.columns[name], expected[name][:-1]) for name in expected)
+    assert any("the last row is cut off" in text and "left out" in text for text in answer.head["doubts"])

@@ -90,6 +90,7 @@ def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
     runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", unresolved=True)]
     assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
     assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
+    assert read_map(path, unresolved=True).siblings == {"force": 0.3, "pressure": 0.1}
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,46 @@ def test_two_clocks_that_disagree_are_a_question(tmp_path):
 
 def test_a_time_that_counts_samples_is_a_question(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t": np.arange(len(T)), "P [kPa]": P, "F [N]": F})
-    assert "or the number of the sample" in asked(path)["columns.t.unit"].question
+    assert "counts the samples: how far apart are they?" in asked(path)["columns.t.period"].question
+
+
+@pytest.mark.parametrize(("left", "role"), [("P [kPa]", "force"), ("F [N]", "pressure")])
+def test_a_channel_that_no_name_gives_is_the_one_question(tmp_path, left, role):
+    columns = {"t [s]": T, "ch0": NOISE[2], left: P, "ch1": 0.1 * RISE}
+    (tmp_path / "monday.csv").unlink(missing_ok=True)
+    found = asked(file(tmp_path / "monday.csv", columns))
+    assert list(found) == ["columns.ch0"]
+    assert found["columns.ch0"].question.startswith(
+        f'which column is the {role}? No name says it; there is "ch0", "ch1"'
+    )
+
+
+def test_a_command_is_not_taken_for_the_measured_pressure(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "Pset [kPa]": np.round(P, -2), "F [N]": F})
+    found = asked(path)
+    assert [(key, found[key].used) for key in found] == [("columns.Pset [kPa].is", "pressure_command")]
+    assert 'is "Pset [kPa]" it (pressure), or pressure_command' in found["columns.Pset [kPa].is"].question
+
+
+def test_a_frequency_in_the_name_that_the_command_contradicts_is_not_believed(tmp_path):
+    columns = {"t [s]": T, "P [kPa]": P, "Pset [kPa]": 300 + 100 * np.sin(2 * np.pi * 1.3 * T)}
+    columns["x [mm]"] = 10 + 3 * np.sin(2 * np.pi * 1.3 * T - 0.5)
+    assert guess_files([file(tmp_path / "wave_5Hz.csv", columns)]).trials["by"] == "sine"
+    assert guess_files([file(tmp_path / "wave_1.3Hz.csv", columns)]).trials["by"] == "file"
+
+
+def test_digits_that_may_be_grouped_are_a_question(tmp_path):
+    rows = zip(*(np.round(values, 3) for values in (T + 1, P + 2, F)), strict=True)
+    lines = [";".join(f"{value:.3f}".replace(".", ",") for value in row) for row in rows]
+    (tmp_path / "held_8mm_Test1.csv").write_text("\n".join(["t [s];P [kPa];F [N]", *lines]) + "\n")
+    question = asked(tmp_path / "held_8mm_Test1.csv")["file.decimal"]
+    assert question.used == "comma"
+    assert 'is "1,000" a number with decimals, or are its digits grouped?' in question.question
+
+
+def test_a_file_without_a_time_is_asked_for_its_period(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"P [kPa]": P, "F [N]": F})
+    assert list(asked(path)) == ["file.period"]
 
 
 def test_open_questions_are_refused_answered_or_go_along(tmp_path):

@@ -93,6 +93,7 @@ def test_optional_and_ignored_columns(tmp_path):
         (b"\n \n", 0, "is empty"),
         (b"0,1,2\n\x00\x01\x02\n", 0, "is binary"),
         (b"0,1,2\n\xff\xfe\xfd\n", 0, "not text in utf-8"),
+        (b"0,1,2\n0.1,2\n", 2, "has 2 columns, 3 are expected"),
         (b"0,1,2\n0.1,2\n0.2,3,4\n", 2, "has 2 columns, 3 are expected"),
         (b"0;1;2\n1;2;3\n", 1, "is not delimited by comma"),
         (b"0,1,2\n0.1,two,3\n", 2, '"two" is no number, in column "p"'),

@@ -7,6 +7,8 @@ import pytest
 from scipy.io import savemat
 
 from pmabench.base.errors import InvalidFile
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.importing import prepare, prepare_all
 from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.times import clock_seconds, date_seconds, seconds_of
@@ -199,3 +201,32 @@ def test_each_matrix_of_a_mat_file_is_a_test_with_its_own_clock(tmp_path):
         np.testing.assert_allclose(each.t, kilo * 0.01 * k)
         assert each.checked[0].si.tolist() == [1e3 * (p + k) for p in kilo]
         assert each.named.point == {"pressure": pytest.approx(1e5 * k)}
+
+
+def test_the_clock_of_another_matrix_is_a_doubt(tmp_path):
+    path, k = tmp_path / "two.mat", np.arange(40.0)
+    savemat(path, {"A": np.column_stack([k * 0.01, k]), "B": np.column_stack([k * 0.02, k, 2 * k])})
+    columns = 'columns:\n  "A(:,1)": {is: time, unit: s}\n  "B(:,2)": {is: pressure, unit: kPa}\n'
+    (tmp_path / "map.yaml").write_text(f'{HEAD}file: {{format: mat}}\n{columns}  "B(:,3)": {{is: force, unit: N}}\n')
+    (found,) = [f for f in prepare(path, read_map(tmp_path / "map.yaml")).findings if f.kind == "contradiction"]
+    assert "of other matrices" in found.text
+
+
+def test_a_guess_gives_each_matrix_its_own_clock_and_leaves_out_a_record_of_zeros(tmp_path):
+    rng = np.random.default_rng(1)
+
+    def matrix(step):
+        t = np.arange(400) * step
+        P = 150 * (1 - np.cos(2 * np.pi * t / t[-1]))
+        return np.column_stack([t, P, 2 * P + 5])
+
+    zero = np.column_stack([np.arange(900) * 0.01, 0.1 * rng.standard_normal((900, 2))])
+    savemat(tmp_path / "log.mat", {"zero": zero, "slow": matrix(0.02), "fast": matrix(0.005)})
+    text = map_text(guess_files([tmp_path / "log.mat"]), {})
+    assert "nothing moves in zero" in text
+    (tmp_path / "map.yaml").write_text(text)
+    answers = [(f"tests.{test}.point.contraction", "0 mm") for test in (0, 1)]
+    slow, fast = prepare_all(tmp_path / "log.mat", read_map(tmp_path / "map.yaml", answers, unresolved=True))
+    assert (slow.name, fast.name) == ("slow", "fast")
+    assert (slow.period, fast.period) == (pytest.approx(0.02), pytest.approx(0.005))
+    assert not [f for each in (slow, fast) for f in each.findings if f.kind in ("rate", "gap")]

@@ -77,12 +77,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     pooled = pool(campaign, options) if campaign is not None else None
     if campaign is None or pooled is None:
         reason = "no trial moves: there is nothing to fit"
+        findings = [] if campaign is None and dropped else [Finding("fault", reason)]
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(
-            KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", reason)], facts=facts
-        )
+        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)

@@ -42,6 +42,8 @@ class Way:
     """Change of F_L by size 1 [N per SI unit of the size], shape (n,)."""
     known: float = 0.0
     """Size [SI] that other lines of the budget hold already."""
+    curved: Array | None = None
+    """Second change of F_L by the size [N per square of it], shape (n,), of what may be large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,17 @@ def order(campaign: Campaign) -> Array:
     rank = np.empty(len(keys))
     rank[sorted(range(len(keys)), key=lambda i: keys[i])] = np.arange(len(keys))
     return np.asarray(rank / max(1, len(keys) - 1) - 0.5)
+
+
+def allowed(campaign: Campaign, segments: Segments, known: Sequence[Cause]) -> Array:
+    """What departures of known size may do to each segment, constant or growing over the campaign [N], shape (n, m)."""
+    course = 2 * order(campaign)[segments.trial]
+    columns: list[Array] = []
+    for way in (way for cause in known for way in cause.ways if way.known):
+        columns += [way.known * way.column, way.known * way.column * course]
+        if way.curved is not None:
+            columns.append(0.5 * way.known**2 * way.curved)
+    return np.array(columns).reshape(-1, len(segments)).T
 
 
 def _drift(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:
@@ -104,17 +117,20 @@ def _slip(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:
 def _late(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:
     """A channel shifted in time, or behind a first-order filter: the same at first order."""
     bounds = {name: bound for names, bound in skew.causes(campaign.runs, campaign.channels).items() for name in names}
-    pull = _rate(segments.F_mid, segments.dt) if campaign.cell else np.zeros(len(segments))
-    push = force_by_pressure(segments, fit) * _rate(segments.P_mid, segments.dt)
-    columns = {"pressure": push, **({"force": pull} if campaign.cell else {}), "displacement": pull - push}
+    slope = force_by_pressure(segments, fit)
+    push = [slope * of(segments.P_mid, segments.dt) for of in (_rate, _second)]
+    pull = [float(campaign.cell) * of(segments.F_mid, segments.dt) for of in (_rate, _second)]
+    columns = {"pressure": push, **({"force": pull} if campaign.cell else {})}
+    columns["displacement"] = [one - other for one, other in zip(pull, push, strict=True)]
     ways = tuple(
         Way(
             f"{name} is late by {{size}} against the other channels, or filtered with that time constant",
             "time",
             column,
             bounds.get(name, 0.0),
+            curved,
         )
-        for name, column in columns.items()
+        for name, (column, curved) in columns.items()
     )
     return Cause("delay or filter of a channel that the fit does not exclude", "method", ways)
 
@@ -160,6 +176,13 @@ def _rate(values: Array, dt: float) -> Array:
     """Slope of each row of `values` (n, s) over time [1/s]; its noise has nothing in common with that of the mean."""
     t = (np.arange(values.shape[1]) - 0.5 * (values.shape[1] - 1)) * dt
     return np.asarray(values @ t / (t @ t))
+
+
+def _second(values: Array, dt: float) -> Array:
+    """Second derivative of each row of `values` (n, s) over time [1/s^2], by a parabola."""
+    t = (np.arange(values.shape[1]) - 0.5 * (values.shape[1] - 1)) * dt
+    square = t**2 - np.mean(t**2)
+    return np.asarray(2 * values @ square / (square @ square))
 
 
 Follow = Callable[[Array, Array, Array, Array], Array]

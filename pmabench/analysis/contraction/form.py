@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.contraction.campaign import Campaign
-from pmabench.analysis.contraction.departures import Cause, Way, causes, order
+from pmabench.analysis.contraction.departures import Cause, Way, allowed, causes, order
 from pmabench.analysis.contraction.intervals import Hiding, Trust
 from pmabench.analysis.contraction.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
 from pmabench.analysis.contraction.segments import Segments
@@ -37,8 +37,8 @@ FALSE_ALARMS = 0.01
 """Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
 HIDES = 2.0
 """What hides is as large as it was found, and so many standard deviations more."""
-AGREE = 0.5
-"""A drift by the fit may differ by this share from that by the weights: noise in the columns makes it smaller."""
+NEAR = 5e-4
+"""A residual this small, as a share of the typical force, says nothing against the form."""
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""
@@ -169,15 +169,14 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
     own, after = noise_covariance(segments, fit, campaign.noise_of_means)
     own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
     known = causes(campaign, segments, fit)
-    allowed = np.array([way.known * way.column for cause in known for way in cause.ways if way.known])
-    allowed = allowed.reshape(-1, len(segments)).T
+    may = allowed(campaign, segments, known)
     scatter = _scatter(campaign, segments, fit.residual, own)
     weights = weighed(campaign, order(campaign))
-    sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter, allowed)]
-    whole = own + np.sum(allowed**2, axis=1) + scatter
+    sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter, may)]
+    whole = own + np.sum(may**2, axis=1) + scatter + (NEAR * rms_of(segments.force)) ** 2
     ratio, free, held_out = _ratio(segments, fit, whole, own, rms_of(noise))
     pairs = np.flatnonzero(_neighbours(segments))
-    expected = after[pairs] + np.sum(allowed[pairs] * allowed[pairs + 1], axis=1) + scatter
+    expected = after[pairs] + np.sum(may[pairs] * may[pairs + 1], axis=1) + scatter
     product = fit.residual[pairs] * fit.residual[pairs + 1] - expected
     alike = float(np.sum(product) / np.sum(whole[pairs])) if len(pairs) else 0.0
     limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
@@ -194,16 +193,16 @@ def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: T
 
     `rows` says which of the segments of `form` they are.
     """
-    lines = []
+    lines: list[Hiding] = []
+    clear = {one.cause.name for one in form.found}
     for cause in {id(size.cause): size.cause for size in form.sizes}.values():
         mine = [size for size in form.sizes if size.cause is cause]
         strength = np.array([0.5 * (one.beyond**2 - EVEN**2) for one in mine])
         likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
         none = np.exp(-max(0.0, strength.max()))
         change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
-        lines.append(
-            Hiding(cause.name, cause.part, change * [size.hidden for size in mine], likely / (none + likely.sum()))
-        )
+        most = change * [size.hidden for size in mine]
+        lines.append(Hiding(cause.name, cause.part, most, likely / (none + likely.sum()), cause.name in clear))
     return replace(trust, hides=(*lines, *_cell(form.weighed, scales, segments, fit)))
 
 
@@ -218,7 +217,8 @@ def _cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> 
     for name, found, told, column in kinds:
         if found is not None:
             size = max(0.0, abs(found[0]) + HIDES * found[1] - told.get("force", 0.0))
-            lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1)))
+            seen = abs(found[0]) > told.get("force", 0.0) + SURE * found[1]
+            lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1), seen))
     return lines
 
 
@@ -243,9 +243,12 @@ def _inverse(normal: Array) -> Array:
 
 
 def _sizes(
-    segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float, allowed: Array
+    segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float, may: Array
 ) -> list[Size]:
-    """Least squares of each column together with the coefficients, one at a time."""
+    """Least squares of each column together with the coefficients, one at a time.
+
+    `may` (n, m) is as `allowed` gives it.
+    """
     members = [(cause, way) for cause in known for way in cause.ways]
     if not members:
         return []
@@ -263,21 +266,18 @@ def _sizes(
     np.add.at(whole, trial, alone)
     variance += scatter * np.sum(whole**2, axis=0)
     # noise that is larger than rest shows widens all; what the departure itself explains does not count
-    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(allowed**2))
+    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(may**2))
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
-    other = np.sqrt(np.sum((allowed.T @ alone) ** 2, axis=0)) / left
+    other = np.sqrt(np.sum((may.T @ alone) ** 2, axis=0)) / left
     kept = [member for member, one in zip(members, seen, strict=True) if one]
     return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, strict=True)]
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
-    """The drift of the cell by the fit and by the weights together, where they agree."""
+    """The drift of the cell by the fit and by the weights together, each as sure as it is."""
     if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
         return size
     drift, error = weights.drift
-    apart = abs(drift - size.size) - AGREE * max(abs(drift), abs(size.size))
-    if apart > 3 * sqrt(error**2 + size.error**2):
-        return size
     one, other = 1 / size.error**2, 1 / error**2
     return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
 

@@ -50,6 +50,9 @@ class Hiding:
     likely: Array
     """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
 
+    seen: bool
+    """It is significant: then it shifts the value one way, and adds to the half width of all else as it is."""
+
     def half(self, combination: Array) -> float:
         """Root of the mean square change of a linear combination (p,) over the ways."""
         return sqrt(float((combination @ self.change) ** 2 @ self.likely))
@@ -105,14 +108,22 @@ class Trust:
             *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
             *(Source(f"calibration of {n}", "calibration", "B", None, UNTOLD) for n in self.untold),
             *(_drift(cause, combination) for cause in self.drifts),
-            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides),
+            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
         if len(self.skews):
             skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
             found.append(Source("time between the streams", "skew", "B", skew))
+        found += self._shifts(combination, parts_of(found).combined or 0.0)
         found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
         return parts_of(found), bias, tuple(found)
+
+    def _shifts(self, combination: Array, rest: float) -> list[Source]:
+        """Lines of significant departures, such that all squares add up to `rest` and the sizes of the departures."""
+        halves = [(one, one.half(combination)) for one in self.hides if one.seen]
+        total, squares = sum(half for _, half in halves), sum(half**2 for _, half in halves)
+        more = sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
+        return [Source(one.name, one.part, "B", half * more) for one, half in halves]
 
 
 def _drift(cause: Cause, combination: Array) -> Source:

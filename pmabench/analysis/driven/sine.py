@@ -32,7 +32,7 @@ RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
     Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("F", "force at the mean contraction", "force"),
+    Result("F", "force", "force"),
     Result("H", "loop width", "force"),
     Result("W", "loop area, energy lost per cycle", "work"),
     Result("W_c", "work given while contracting", "work"),

@@ -86,16 +86,16 @@ def inspected(
     for begin, end in parts(rows):
         early = max(0, begin - BEFORE)
         seen = inspect(table.part(early, end))
-        merged.add(seen.found, early)
-        if early < begin:
-            merged.take_off(inspect(table.part(early, begin)).found)
+        doubled = bool(seen.flags[: begin - early].any())
+        before = inspect(table.part(early, begin)).found if doubled else []
+        merged.add(seen.found, early, before)
         core = _slice(seen, slice(begin - early, None))
         flags[begin:end] = core.flags
         counts, highest = summarise(core, table.part(begin, end))
         whole = counts if whole is None else whole & counts
         for role, (value, number) in highest.items():
-            before = peaks.get(role, (value, number))
-            peaks[role] = (max(value, before[0]), max(number, before[1]))
+            peak = peaks.get(role, (value, number))
+            peaks[role] = (max(value, peak[0]), max(number, peak[1]))
         periods.append(_period(core.t))
         kept.append(_slice(core, _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))))
     seen = replace(_joined(kept), found=merged.told())
@@ -141,7 +141,7 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
     keep = np.zeros(rows, dtype=bool)
     keep[[0, -1]] = True
     size = -(-rows // stretches)
-    for role in ("pressure", "pressure_command"):
+    for role in ("pressure", "pressure_command", "displacement", "displacement_command"):
         values = seen.values.get(role)
         if values is None:
             continue
@@ -169,29 +169,22 @@ class _Findings:
         self._all: dict[tuple[str, str], list[Found]] = {}
         self._parts = 0
 
-    def add(self, found: list[Found], begin: int) -> None:
-        """Those of a part whose first row is `begin` of the file."""
+    def add(self, found: list[Found], begin: int, before: list[Found]) -> None:
+        """Those of a part whose first row is `begin` of the file, without those of the rows `before` it."""
         self._parts += 1
+        counted = {(each.kind, each.channel): each.count for each in before}
         for each in found:
-            if each.kind in OF_WHOLE and (each.kind, each.channel) in self._all:
+            key = (each.kind, each.channel)
+            left = each.count - counted.get(key, 0)
+            if (each.count and left <= 0) or (each.kind in OF_WHOLE and key in self._all):
                 continue
-            self._all.setdefault((each.kind, each.channel), []).append(_moved(each, begin))
-
-    def take_off(self, found: list[Found]) -> None:
-        """Those of the rows before the part that was added last: they were counted with the part before it."""
-        for each in found:
-            same = self._all.get((each.kind, each.channel))
-            if same and each.count:
-                left = same[-1].count - each.count
-                same[-1:] = [replace(same[-1], count=left)] if left > 0 else []
+            self._all.setdefault(key, []).append(replace(_moved(each, begin), count=left))
 
     def told(self) -> list[Found]:
         """One finding of each kind and channel, the first, and how often it was found."""
         order = {"note": 0, "doubt": 1, "fault": 2}
         merged = []
         for same in self._all.values():
-            if not same:
-                continue
             first, count = same[0], sum(each.count for each in same)
             level = max((each.level for each in same), key=lambda level: order.get(level, 0))
             text = first.text

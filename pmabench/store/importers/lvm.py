@@ -19,6 +19,11 @@ from pmabench.store.records import Array
 
 MAGIC = b"LabVIEW Measurement"
 END = "***End_of_Header***"
+KEYS = {
+    *("Channels", "Samples", "Date", "Time", "Notes", "Test_Name", "Test_Numbers", "UUT_Name", "UUT_S/N", "UUT_M/N"),
+    *("X_Dimension", "X0", "Delta_X", "Y_Dimension", "Y_Unit_Label", "X_Unit_Label"),
+}
+"""Keys of the header of a segment."""
 SHOWN = 10
 MAX_CHANNELS = 500
 NO_NUMBER = {"nan": np.nan, "inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "": np.nan}
@@ -96,8 +101,9 @@ def read_lvm(path: str, content: bytes) -> Recorded:
             "Y_Unit_Label"
         ):
             raise invalid(path, "has other channels or units than the segment before; split the file", segment.first, 1)
-    tables = [_numbers(file, segment) for segment in segments]
     recorded = Recorded([], _started(segments[0], file.keys), segments[0].first, not file.ends)
+    _drop_cut_row(file, segments[-1], recorded)
+    tables = [_numbers(file, segment) for segment in segments]
     xs = _abscissae(file, segments, tables, recorded)
     channels = len(segments[0].names)
     step = 2 if file.x == "Multi" else 1
@@ -116,12 +122,23 @@ def read_lvm(path: str, content: bytes) -> Recorded:
     return recorded
 
 
+def _drop_cut_row(file: _File, segment: _Segment, recorded: Recorded) -> None:
+    """Leave out the last row where the file ends within it, and say so."""
+    width = len(segment.names) * 2 if file.x == "Multi" else len(segment.names) + 1
+    if not file.ends and len(segment.rows) > 1 and len(segment.rows[-1][1]) < width:
+        number, fields = segment.rows.pop()
+        recorded.cut_end = False
+        recorded.doubts.append(
+            f"the last row is cut off, in line {number}: {len(fields)} of {width} columns; it was left out"
+        )
+
+
 def _whole(text: str) -> int:
     return int(text) if text.isdecimal() and len(text) < 12 else -1
 
 
 def _segments(file: _File) -> list[_Segment]:
-    """Headers and rows; a segment begins with a line "Channels"."""
+    """Headers and rows; a segment begins with any key of its header, in any order."""
     segments: list[_Segment] = []
     keys: dict[str, list[str]] | None = None
     special = names_next = False
@@ -132,8 +149,10 @@ def _segments(file: _File) -> list[_Segment]:
             special = first != "***End_Special***"
         elif not line.strip():
             continue
-        elif first == "Channels":
+        elif keys is None and (first in KEYS or not segments):
             keys = {first: [text.strip() for text in fields[1:] if text.strip()]}
+            if not segments and first not in KEYS and _NUMBER.fullmatch(first):
+                raise invalid(file.path, "a header with the number of channels is expected before the rows", number, 1)
         elif keys is not None and first == END:
             names_next = True
         elif names_next and keys is not None:
@@ -141,17 +160,15 @@ def _segments(file: _File) -> list[_Segment]:
             keys, names_next = None, False
         elif keys is not None:
             keys[first] = [text.strip() for text in fields[1:] if text.strip()]
-        elif segments:
-            segments[-1].rows.append((number, fields))
         else:
-            raise invalid(file.path, 'a line "Channels" is expected after the header', number, 1)
+            segments[-1].rows.append((number, fields))
     if keys is not None:
         raise invalid(file.path, "is cut off within the header of a segment", len(file.lines), 1)
     return segments
 
 
 def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int) -> list[str]:
-    count = _whole(keys["Channels"][0]) if keys["Channels"] else -1
+    count = _whole(keys["Channels"][0]) if keys.get("Channels") else -1
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid(file.path, f"the number of channels is not 1 to {MAX_CHANNELS}", line, 1)
     step = 2 if file.x == "Multi" else 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import cos, pi, radians, sin, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pmabench.store.importers.effect import in_words, slope
 from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.importers.questions import Question
 from pmabench.store.importers.units import spelled
-from pmabench.store.records import Array
+from pmabench.store.records import UNUSABLE, Array, Flags
 
 STEEPEST = 17.0
 """No braid is laid at a smaller angle [deg]: the most force that a diameter gives."""
@@ -70,6 +71,25 @@ class Muscle:
     contraction: float | None
     held: bool
     """Its length is set: force follows pressure."""
+
+
+def muscle_of(specimen: Mapping[str, Any], point: Mapping[str, float], *, held: bool) -> Muscle:
+    """What the specimen of a map and the point of a file tell of the muscle [SI]."""
+    diameter, length = (specimen.get(key) for key in ("inner_diameter", "nominal_length"))
+    return Muscle(
+        None if diameter is None else float(diameter),
+        None if length is None else float(length),
+        point.get("contraction"),
+        held,
+    )
+
+
+def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
+    """Slope of force over pressure where there is force [N/Pa], of channels and flags of shape (n,)."""
+    good = (flags & np.uint16(UNUSABLE)) == 0
+    if not {"pressure", "force"} <= set(values) or not good.any():
+        return None
+    return slope_of(values["pressure"][good], values["force"][good])
 
 
 def area_factor(angle: float) -> float:

@@ -138,10 +138,9 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
     gain = abs(slope(p, y) or 0.0) if follows else 0.0
     leaps = [np.convolve(v, EDGE, mode="valid") for v in (y, p)]  # at the sample after the first SIDE of each window
     step = np.maximum(np.abs(leaps[0]) - gain * np.abs(leaps[1]), gain * np.abs(leaps[1]) - np.abs(leaps[0]))
-    around = np.diff(rows, prepend=rows[0])
-    broken = np.convolve(around > SIDE, np.ones(2 * SIDE), mode="valid") > 0.5  # nothing is known of what lies between
-    step[broken] = 0.0
-    wide = max(SIDE, int(MOMENT / max(float(np.median(np.diff(report.t[rows]))), 1e-9)))
+    steps, usual = np.diff(report.t[rows], prepend=report.t[rows[0]]), float(np.median(np.diff(report.t[rows])))
+    step[np.convolve(steps > SIDE * usual, np.ones(2 * SIDE), mode="valid") > 0.5] = 0.0  # it may have moved meanwhile
+    wide = max(SIDE, int(MOMENT / max(usual, 1e-9)))
     peaks = _peaks(step, 2 * SIDE)
     if len(peaks) <= CANDIDATES:
         return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from typing import IO
 
@@ -14,6 +15,11 @@ KEPT = 64_000_000
 """Bytes of all columns up to which nothing is written to disk."""
 
 
+def _close(files: dict[str, IO[bytes]]) -> None:
+    for file in files.values():
+        file.close()
+
+
 class Columns(Mapping[str, Array]):
     """Equally long columns by name; `columns[name]` is a whole one, `part` some rows of all."""
 
@@ -22,6 +28,7 @@ class Columns(Mapping[str, Array]):
         self.rows = 0
         self._pieces: dict[str, list[Array]] = {}
         self._files: dict[str, IO[bytes]] = {}
+        weakref.finalize(self, _close, self._files)
 
     def append(self, piece: Mapping[str, Array]) -> None:
         """Put rows behind those that there are. Raises OSError where the folder for temporary files is full."""

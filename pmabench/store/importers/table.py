@@ -152,7 +152,7 @@ def _with_period(table: Table, period: float) -> Mapping[str, Array]:
     rows = len(table)
     starts = np.array((0, *table.starts))
     if not isinstance(table.columns, Columns):
-        return {**table.columns, TIME: np.arange(rows) * period}
+        return {**table.columns, TIME: np.arange(rows, dtype=np.float64) * np.float64(period)}
     columns = Columns()
     for begin in range(0, rows, PIECE // 8):
         end = min(begin + PIECE // 8, rows)
@@ -179,6 +179,7 @@ def _read_whole(
         clock = Clock(stamps)
         columns[stamps.column] = clock.seconds(columns[stamps.column])
         started = clock.started or started
+    doubts = [*head.get("doubts", []), *(_other_matrices(columns, stamps.column) if stamps is not None else [])]
     lines = Lines()
     lines.append(answer.lines)
     return Table(
@@ -190,9 +191,20 @@ def _read_whole(
         cut_end=bool(head.get("cut_end")),
         units=dict(zip(answer.columns, head.get("units", []), strict=False)),
         started=started,
-        doubts=tuple(printable(text) for text in head.get("doubts", [])),
+        doubts=tuple(printable(text) for text in doubts),
         left_out=tuple(printable(text) for text in head.get("left_out", [])),
     )
+
+
+def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
+    """A doubt where channels are of another matrix of a .mat file than the clock."""
+    of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
+    others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
+    if not others:
+        return []
+    return [
+        f'the time is "{time}", and {", ".join(others)[:200]} of other matrices: nothing says that they go together'
+    ]
 
 
 def _read_text(

@@ -180,7 +180,7 @@ class TextReader:
         except InvalidFile:
             fields = self._split(last.split("\n", 1)[0])
             count, expected = len(fields), len(self._names)
-            if not begun or not self._rows or not (count < expected or (self.cut_end and self._ends_badly(fields))):
+            if not begun or self._rows < 2 or not (count < expected or (self.cut_end and self._ends_badly(fields))):
                 raise
             what = f"{count} of {expected} columns" if count < expected else "its last number is no whole one"
             self.cut_row = f"the last row is cut off, in line {number}: {what}; it was left out"

@@ -114,7 +114,7 @@ def _air(unit: str) -> str:
 
 def contraction_of(guess: Guess) -> Asked | str:
     """At which contraction a file was held, where no name tells it; a text where the file does, empty: not needed."""
-    if guess.kind != "isometric" or any("{contraction}" in form for form in guess.forms):
+    if guess.kind != "isometric" or guess.lacks or guess.tests or any("{contraction}" in form for form in guess.forms):
         return ""
     column = guess.role("displacement")
     head = "at which contraction was the muscle held? No name tells it"

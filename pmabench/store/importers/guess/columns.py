@@ -8,15 +8,35 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
+from pmabench.store.importers.guess.clock import counted
+from pmabench.store.importers.map_file import PointName
 from pmabench.store.importers.units import QUANTITY, spelled
 from pmabench.store.records import Array
 
 WORDS = {
-    "time": {"t", "time", "zeit", "elapsed", "timestamp", "seconds", "sec", "tijd", "temps", "x_value"},
-    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"},
+    "time": {
+        "t",
+        "time",
+        "zeit",
+        "elapsed",
+        "timestamp",
+        "seconds",
+        "sec",
+        "tijd",
+        "temps",
+        "x_value",
+        "datetime",
+        "date",
+        "clock",
+        "uhrzeit",
+    }
+    | {"時間", "时间", "時刻", "시간"},
+    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"}
+    | {"圧力", "压力", "壓力", "압력"},
     "force": {
         "f",
         "force",
@@ -29,10 +49,16 @@ WORDS = {
         "cell",
         "fuerza",
         "forca",
+        "荷重",
+        "張力",
+        "拉力",
+        "载荷",
+        "하중",
     },
     "displacement": {
         *("x", "pos", "position", "disp", "displacement", "dist", "distance", "length", "len", "stroke", "weg", "lvdt"),
         *("pot", "z", "contraction", "extension", "elongation", "encoder", "laser"),
+        *("変位", "位移", "변위"),
     },
     "command": {
         *("cmd", "command", "set", "setpoint", "sp", "ref", "reference", "desired", "target", "soll", "out", "output"),
@@ -79,8 +105,16 @@ class Proposal:
     doubts: list[str] = field(default_factory=list)
     question: str = ""
     """What is asked about its role, where the choice is open."""
+    written: str = "number"
+    """How a time is written, as the map says it; empty where it may be days or a plain number."""
+    order: str = ""
+    """Order of day and month in its dates, where the year comes last; `??` where the file leaves it open."""
+    period: float = 0.0
+    """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
+    extra: list[str] = field(default_factory=list)
+    """Further lines of the map that are known of it."""
 
     @property
     def good(self) -> Array:
@@ -118,6 +152,7 @@ def words(name: str) -> set[str]:
 
 def choose(proposals: Sequence[Proposal]) -> None:
     """Give every column its role; at most one of each."""
+    proposals = [proposal for proposal in proposals if not _exported(proposal)]
     for proposal in proposals:
         if not proposal.bare:
             _by_name(proposal)
@@ -125,6 +160,16 @@ def choose(proposals: Sequence[Proposal]) -> None:
     _one_each(proposals)
     _by_shape(proposals)
     _unknown(proposals)
+
+
+def _exported(proposal: Proposal) -> bool:
+    """Whether it is a column that `pmabench export` adds to the channels: it gets its role."""
+    name, of = proposal.name, re.fullmatch(r"trial (\w+)(?: \[.*\])?", proposal.name)
+    if name in ("trial", "flags", "simulated"):
+        proposal.role = name
+    elif of is not None and of[1] in get_args(PointName):
+        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+    return proposal.role in ("trial", "flags", "simulated", "point")
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
@@ -145,7 +190,7 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
                 told = (
                     f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
                 )
-                proposal.question = f"{told}: force, displacement, or ignore (then it is left out)?"
+                proposal.question = f"{told}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
         else:
             proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
 
@@ -200,10 +245,17 @@ def _time(proposals: Sequence[Proposal]) -> None:
             good = good[:1]
             good[0].role = "time"
             good[0].reasons.append("the only column that rises from the first row to the last")
+    good.sort(key=lambda p: float(np.mean(np.diff(p.values) == 0)) > 0.5)  # one that is too coarse comes last
     for proposal in good[1:]:
         proposal.role = "ignore"
         proposal.reasons.append(f'a second time; "{good[0].name[:40]}" is taken')
-    if good and not good[0].unit:
+    if good and good[0].written == "number" and (count := counted(good[0].values)) is not None:
+        good[0].written, good[0].unit = count
+        good[0].reasons.append(f"its numbers are those of {good[0].written or 'serial days'} of our years")
+    elif good and not good[0].unit and good[0].written == "number" and bool(np.all(np.diff(good[0].values) == 1.0)):
+        good[0].written = "index"
+        good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
+    elif good and not good[0].unit:
         _time_unit(good[0])
 
 
@@ -231,16 +283,12 @@ def _time_unit(time: Proposal) -> None:
 
 
 def _which_time(time: Proposal, step: float) -> None:
-    """A time without unit that may be in several, or that only counts the samples, is asked for."""
-    steps = np.diff(time.values)
+    """A time without unit that may be in several is asked for."""
     rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
-    if bool(np.all(steps == 1.0)):
-        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or the number of the sample'
-        time.question = f"{head} (then ignore it, and write the time between samples as period: under file)? {told}"
-    elif len(possible) > 1:
+    if len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -13,9 +13,11 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
+from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, owners
 from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
+from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
-from pmabench.store.importers.map_file import BinaryLayout, TextLayout
+from pmabench.store.importers.map_file import PLACE, BinaryLayout, TextLayout
 from pmabench.store.importers.map_rules import ImportMap, read_map
 from pmabench.store.importers.table import content_of, read_table
 from pmabench.store.importers.units import spelled
@@ -32,6 +34,8 @@ MAGIC = (
 _MATRIX = re.compile(r"(.+)\(:,\d+\)")
 LOOKED_AT = 20_000_000
 """Bytes of a text file that are looked at."""
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+"""In one unit of a time."""
 LONG_PAUSE = 2.0
 """Seconds; a log that pauses so long several times was switched off between its parts."""
 
@@ -64,8 +68,23 @@ class Guess:
     """Name of a shipped map that takes these files as they are."""
     frequency: float = 0.0
     """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits."""
+    lacks: str = ""
+    """A channel without which nothing can be fitted, and that was not found."""
+    tests: list[str] = field(default_factory=list)
+    """Names of several tests in each file."""
+    slower: tuple[float, float] = (1.0, 1.0)
+    """Least and largest step of the clocks of the tests, against that of the test that is shown."""
+    period: float = 0.0
+    """Distance of the samples that a header gives [s]; 0 where none does."""
     seconds: Array | None = None
     """Time of each row [s], where a time was found."""
+    exported: bool = False
+    """The record of an exported run answers what else would be asked."""
+    simulated: bool = False
+    specimen: dict[str, str] = field(default_factory=dict)
+    """Where a file tells it."""
 
     def role(self, role: str) -> Proposal | None:
         """The column with a role, where there is one."""
@@ -82,6 +101,9 @@ def guess_files(files: Sequence[Path]) -> Guess:
 
 def _guess(files: Sequence[Path]) -> Guess:
     guess = _look(files[0])
+    if as_exported(guess, files):
+        _sampling(guess)
+        return guess
     for path in files[1:FILES]:
         _alike(guess, path)
     guess.files = list(files)
@@ -89,6 +111,7 @@ def _guess(files: Sequence[Path]) -> Guess:
     _kind(guess)
     _names(guess)
     _frequency(guess)
+    _lacking(guess)
     guess.known = _known(files[0])
     for role in ("time", "pressure"):
         if guess.role(role) is None:
@@ -114,16 +137,24 @@ def _look(path: Path) -> Guess:
     layout = BinaryLayout.model_validate({"format": kind})
     table = read_table(path, layout, None)
     groups: dict[tuple[str, int], list[str]] = {}
+    owner = owners(table.columns) if kind == "mat" else {name: name.rpartition("/")[0] for name in table.columns}
+    tests, zeros = alike(table.columns, owner) if kind == "mat" else ([], [])
     for name, values in table.columns.items():
-        groups.setdefault((name.rpartition("/")[0] if kind == "tdms" else "", len(values)), []).append(name)
+        groups.setdefault((owner[name] if kind != "lvm" else "", len(values)), []).append(name)
     if not groups:
         raise invalid(path, "holds no columns of numbers")
-    group = max(groups, key=lambda key: (len(groups[key]) * key[1], key))
+    good = [key for key in groups if key[0] not in zeros and (len(tests) < 2 or key[0] in tests)]
+    group = max(good or groups, key=lambda key: (len(groups[key]) * key[1], key))
     others = [name for key, names in groups.items() if key != group for name in names]
     names = {"lvm": "LabVIEW measurement", "tdms": "TDMS", "mat": "MATLAB"}
     reasons = [f"{names[kind]}, by its first bytes; {len(groups[group])} columns of {group[1]} samples each"]
+    if zeros:
+        reasons.append(f"nothing moves in {', '.join(zeros)[:200]}: records of the zeros, left out")
+    if len(tests) > 1:
+        reasons.append(f"{len(tests)} matrices with a clock each: every one is a test, and told apart by {group[0]}")
+        others = [name for name in others if matrix_of(name) not in tests]
     if others:
-        reasons.append(f"columns of other lengths or groups are left out: {', '.join(others)[:200]}")
+        reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
     columns = [
         Proposal(name, table.columns[name], unit=spelled(table.units.get(name, "")) or unit_in(name))
         for name in groups[group]
@@ -137,22 +168,52 @@ def _look(path: Path) -> Guess:
         reasons.append("columns of a matrix have no names of their own: they are told apart by what they hold")
     choose(columns)
     guess = Guess([path], layout, columns, [], [*others, *table.left_out], reasons={"file": reasons})
+    if len(tests) > 1:
+        guess.tests = tests
+        for column in columns:
+            column.name = column.name.replace(group[0], PLACE, 1)
+        own = _usual_step(table.columns, group[0])
+        steps = [_usual_step(table.columns, test) / own for test in tests] if own else []
+        guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
     if guess.role("time") is None:
         guess.doubts.append('nothing in the file tells the time: say "period" if the samples are evenly apart')
     return guess
 
 
+def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
+    """The median step of the clock of a matrix."""
+    clock = next((v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v)), None)
+    return 0.0 if clock is None else float(np.median(np.diff(clock)))
+
+
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
-    table = read_table(path, told.layout, numbers, (), told.texts, most=LOOKED_AT)
+    stamps = told.stamps
+    asked = [name for name in told.names if name in numbers]
+    table = read_table(path, told.layout, asked, (), told.texts, stamps, LOOKED_AT)
+    if table.starts:
+        table = table.tests()[0]
     columns = [
         Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name), bare=not told.named)
         for name in numbers
+        if stamps is None or name != stamps.date
     ]
+    for column in columns:
+        if stamps is not None and column.name == stamps.column:
+            column.unit, column.written, column.bare = "s", stamps.written, False
+            column.order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
     choose(columns)
     words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in told.texts]
+    if stamps is not None and stamps.date:
+        order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
+        words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
     every = {column.name: column for column in [*columns, *words]}
-    guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons={"file": told.reasons})
+    reasons = {"file": told.reasons}
+    guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons=reasons)
+    time = guess.role("time")
+    if time is not None and time.written == "index":
+        time.period = told.interval
+    guess.period, guess.either = told.interval, told.either
     if not told.named:
         _call_by_role(guess)
     return guess
@@ -199,18 +260,19 @@ def _sampling(guess: Guess) -> None:
     time = guess.role("time")
     if time is None:
         return
-    guess.seconds = time.values * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}.get(time.unit, 1.0)
+    unit = time.period or 1.0 if time.written == "index" else SECONDS.get(time.unit, 1.0)
+    guess.seconds = time.values * unit
     steps = np.diff(guess.seconds)
     forward = steps[steps > 0]
     if not len(forward):
         return
     usual = float(np.median(forward))
-    guess.rate = (0.7 / usual, 1.4 / usual)
+    guess.rate = (0.7 / (usual * guess.slower[1]), 1.4 / (usual * guess.slower[0]))
     early, late = (float(step) for step in np.quantile(steps[steps >= 0], [0.05, 0.95]))
     even = late < 1.01 * usual and early > 0.99 * usual
     guess.gap = (1.5 if even else 4.0) * usual
     wide = float(np.quantile(forward, 0.995))
-    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0)
+    guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0) * guess.slower[1]
     how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
     told = [f"median {1 / usual:.4g} samples a second, {how}"]
     if (steps < 0).any():
@@ -224,6 +286,10 @@ def _kind(guess: Guess) -> None:
     """Which reduction fits, and how the file parts into trials."""
     told = guess.reasons.setdefault("trials", [])
     command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
+    if guess.role("trial") is not None and command is not None and _edge(command.values) > 0:
+        guess.kind, guess.trials = "contraction-relaxation", {"by": "column"}
+        told.append("the command goes in steps, and a column numbers the trials")
+        return
     pauses = np.diff(t)[np.diff(t) > LONG_PAUSE] if t is not None else np.empty(0)
     if displacement is not None and len(pauses) >= 2 and guess.role("force") is not None:
         guess.kind, guess.trials = "recorded-pull", {"by": "gap", "longer_than": f"{0.6 * pauses.min():.2g} s"}
@@ -250,7 +316,7 @@ def _kind(guess: Guess) -> None:
         told.append(f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)")
     elif command is not None and (edge := _edge(command.values)) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure_command"
-        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{edge:.3g}", "lead": _lead(guess)}
         told.append("the command goes in steps: each is a trial")
     elif (waves := _found(guess, "sine")) > 0:
         guess.kind, guess.smallest_of = "recorded-sine", "pressure_command" if command is not None else "pressure"
@@ -258,13 +324,18 @@ def _kind(guess: Guess) -> None:
         told.append(f"{waves} stretches of one frequency each, found in the {guess.smallest_of.replace('_', ' ')}")
     elif command is None and (steps := _found(guess, "step")) > 0:
         guess.kind, guess.smallest_of = "recorded-step", "pressure"
-        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": "200 ms"}
+        guess.trials = {"by": "step", "smallest": f"{_share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         told.append(
             f"no command was recorded; the measured pressure makes {steps} steps: each is a trial, without dead time"
         )
     else:
         guess.kind, guess.trials = "recorded-step", {"by": "file"}
         told.append("neither steps nor sines were found: the file is one trial")
+
+
+def _lead(guess: Guess) -> str:
+    """So long before its step a trial begins: 1 s, more where that is less than 50 samples."""
+    return f"{max(1.0, 50.0 / (guess.rate[0] / 0.7)):.2g} s"
 
 
 def _share(guess: Guess, role: str) -> float:
@@ -344,11 +415,48 @@ def _names(guess: Guess) -> None:
 
 
 def _frequency(guess: Guess) -> None:
-    """A sine whose frequency no name tells is fitted in each file, where that can be done."""
-    if guess.frequency and not any("{frequency}" in form for form in guess.forms) and _found(guess, "sine") > 0:
-        guess.frequency, guess.smallest_of = 0.0, "pressure_command"
+    """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
+    if not guess.frequency:
+        return
+    told = _frequency_told(guess)
+    slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
+    if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and _found(guess, "sine") > 0:
+        why = (
+            "no name tells its frequency" if told is None else f"its name tells {told:.4g} Hz, and its command does not"
+        )
+        guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
-        guess.reasons["trials"].append("no name tells its frequency, so it is fitted to each file")
+        guess.reasons["trials"].append(f"{why}: it is fitted to each file")
+
+
+def _frequency_told(guess: Guess) -> float | None:
+    """The frequency in the name of the first file [Hz]."""
+    name = guess.files[0].resolve().parent.name if guess.form_of == "folder" else guess.files[0].stem
+    for pattern, key, unit in _PARTS:
+        match = pattern.search(name) if key == "frequency" and guess.form_units.get(key) == unit else None
+        if match is not None:
+            return float(match[0].replace(",", ".")) / (2 * np.pi if unit == "rad/s" else 1.0)
+    return None
+
+
+def _lacking(guess: Guess) -> None:
+    """Without a pressure, or a force of an isometric test, one of the columns that are left is asked to be it."""
+    needed = ("pressure", "force") if guess.kind == "isometric" else ("pressure",)
+    guess.lacks = next((role for role in needed if guess.role(role) is None), "")
+    ignored = [column for column in guess.columns if column.role == "ignore"]
+    spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
+    if guess.lacks:
+        for column in ignored:
+            column.question = ""
+    if guess.lacks == "pressure" and spare is not None:
+        text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
+        spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
+    elif guess.lacks and ignored:
+        ignored.sort(key=lambda column: len(column.values) == 0)
+        names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
+        form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
+        text = f"which column is the {guess.lacks}? No name says it; there is {names}"
+        ignored[0].question = f"{text}: write what it is and its unit, {form}"
 
 
 CONTRACTED = re.compile(

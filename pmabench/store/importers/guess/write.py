@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.base.text import printable
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
 from pmabench.store.importers.guess.columns import Proposal
 from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.guess.spell import comment, question, scalar
+from pmabench.store.importers.guess.written_time import date_lines, period_lines, test_lines, time_lines
 from pmabench.store.importers.map_file import TextLayout
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
@@ -40,12 +41,13 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         "# Proposed by pmabench import --guess, each choice with its reason. Look at all: a guess is no knowledge.",
         "# ?? is a question that no file answers: write the answer in its place. What follows it is taken with",
         "# `import --unresolved` until then, and no result is accepted.",
-        *(_comment(f"DOUBT: {text}") for text in guess.doubts),
-        *([_comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
+        *(comment(f"DOUBT: {text}") for text in guess.doubts),
+        *([comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
         "schema: pmabench.map/1",
-        f"name: {_text('guessed from ' + guess.files[0].name)}",
+        f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: not told  # who recorded these files, when and where",
         f"kind: {guess.kind}{_why(guess, 'trials')}",
+        *(["simulated: true  # as the file says"] if guess.simulated else []),
         "",
         *_file(guess),
         "",
@@ -54,13 +56,18 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
         for column in guess.columns:
             lines += _column(column, guess, spans)
+    if guess.role("time") is None:
+        lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
+    lines += test_lines(guess)
     lines += ["", *_name_tells(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
-    lines += _analysis(guess)
-    lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
+    lines += _siblings(guess) + _analysis(guess)
+    specimen = {"type": "not told", "serial": "unknown"} | guess.specimen
+    told = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
+    lines.append(f"specimen: {{{told}}}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
 
@@ -70,61 +77,42 @@ def still_open(text: str) -> list[int]:
     return [number for number, line in lines if OPEN in line.split("  # ")[0] and not line.lstrip().startswith("#")]
 
 
-def _comment(text: str) -> str:
-    return f"# {printable(text, 400)}"
-
-
-def _question(question: Asked) -> str:
-    return _comment(f"{OPEN} {question.text}")
-
-
 def _why(guess: Guess, key: str) -> str:
     told = "; ".join(guess.reasons.get(key, []))
-    return f"  {_comment(told)}" if told else ""
-
-
-def _text(text: str) -> str:
-    """A YAML scalar that is that text and nothing else."""
-    if re.fullmatch(r"[A-Za-z@][A-Za-z0-9@ _./()-]*", text) and text.lower() not in {
-        "y",
-        "n",
-        "yes",
-        "no",
-        "on",
-        "off",
-        "true",
-        "false",
-        "null",
-    }:
-        return text.strip() if text == text.strip() else json.dumps(text)
-    return json.dumps(text, ensure_ascii=not text.isprintable())
+    return f"  {comment(told)}" if told else ""
 
 
 def _file(guess: Guess) -> list[str]:
-    layout, told = guess.layout, [f"  {_comment(text)}" for text in guess.reasons.get("file", [])]
+    layout, told = guess.layout, [f"  {comment(text)}" for text in guess.reasons.get("file", [])]
     if not isinstance(layout, TextLayout):
-        period = ', period: "??"' if guess.role("time") is None else ""
-        return ["file:", *told, f"  format: {layout.format}{period.replace(', ', chr(10) + '  ')}"]
+        return ["file:", *told, f"  format: {layout.format}", *period_lines(guess)]
     lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
-        lines.append(f"  names: [{', '.join(_text(name) for name in layout.names)}]")
-    for key in ("quoted", "decimal", "encoding", "blank_lines", "skip_lines"):
+        lines.append(f"  names: [{', '.join(scalar(name) for name in layout.names)}]")
+    keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
+    for key in (*keys, "lines_below_header", "repeated_header"):
         value = getattr(layout, key)
-        if value != TextLayout.model_fields[key].default:
+        if key == "decimal" and guess.either:
+            text = f'is "{guess.either}" a number with decimals, or are its digits grouped?'
+            which = Asked(
+                value, f"{text} For groups write decimal: point and thousands: comma; all numbers change by 1000"
+            )
+            lines += [f"  {question(which)}", f"  decimal: {which.scalar}"]
+        elif value != TextLayout.model_fields[key].default:
             lines.append(f"  {key}: {str(value).lower()}")
     if layout.comment:
         lines.append(f"  comment: {json.dumps(layout.comment)}")
     if layout.missing:
         lines.append(f"  missing: {json.dumps(layout.missing)}")
-    return lines
+    return lines + period_lines(guess)
 
 
 def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
-    head = [f"  {_comment(text)}" for text in column.reasons]
-    head += [f"  {_comment('DOUBT: ' + text)}" for text in column.doubts]
-    name = _text(column.name)
+    head = [f"  {comment(text)}" for text in column.reasons]
+    head += [f"  {comment('DOUBT: ' + text)}" for text in column.doubts]
+    name = scalar(column.name)
     which = Asked(column.role, column.question)
-    asking = [_question(which)] if column.question else []
+    asking = [question(which)] if column.question else []
     role = which.scalar if column.question else column.role
     if column.role == "ignore":
         return [*head, *(f"  {line}" for line in asking), f"  {name}: {role}"]
@@ -135,14 +123,27 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
             if len(marks) == 2
             else {f"phase {m:g}": m for m in marks}
         )
-        told = ", ".join(f"{_text(key)}: {mark:g}" for key, mark in called.items())
+        told = ", ".join(f"{scalar(key)}: {mark:g}" for key, mark in called.items())
         optional = ", optional: true" if column.name in guess.optional else ""
         return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
+    if column.role == "point":
+        unit = f", unit: {_unit_of(column.name)}" if _unit_of(column.name) else ""
+        return [*head, f"  {name}: {{is: point, {', '.join(column.extra)}{unit}}}"]
+    if column.role in ("flags", "simulated", "trial"):
+        return [*head, f"  {name}: {{is: {column.role}}}"]
     if column.role == "time":
-        return [*head, *(f"  {line}" for line in asking), *_time(column, guess)]
+        return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
+    if column.role == "date":
+        return [*head, *date_lines(column)]
     if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
-        head.append(f"  {_comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
+        head.append(f"  {comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
         return [*head, f"  {name}: ignore"]
+    if guess.exported:
+        return [
+            *head,
+            f"  {name}:",
+            *(f"    {line}" for line in (f"is: {role}", f"unit: {column.unit}", *column.extra)),
+        ]
     body, why = _scale(column, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
@@ -159,28 +160,23 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         body.append("optional: true")
     return [
         *head,
-        *(f"  {_comment(text)}" for text in why),
+        *(f"  {comment(text)}" for text in why),
         f"  {name}:",
         *(f"    {line}" for line in [*asking, f"is: {role}", *body]),
     ]
 
 
-def _time(column: Proposal, guess: Guess) -> list[str]:
-    """The time with its unit, and what is asked about both."""
-    unit, role, asking = column.unit or "s", "time", []
-    if column.question:
-        unit = Asked(unit, "").scalar
-    for clock in asked.two_clocks(guess.columns):
-        role = clock.scalar
-        asking.append(f"  {_question(clock)}")
-    return [*asking, f"  {_text(column.name)}: {{is: {role}, unit: {unit}}}"]
+def _unit_of(head: str) -> str:
+    """The unit in the head of an exported column, as it stands there."""
+    found = re.fullmatch(r".* \[([^\[\]]*)\]", head)
+    return found[1] if found else ""
 
 
 def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
     """Unit, calibration and range of a column, and why."""
     quantity, unit = quantity_of(column), column.unit
     if (unit_asked := asked.unit_of(column)) is not None:
-        return [_question(unit_asked), f"unit: {unit_asked.scalar}"], []
+        return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == ("length" if quantity == "length" else quantity):
         if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
             offset = {
@@ -195,7 +191,7 @@ def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
             line = f"line: {{slope: 1 {unit}/{unit}, offset: -{offset[unit]} {unit}}}"
             return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (air := asked.gauge_of(column)) is not None:
-            return [f"unit: {unit}", _question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
+            return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
         return [f"unit: {unit}"], []
     if quantity == "force" and unit in {"g", "kg"}:
         factor = GRAM if unit == "g" else KILOGRAM
@@ -210,15 +206,15 @@ def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
             points = f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]'
             asking = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {_ends(edge)}'
-            lines = [points] if span else [_question(Asked("", asking)), points]
+            lines = [points] if span else [question(Asked("", asking)), points]
             return [f"unit: {unit}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
     told = unit or "count"
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
     reads = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {told}'
     if span is not None:
-        which = _question(Asked("", f"{reads}: at which readings has it the {quantity} {low}, and {high}?"))
+        which = question(Asked("", f"{reads}: at which readings has it the {quantity} {low}, and {high}?"))
         return [f"unit: {told}", which, f'points: [["{OPEN}", {low}], ["{OPEN}", {high}]]'], []
-    which = _question(
+    which = question(
         Asked("", f"{reads}: which line makes a {quantity} of it? Slope in {edge}/{told}, offset in {edge}")
     )
     return [f"unit: {told}", which, f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'], []
@@ -233,7 +229,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
     open_sign = [
-        _question(Asked("rises", unsure)),
+        question(Asked("rises", unsure)),
         f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
     ]
     if guess.kind == "isometric":
@@ -295,7 +291,7 @@ def _name_tells(guess: Guess) -> list[str]:
         without = next(form for form in guess.forms if "{" + lacking[0] + "}" not in form)
         which = Asked("", f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none')
         told = ", ".join(f"{key}: {Asked(f'0 {guess.form_units[key]}', '').scalar}" for key in lacking)
-        lines += [f"  {_question(which)}", f"  otherwise: {{{told}}}"]
+        lines += [f"  {question(which)}", f"  otherwise: {{{told}}}"]
     return [*lines, ""]
 
 
@@ -306,14 +302,24 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
         trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
     at = asked.contraction_of(guess)
     if isinstance(at, Asked):
-        lines.append(_question(at))
+        lines.append(question(at))
     if at:
         trials["point"] = f"{{contraction: {at.scalar if isinstance(at, Asked) else at}}}"
     if guess.kind == "recorded-sine" and trials["by"] == "file" and not any("{frequency}" in f for f in guess.forms):
         which = Asked(f"{guess.frequency:.3g} Hz", "which frequency has the sine? It is read off its spectrum only")
         trials["point"] = f"{{frequency: {which.scalar}}}"
-        lines.append(_question(which))
+        lines.append(question(which))
     return [*lines, f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"]
+
+
+def _siblings(guess: Guess) -> list[str]:
+    """Repeats of an isometric test have the same peaks; a file in another scale has not."""
+    repeats = any("{test}" in form for form in guess.forms) and len(guess.files) > 1
+    if guess.kind != "isometric" or guess.role("force") is None or not repeats:
+        return []
+    return [
+        "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"
+    ]
 
 
 def _analysis(guess: Guess) -> list[str]:
@@ -322,7 +328,7 @@ def _analysis(guess: Guess) -> list[str]:
         return []
     above, others = found
     also = f", also_at: [{', '.join(others)}]" if others else ""
-    return [_question(above), f"analysis: {{force_above: {above.scalar}{also}}}"]
+    return [question(above), f"analysis: {{force_above: {above.scalar}{also}}}"]
 
 
 def _smallest(reading: float, command: Proposal, span: Span | None) -> str:

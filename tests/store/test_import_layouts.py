@@ -1,0 +1,182 @@
+"""Files as loggers write them, guessed and imported: the numbers that were recorded, or a refusal that gives the reason."""
+
+import re
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from pmabench.base.errors import InvalidFile
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text
+from pmabench.store.importers.importing import prepare_all
+from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.units import spelled
+
+ROWS = 500
+T = np.arange(ROWS) * 0.02
+P = 150 * (1 - np.cos(2 * np.pi * T / 5))
+"""[kPa]"""
+F = 2.1 * P + 20
+"""[N]"""
+BEGIN = datetime(2024, 3, 5, 10, 0, 0)
+
+
+def stamp(t):
+    return BEGIN + timedelta(seconds=float(t))
+
+
+def rows(form, marks=None):
+    """One line for each sample; `marks`: what takes the place of decimal points."""
+    lines = [form(t, p, f) for t, p, f in zip(T, P, F, strict=True)]
+    return "".join(f"{line.replace('.', marks) if marks else line}\n" for line in lines)
+
+
+def plain(t, p, f):
+    return f"{t:.2f},{p:.3f},{f:.3f}"
+
+
+def imported(tmp_path, content, fill=()):
+    """All tests of a file by the map that is guessed for it; `fill`: what is written in place of what is left open."""
+    path = tmp_path / "log.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    text = map_text(guess_files([path]), {})
+    for old, new in fill:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "map.yaml").write_text(text)
+    return prepare_all(path, read_map(tmp_path / "map.yaml"))
+
+
+HEAD = "t (s),P (kPa),F (N)\n"
+RIGHT = {
+    "iso": "Timestamp,Pressure (kPa),Force (N)\n"
+    + rows(lambda t, p, f: f"{stamp(t).isoformat(timespec='milliseconds')}Z,{p:.3f},{f:.3f}"),
+    "clock and decimal comma": "Zeit;Druck [kPa];Kraft [N]\n"
+    + rows(lambda t, p, f: f"{stamp(t):%H:%M:%S.%f};{p:.4f};{f:.3f}", ","),
+    "date and clock": "Date\tTime\tP [kPa]\tF [N]\n"
+    + rows(lambda t, p, f: f"{stamp(t):%d.%m.%Y}\t{stamp(t):%H:%M:%S.%f}\t{p:.3f}\t{f:.3f}"),
+    "serial days": "Time,Pressure_kPa,Force_N\n"
+    + rows(lambda t, p, f: f"{(stamp(t) - datetime(1899, 12, 30)).total_seconds() / 86400:.10f},{p:.3f},{f:.3f}"),
+    "epoch": "time,Pressure_kPa,Force_N\n"
+    + rows(lambda t, p, f: f"{(stamp(t) - datetime(1970, 1, 1)).total_seconds() * 1e3:.0f},{p:.3f},{f:.3f}"),
+    "index and rate": "Logger 7\nSample rate: 50 Hz\nSample,Pressure_kPa,Force_N\n"
+    + rows(lambda t, p, f: f"{round(t / 0.02)},{p:.3f},{f:.3f}"),
+    "hours": "Time (h),P (kPa),F (N)\n" + rows(lambda t, p, f: f"{t / 3600:.9f},{p:.3f},{f:.3f}"),
+    "coarse clock and elapsed": "Time,Elapsed (ms),P (kPa),F (N)\n"
+    + rows(lambda t, p, f: f"{stamp(t):%H:%M:%S},{1e3 * t:.0f},{p:.3f},{f:.3f}"),
+    "quoted decimal comma": '"t (s)","P (kPa)","F (N)"\n'
+    + rows(lambda t, p, f: f'"{t:.2f}"|"{p:.3f}"|"{f:.3f}"', ",").replace("|", ","),
+    "quoted thousands": '"t (s)","P (kPa)","F (mN)"\n' + rows(lambda t, p, f: f'"{t:.2f}","{p:.3f}","{1e3 * f:,.1f}"'),
+    "apostrophes": "t (s);P (kPa);F (mN)\n" + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{1e3 * f:,.1f}".replace(",", "'")),
+    "units and Mean below": "Time,Pressure,Force\ns,kPa,N\nMean,Mean,Mean\n" + rows(plain),
+    "kgf/cm2": "Time (s),Pressure (kgf/cm2),Force (kgf)\n"
+    + rows(lambda t, p, f: f"{t:.2f},{p / 98.0665:.6f},{f / 9.80665:.6f}"),
+    "shift-jis": ("時間(s),圧力(kPa),荷重(N)\n" + rows(plain)).encode("shift_jis"),
+    "chinese": ("时间(s),压力(kPa),拉力(N)\n" + rows(plain)).encode("gb18030"),
+    "utf-16 without mark": (HEAD + rows(plain)).encode("utf-16-le"),
+    "cp1252": ("t (s),P (kPa) – cell 2,F (N)\n" + rows(plain)).encode("cp1252"),
+    "old Macintosh": (HEAD + rows(plain)).replace("\n", "\r"),
+    "delimiter at the end": HEAD.replace(",", ";").replace("\n", ";\n")
+    + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{f:.3f};"),
+    "blanks between date and clock": "t P F\n"
+    + rows(lambda t, p, f: f"{stamp(t):%Y-%m-%d %H:%M:%S.%f} {p:.3f} {f:.3f}"),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_what_was_recorded_is_what_is_read(tmp_path, name):
+    (found,) = imported(tmp_path, RIGHT[name])
+    channels = {channel.rule.role: channel.si for channel in found.checked}
+    np.testing.assert_allclose(found.t - found.t[0], T, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(channels["pressure"], 1e3 * P, rtol=0, atol=1.0)
+    np.testing.assert_allclose(channels["force"], F, rtol=0, atol=1e-3)
+    assert not [f for f in found.findings if f.level != "note"]
+
+
+def comma_comma(t, p, f):
+    return f"{t:.2f}|{p:.2f}|{f:.2f}"
+
+
+REFUSED = {
+    "comma twice": ("t,P,F\n" + rows(comma_comma, ",").replace("|", ","), "parts? columns and decimals at once"),
+    "comma twice, no names": (rows(comma_comma, ",").replace("|", ","), "parts? columns and decimals at once"),
+    "decimals or thousands": (
+        "t;P (kPa);F (N)\n" + rows(lambda t, p, f: f"{t + 1:.3f};{p + 100:.3f};{f + 100:.3f}", ","),
+        'numbers such as "1,000" may hold decimals or thousands',
+    ),
+    "unknown bytes": (
+        ("t (s),P (kPa),F (N) \x81\x8d\n" + rows(plain)).encode("latin-1"),
+        "leave open in which encoding",
+    ),
+    "seconds without fraction": (
+        "Time,P (kPa),F (N)\n" + rows(lambda t, p, f: f"{stamp(t):%H:%M:%S},{p:.3f},{f:.3f}"),
+        "written in steps of 1 s",
+    ),
+    "an index without a rate": (
+        "Sample,P (kPa),F (N)\n" + rows(lambda t, p, f: f"{round(t / 0.02)},{p:.3f},{f:.3f}"),
+        "left open",
+    ),
+    "no time at all": ("P (kPa),F (N)\n" + rows(lambda t, p, f: f"{p:.3f},{f:.3f}"), "left open"),
+    "a date either way round": (
+        "When,P (kPa),F (N)\n" + rows(lambda t, p, f: f"{stamp(t):%d/%m/%Y %H:%M:%S.%f},{p:.3f},{f:.3f}"),
+        "left open",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_may_be_two_things_is_refused_or_asked(tmp_path, name):
+    content, told = REFUSED[name]
+    with pytest.raises(InvalidFile) as caught:
+        imported(tmp_path, content)
+    assert any(re.search(told, problem.message) for problem in caught.value.problems), caught.value
+
+
+def test_a_file_that_ends_within_a_row_is_read_to_its_last_whole_row(tmp_path):
+    whole = HEAD + rows(plain)
+    (found,) = imported(tmp_path, whole[:-9])
+    assert len(found.t) == ROWS - 1
+    (cut,) = [f for f in found.findings if f.kind == "cut-row"]
+    assert (cut.level, cut.index) == ("doubt", ROWS - 2)
+    assert "in line 501: 2 of 3 columns; it was left out" in cut.text
+    (found,) = imported(tmp_path, whole[:-2])  # whole, or without its last digit: nobody knows
+    assert len(found.t) == ROWS
+    assert found.flags[-1] != 0
+    assert found.flags[:-1].max() == 0
+
+
+def test_a_footer_that_is_no_row_is_named_and_a_fault_in_the_last_row_is_refused(tmp_path):
+    (found,) = imported(tmp_path, HEAD + rows(plain) + "end of record\n")
+    assert len(found.t) == ROWS
+    assert any("1 of 3 columns" in f.text for f in found.findings)
+    with pytest.raises(InvalidFile, match='"x1" is no number'):
+        imported(tmp_path, HEAD + rows(plain) + "x1,2,3\n")
+
+
+def test_two_tests_under_repeated_headers_are_guessed_and_become_two(tmp_path):
+    second = rows(lambda t, p, f: f"{t:.2f},{p:.3f},{1.5 * f:.3f}")
+    content = f"Test 1\nt,P,F\ns,kPa,N\n{rows(plain)}\nTest 2\nt,P,F\ns,kPa,N\n{second}"
+    one, two = imported(tmp_path, content)
+    for found, factor in ((one, 1.0), (two, 1.5)):
+        np.testing.assert_allclose(found.t, T, atol=1e-9)
+        np.testing.assert_allclose(found.checked[1].si, factor * F, atol=2e-3)
+
+
+def test_the_rows_of_one_oscilloscope_need_no_second_clock(tmp_path):
+    content = "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-1.0e-02,2.00e-02\n" + rows(
+        lambda t, p, f: f"{round(t / 0.02)},{p / 100:.5f},{f / 100:.5f},,"
+    )
+    path = tmp_path / "scope.csv"
+    path.write_text(content)
+    guess = guess_files([path])
+    assert guess.role("time").written == "header step"
+    np.testing.assert_allclose(guess.seconds, T - 0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [("kgf/cm²", "kgf/cm2"), ("kg/cm^2", "kgf/cm2"), ("Torr", "mmHg"), ("N/mm²", "N/mm2"), ("Std", "h"), ("psia", "")],
+)
+def test_units_as_people_write_them(text, unit):
+    assert spelled(text) == unit
