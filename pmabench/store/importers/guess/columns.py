@@ -290,7 +290,10 @@ def _which_time(time: Proposal, step: float) -> None:
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
-    if len(possible) > 1:
+    if bool(np.all(np.diff(time.values) == 1.0)):
+        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {told}"
+    elif len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 

@@ -17,6 +17,7 @@ from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, ow
 from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
 from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
+from pmabench.store.importers.guess.names import frequency_of, told_by
 from pmabench.store.importers.map_file import PLACE, BinaryLayout, TextLayout
 from pmabench.store.importers.map_rules import ImportMap, read_map
 from pmabench.store.importers.table import content_of, read_table
@@ -414,22 +415,10 @@ def _edge(values: Array) -> float:
     return 0.5 * float(np.quantile(moves[big], 0.05))
 
 
-_PARTS = (
-    (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
-    (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
-    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
-    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
-    (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
-)
-
-
 def _names(guess: Guess) -> None:
     """Dates, numbers of tests and points in the names of the files, or of their folders: whichever tell more."""
-    best = max((_told_by(guess, of) for of in ("file", "folder")), key=lambda told: (len(told[0]), told[1] == "file"))
+    found = (told_by(guess.files, of) for of in ("file", "folder"))
+    best = max(found, key=lambda told: (len(told[0]), told[1] == "file"))
     keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
     if keys and len(forms) <= 20:
         guess.forms = forms
@@ -440,7 +429,7 @@ def _frequency(guess: Guess) -> None:
     """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
     if not guess.frequency:
         return
-    told = _frequency_told(guess)
+    told = frequency_of(guess.files[0], guess.form_of, guess.form_units)
     slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
     if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and _found(guess, "sine") > 0:
         why = (
@@ -449,16 +438,6 @@ def _frequency(guess: Guess) -> None:
         guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
         guess.reasons["trials"].append(f"{why}: it is fitted to each file")
-
-
-def _frequency_told(guess: Guess) -> float | None:
-    """The frequency in the name of the first file [Hz]."""
-    name = guess.files[0].resolve().parent.name if guess.form_of == "folder" else guess.files[0].stem
-    for pattern, key, unit in _PARTS:
-        match = pattern.search(name) if key == "frequency" and guess.form_units.get(key) == unit else None
-        if match is not None:
-            return float(match[0].replace(",", ".")) / (2 * np.pi if unit == "rad/s" else 1.0)
-    return None
 
 
 def _lacking(guess: Guess) -> None:
@@ -479,45 +458,6 @@ def _lacking(guess: Guess) -> None:
         form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
         text = f"which column is the {guess.lacks}? No name says it; there is {names}"
         ignored[0].question = f"{text}: write what it is and its unit, {form}"
-
-
-CONTRACTED = re.compile(
-    r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
-)
-"""What stands before a length that is a contraction, and no diameter."""
-
-
-def _told_by(guess: Guess, of: str, *, lengths: bool = True) -> tuple[set[str], str, list[str], dict[str, str], bool]:
-    """Keys that the names tell, from files or folders, their forms, units, and whether they have a decimal comma.
-
-    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
-    """
-    sizes: set[str] = set()
-    units: dict[str, str] = {}
-    comma = False
-    forms: dict[str, None] = {}
-    for path in guess.files:
-        form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
-        for pattern, key, unit in _PARTS:
-            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
-            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
-            match = next(iter(called or found), None)
-            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
-                continue
-            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
-                continue
-            sizes |= {match[0]} if key == "contraction" and not called else set()
-            comma |= "," in match[0]
-            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
-            if unit:
-                units[key] = unit
-        forms[form] = None
-    if len(sizes) == 1:
-        return _told_by(guess, of, lengths=False)
-    keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
-    if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
-        keys = set()
-    return keys, of, list(forms), units, comma
 
 
 def _known(path: Path) -> str:

@@ -148,9 +148,9 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
         layout = layout.model_copy(update=more)
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
     guess.interval = interval_in(lines[:first])
-    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
     if decimal == "comma" and not thousands:
         guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
+    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")
