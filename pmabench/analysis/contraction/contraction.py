@@ -81,12 +81,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     except NotUsable as why:
         reason = str(why)
     if campaign is None or pooled is None:
+        findings = [] if campaign is None and dropped else [Finding("fault", reason)]
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
         facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(
-            KIND, runs, results=RESULTS, dropped=dropped, findings=[Finding("fault", reason)], facts=facts
-        )
+        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
     estimates, curves = estimates_of(campaign, pooled)
     joint = contraction_joint.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)
