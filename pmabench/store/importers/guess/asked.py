@@ -164,7 +164,10 @@ def _slope(P: Array, F: Array, above: float) -> float:
     use = F > above
     if use.sum() < 20 or np.ptp(P[use]) == 0:
         return 0.0
-    return float(np.polyfit(P[use], F[use], 1)[0])
+    with np.errstate(all="ignore"):  # damaged files hold numbers of any size
+        p, f = P[use] - P[use].mean(), F[use] - F[use].mean()
+        slope = float(p @ f / (p @ p))
+    return slope if np.isfinite(slope) else 0.0
 
 
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
