@@ -229,6 +229,7 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     (run,) = (tmp_path / "open").iterdir()
     (entry,) = json.loads((run / "manifest.json").read_text())["imported"]["unresolved"]
     assert (entry["what"], entry["used"]) == ("columns.P [kPa].unit", "kPa")
+    assert "not answered columns.P [kPa].unit:" in call("runs", "show", run)
     told = call("process", run, code=6)
     assert "NOT ACCEPTED: isometric: not answered:" in told
     page = tmp_path / "page.html"

@@ -25,23 +25,24 @@ def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 def _unanswered(kind: str, runs: Sequence[RunData]) -> Iterator[str]:
     """One sentence for each question that was open when the runs were imported."""
-    told = [(run.id, _sentence(each)) for run in runs for each in _unresolved(run)]
+    told = [(run.id, _sentence(each)) for run in runs for each in unresolved_of(run)]
     for text in _counted(told):
         yield f"{kind}: not answered: {text}"
 
 
-def _unresolved(run: RunData) -> Iterator[Mapping[str, object]]:
+def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
+    """The questions that were open when a run was imported, as its manifest holds them."""
     imported = run.manifest.get("imported")
     entries = imported.get("unresolved") if isinstance(imported, Mapping) else None
     for entry in entries if isinstance(entries, list | tuple) else ():
-        if isinstance(entry, Mapping):
+        if isinstance(entry, Mapping) and {"what", "question"} <= set(entry):
             yield entry
 
 
 def _sentence(entry: Mapping[str, object]) -> str:
     used = f"; taken here: {entry['used']}" if entry.get("used") else ""
     where = f" ({entry['where']})" if entry.get("where") else ""
-    return f"{entry.get('what', '')}: {entry.get('question', '')}{used}{where}; {REMEDY}"
+    return f"{entry['what']}: {entry['question']}{used}{where}; {REMEDY}"
 
 
 def _altered(runs: Sequence[RunData]) -> Iterator[str]:
