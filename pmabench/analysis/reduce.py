@@ -129,7 +129,14 @@ def _withheld(analysis: Analysis) -> list[str]:
     for estimate in analysis.estimates:
         if estimate.withheld:
             found.setdefault(estimate.note, []).append(_named(estimate))
-    return [f"{', '.join(dict.fromkeys(names))}: withheld: {reason}" for reason, names in found.items()]
+    return [f"{_first(names)}: withheld: {reason}" for reason, names in found.items()]
+
+
+def _first(names: Sequence[str]) -> str:
+    """The first of many names, and how many more there are."""
+    names = list(dict.fromkeys(names))
+    more = f" and {len(names) - MOST_REASONS} more" if len(names) > MOST_REASONS else ""
+    return ", ".join(names[:MOST_REASONS]) + more
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:

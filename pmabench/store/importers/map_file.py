@@ -92,8 +92,10 @@ class TextLayout(Strict):
     """Lines before the header, or before the data."""
     lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
     """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
-    repeated_header: Literal["refuse", "new test"] = "refuse"
-    """What the line of names means where it is repeated further down: another test begins, which makes a run too."""
+    repeated_header: Literal["refuse", "new test", "page"] = "refuse"
+    """What the line of names means where it is repeated further down: another test begins, which makes a run too; or
+    the same test goes on, as on the next page of a print-out.
+    """
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
     """Texts that stand for "no value"; nothing else may."""
     period: Annotated[Time, Field(gt=0.0)] | None = None

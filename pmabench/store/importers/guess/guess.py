@@ -190,6 +190,11 @@ def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
     stamps = told.stamps
+    if told.tests and _goes_on(path, told, numbers):
+        told.tests, told.layout = 0, told.layout.model_copy(update={"repeated_header": "page"})
+        told.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
+    elif told.tests:
+        told.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
     asked = [name for name in told.names if name in numbers]
     table = read_table(path, told.layout, asked, (), told.texts, stamps, LOOKED_AT)
     if table.starts:
@@ -208,6 +213,10 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if stamps is not None and stamps.date:
         order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
+    if falls and all(column.role != "time" for column in columns):
+        backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
+        raise invalid(path, backward)
     every = {column.name: column for column in [*columns, *words]}
     reasons = {"file": told.reasons}
     guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons=reasons)
@@ -219,6 +228,18 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if not told.named:
         _call_by_role(guess)
     return guess
+
+
+def _goes_on(path: Path, told: TextGuess, numbers: Sequence[str]) -> bool:
+    """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
+    layout = told.layout.model_copy(update={"repeated_header": "page"})
+    starts = read_table(path, told.layout, numbers, (), told.texts, told.stamps, LOOKED_AT).starts
+    table = read_table(path, layout, numbers, (), told.texts, told.stamps, LOOKED_AT)
+    over = np.array(starts, dtype=int) - 1
+    return len(over) > 0 and any(
+        is_clock(values) and float(np.diff(values)[over].max()) < 2.0 * float(np.median(np.diff(values)))
+        for values in table.columns.values()
+    )
 
 
 def _call_by_role(guess: Guess) -> None:
