@@ -43,6 +43,7 @@ Role = Literal[
     "simulated",
     "ignore",
 ]
+Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap"]
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that measure nothing: they have no unit and no scale."""
 PointName = Literal[
@@ -367,6 +368,8 @@ class MapFile(Strict):
     """How far the peak of a file may lie from those of other files at the same point."""
     specimen: SpecimenText
     analysis: AnalysisRule = AnalysisRule()
+    confirmed: Annotated[list[Confirmable], Field(max_length=20)] = []
+    """Kinds of findings that somebody has looked at and found right: they withhold nothing any more."""
 
     @model_validator(mode="after")
     def _roles(self) -> MapFile:
