@@ -10,8 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from pmabench.analysis.results import Analysis, Finding
+from pmabench.base.text import printable
 from pmabench.store.records import RunData
 
+LONGEST = 1000
+"""Characters of a sentence from a record, which may be another's."""
 REMEDY = "write the answer into the map, import again and process the new run"
 
 
@@ -59,4 +62,5 @@ def _counted(told: Sequence[tuple[str, str]]) -> Iterator[str]:
         runs.setdefault(text, []).append(run)
     for text, names in runs.items():
         many = dict.fromkeys(names)
-        yield f"{names[0]}: {text}" if len(many) == 1 else f"{len(many)} runs: {text}"
+        shown = printable(text, LONGEST)
+        yield f"{names[0]}: {shown}" if len(many) == 1 else f"{len(many)} runs: {shown}"
