@@ -42,7 +42,7 @@ def test_differences_carry_the_root_of_the_sum_of_squares():
     found = agreement([STEPS, sines(6800.0, 40.0)])
     k, b = found.estimates
     assert (k.value, k.parts.combined) == (pytest.approx(30.0), pytest.approx(50.0))
-    assert k.at == {"pressure": 3e5}
+    assert k.at == {"pressure": 3e5, "contraction": 0.01}
     assert b.value == pytest.approx(0.0)
     assert b.parts.combined == pytest.approx((12.0**2 + 5.0**2) ** 0.5)
     assert found.runs == ("r1", "r2")
@@ -72,7 +72,7 @@ def test_a_value_without_an_interval_is_not_compared_and_that_is_said():
     found = agreement([STEPS, bare])
     assert [(e.symbol, e.coordinate) for e in found.estimates] == [("B", "difference")]
     assert [f.text for f in found.findings if "not compared" in f.text] == [
-        "K, sine against steps: not compared at 300 kPa, where one has no interval, or several values"
+        "K, sine against contraction: not compared at 300 kPa and 10 mm, where one has no interval"
     ]
     halved = tuple(replace(e, parts=Parts()) if e.symbol == "B_r" else e for e in STEPS.estimates)
     found = agreement([replace(STEPS, estimates=halved), bare])
@@ -80,15 +80,20 @@ def test_a_value_without_an_interval_is_not_compared_and_that_is_said():
     assert [f.text.partition(",")[0] for f in found.findings] == ["K", "B"]
     assert verdicts([], [found]) == []
     text = render([STEPS, bare, found], [])
-    assert "where one has no interval, or several values" in text
+    assert "where one has no interval" in text
 
 
-def test_sines_at_several_means_are_not_compared_as_if_they_were_one():
+def test_sines_at_several_means_are_compared_each_at_its_own():
+    """A straight muscle has one K: 5000 N/m at 20 mm is none of 6770."""
     one, two = sines(6800.0, 40.0), sines(5000.0, 40.0)
-    deeper = tuple(replace(e, at={**e.at, "mean": 0.02}) for e in two.estimates)
+    deeper = tuple(replace(e, at={**e.at, "mean": 0.02}) for e in two.estimates if e.symbol == "K")
     found = agreement([STEPS, replace(one, estimates=(*one.estimates, *deeper))])
-    assert found.estimates == ()
-    assert [f.text.partition(",")[0] for f in found.findings if "several values" in f.text] == ["K", "B"]
+    assert [(e.at["contraction"], e.value) for e in found.estimates if e.symbol == "K"] == [
+        (0.01, pytest.approx(30.0)),
+        (0.02, pytest.approx(-1770.0)),
+    ]
+    (refusal,) = found.refusals
+    assert refusal.startswith("K at 300 kPa and 20 mm (1 of 2 places): sine 5 N/mm +- 0.04 N/mm and contraction 6.77")
 
 
 def static(*points):
@@ -139,6 +144,6 @@ def test_the_way_that_a_protocol_of_paper_1_names_is_compared():
     )  # fmt: skip
     found = agreement([papers, sines(6800.0, 40.0)])
     assert [(e.method, e.value, e.parts.combined) for e in found.estimates] == [
-        ("sine against steps, paper 1's way", pytest.approx(30.0), pytest.approx(50.0))
+        ("sine against contraction, paper 1's way", pytest.approx(30.0), pytest.approx(50.0))
     ]
-    assert described("sine against steps, paper 1's way") == described("sine against steps") != ""
+    assert described("sine against contraction, paper 1's way") == described("sine against contraction") != ""

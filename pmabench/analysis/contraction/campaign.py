@@ -112,7 +112,9 @@ def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
         if channel not in trial.channels:
             return f"the {channel} is not recorded"
     if "pressure" not in trial.point:
-        return "the trial names no pressure"
+        return "the trial names no pressure: a column of the commanded pressure gives it"
+    if "force" not in trial.channels and "load" not in trial.point:
+        return "neither the force nor the load is known: a column `is: force` or `point: {load: ...}` gives it"
     if abs(run.rate - rate) > 1e-6 * rate:
         return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
     if len(trial.t) < 2 or not trial.usable.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isnan
+from math import hypot, isnan
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,8 @@ BENT = 0.02
 BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
+GUESSED = 1.5
+"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
 LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
@@ -146,7 +148,7 @@ class Cell:
         straight = float(np.polyfit(self.x, self.curve, 1)[0])
         places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
         slopes = [_local(self.x, self.curve, place)[1] for place in places]
-        return max(abs(s - straight) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
+        return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
 
     @property
     def upside_down(self) -> bool:
@@ -212,7 +214,7 @@ class Cell:
                 extra=error[1],
             )  # fmt: skip
         K = -float(np.polyfit(x, self.curve, 1)[0])
-        told += self._gap_lines(scales, abs(K), uneven)
+        told += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
         stroke = float(upper - lower)
         for speed in sorted({member.speed for member in self.members}):
             mine = [member for member in self.members if member.speed == speed]
@@ -245,8 +247,8 @@ class Cell:
                 told.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
         return told
 
-    def _gap_lines(self, scales: Scales, K: float, uneven: float) -> list[Estimate]:
-        """Hysteresis at speed 0, and what rises with speed."""
+    def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float) -> list[Estimate]:
+        """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
         newton, damping = ("N", "force"), ("N.s/m", "damping")
         still = {**self.at, "speed": 0.0}
         told = []
@@ -273,7 +275,7 @@ class Cell:
             half = None if line.half_slope is None else line.half_slope / 2
             speeds = [member.speed for member in self.members]
             least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
-            parts = Parts(half, least, both, K * self.skew)
+            parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
             told.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
             half = None if line.half_start is None else line.half_start / 2
             friction = Parts(half, uneven / 2, scales.part({"force": start / 2}))
@@ -299,9 +301,22 @@ class Cell:
     def _uneven(self, dF_dP: float | None) -> float:
         """What of the gap unequal pressure of the two branches may be worth [N]."""
         apart = max((abs(m.loop.apart) for m in self.members if not isnan(m.loop.apart)), default=0.0)
-        if dF_dP is None:
-            dF_dP = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
-        return apart * abs(dF_dP)
+        return apart * self._force_per_pressure(dF_dP)
+
+    def _rising(self, dF_dP: float | None) -> float:
+        """How fast what unequal pressure of the branches may be worth rises with the speed [N.s/m]."""
+        known = [(m.speed, m.loop.apart) for m in self.members if not isnan(m.loop.apart)]
+        if self.one_speed or len({speed for speed, _ in known}) < 2:
+            return 0.0
+        speeds, aparts = np.array(known).T
+        guessed = GUESSED if dF_dP is None else 1.0
+        return guessed * abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
+
+    def _force_per_pressure(self, dF_dP: float | None) -> float:
+        """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
+        if dF_dP is not None:
+            return abs(dF_dP)
+        return abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
 
     # -- the rest -------------------------------------------------------------------------------------------------
 

@@ -23,7 +23,8 @@ from pmabench.base.quantities import show
 CLEAR = 2.0
 """A harmonic counts as found where it is so many times the half width of its 95 % interval."""
 LEAST = 0.01
-"""Share of a coefficient that a form which does not hold may be worth before the coefficient is withheld."""
+"""Share of a coefficient that a form which does not hold may be worth before the coefficient is withheld; of F_ce less
+by as many amplitudes as x = 0 lies from the mean, for the harmonics tell nothing of the curve out there."""
 BEYOND = 1.3
 """What a misfit that is found and not taken off adds to an interval, by its own size: its size is an estimate, too."""
 COULOMB = 0.2
@@ -58,7 +59,8 @@ class Form:
             half[0] = hypot(half[0], DIRECTIONS * abs(damping) * float(speed.mean()))
         mean = float(np.mean([sine.mean for sine in sines]))
         reach = mean / float(np.mean([sine.amplitude for sine in sines]))
-        return cls(float(np.mean(h1)), *(line.start for line in lines), (half[0], half[1], half[2]), reach)
+        h2, h3, q3 = (line.start for line in lines)
+        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), reach)
 
     @property
     def bent(self) -> bool:
@@ -92,8 +94,8 @@ class Form:
     def doubt_of_f_ce(self, F_ce: float) -> tuple[float, str]:
         """Half width [N] that the form adds to F_ce, and the reason to withhold F_ce; empty where there is none."""
         off, half = self.carried
-        share = abs(off) / max(abs(F_ce), 1e-9)
-        if self.bent and (share > LEAST or abs(self.reach) > 1.0):
+        share, far = abs(off) / max(abs(F_ce), 1e-9), max(1.0, abs(self.reach))
+        if self.bent and share > LEAST / far:
             there = f"{abs(self.reach):.2g} amplitudes from their mean, outside of what they measured"
             if abs(self.reach) <= 1.0:
                 there = f"where a cubic through the same harmonics gives {show(F_ce + off, 'force', 4)}"
@@ -101,7 +103,7 @@ class Form:
                 f"the force over contraction is bent along these sines ({self.shares}); the straight line carries it "
                 f"to {show(F_ce, 'force', 4)} at x = 0, {there}; {BETTER}, static load F_ce"
             )
-        return hypot(BEYOND * off if self.bent else 0.0, min(half, abs(F_ce))), ""
+        return hypot(BEYOND * off * far if self.bent else 0.0, min(half, abs(F_ce))), ""
 
     def doubt_of_stiffness(self) -> tuple[float, str]:
         """Share of K [1] that the form adds to its half width, and the reason to withhold K."""

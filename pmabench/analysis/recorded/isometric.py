@@ -6,6 +6,7 @@ Knows trials with pressure and force at a set contraction; not where they come f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, rule_of, unusable_because
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
-from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.sessions import ONE_SESSION, session_of
 from pmabench.analysis.statics.isometric_lines import (
     FEWEST,
@@ -78,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         m, c = estimates_of(first, tests, at, others=[*lines, first.mean])
         estimates += [m, c]
         others += [
-            estimates_of(pooled, tests, at, f"{METHOD} above {show(threshold, 'force')}")[0]
+            _of_choice(estimates_of(pooled, tests, at, f"{METHOD} above {show(threshold, 'force')}")[0])
             for threshold, pooled in sorted(fits.items())
             if threshold in asked
         ]
@@ -115,6 +116,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={"rule": rule, "cells": cells, "flagged": flagged_counts(runs)},
     )
+
+
+def _of_choice(m: Estimate) -> Estimate:
+    return replace(m, note=sentences(m.note, "no method part: it is one of the choices in that of the first method"))
 
 
 def _over(above: float) -> Used:

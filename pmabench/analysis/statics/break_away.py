@@ -88,13 +88,11 @@ def carried(trial: TrialData, found: Mapping[str, float], slope: float, stiffnes
             continue
         K, of_K = stiffness.at(found[phase])
         rows = _way(trial, phase, times)
-        if rows is None:
-            x = float((trial.found.get(phase) or {}).get("displacement", 0.0))
-            P = found[phase]
-        else:
-            P, x = rows[0], rows[1]
-            at = int(np.argmax(P - K / slope * x) if up else np.argmin(P - K / slope * x))
-            P, x = float(P[at]), float(x[at])
+        P, x = found[phase], float((trial.found.get(phase) or {}).get("displacement", 0.0))
+        if rows is not None:
+            carried_there = rows[0] - K / slope * rows[1]
+            at = int(np.argmax(carried_there) if up else np.argmin(carried_there))
+            P, x = float(rows[0][at]), float(rows[1][at])
         if up:
             lift = P - K / slope * x
         else:

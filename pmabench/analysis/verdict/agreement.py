@@ -1,188 +1,237 @@
-"""Whether independent tests of one specimen say the same: differences with combined intervals; fits nothing."""
+"""Whether independent tests of one specimen say the same: differences with combined intervals; fits nothing.
+
+What each kind of test offers is in `offers`; every pair of kinds is compared wherever both say something.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from math import hypot
+from dataclasses import dataclass
+from itertools import combinations
+from math import hypot, inf
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
+from pmabench.analysis.shared import student
+from pmabench.analysis.verdict.offers import (
+    HELD,
+    ISOBARIC,
+    PRIMARY,
+    STATIC,
+    STEPS,
+    WORDS,
+    Offer,
+    Place,
+    at_pressures,
+    offers_of,
+    on_line,
+)
 from pmabench.base.quantities import show
 
 KIND = "agreement"
-STEPS, STATIC, SINES, HELD = (
-    "contraction-relaxation", "static-load", "sinusoidal-displacement", "isometric-pressurisation",
-)  # fmt: skip
-PRIMARY = {STEPS: "measured-pressure", STATIC: "static-mean", SINES: "sine-harmonic", HELD: "isometric-sections"}
-"""Kind of test -> the method that is compared."""
-ASKED = {"joint": "joint fit", "output-error": "output-error fit"}
-"""Further methods of contraction tests, which are there only where somebody asked for them, in words."""
-PAPER = "contraction-relaxation-paper-1"
-"""Kind of contraction tests whose protocol asks for paper 1's way; its first method is the one that it names."""
-PAPER_WORDS = "paper 1's way"
-PAIRS = (
-    ("F_ce", "static load against contraction", STATIC, STEPS),
-    ("K", "sine against steps", SINES, STEPS),
-    ("B", "sine against (B_c + B_r)/2 of steps", SINES, STEPS),
-    ("F_ce", "static load against isometric", STATIC, HELD),
-    ("K", "isometric against steps", HELD, STEPS),
-)
-"""Symbol, what is compared, and the kinds of both sides."""
-OF_STATIC = {STEPS: PAIRS[0][1], HELD: PAIRS[3][1]}
+OF_STATIC = {
+    STEPS: f"{WORDS[STATIC]} against {WORDS[STEPS]}",
+    HELD: f"{WORDS[STATIC]} against {WORDS[HELD]}",
+}
 """Kind of test whose F_ce a protocol can limit against that of static load -> what is compared."""
-Values = Mapping[float, Estimate]
-"""Pressure [Pa] -> estimate."""
+FALSE_ALARM = 0.01
+"""Probability that tests which agree are called contradictory, over all comparisons of one specimen together."""
+FEWEST = 3
+"""Degrees of freedom of a scatter, at least: where there is one trial it is that of its cycles."""
+REST = "static-half-difference"
+"""Method of the friction of static load."""
 
 
-def _values(analysis: Analysis, symbol: str, method: str) -> Values:
-    """What a method says of a symbol by pressure; B of steps is the mean of both directions."""
-    if symbol == "B" and analysis.kind == STEPS:
-        return _mean_damping(analysis, method)
-    return _at_pressures(analysis, symbol, method)
+@dataclass(frozen=True)
+class Comparison:
+    """Two tests at one place."""
 
+    symbol: str
+    place: Place
+    one: Estimate
+    two: Estimate
+    title: str
+    kinds: tuple[str, str]
+    at_least: bool = False
+    """The first need not be equal, only not below the second."""
 
-def _at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, Estimate]:
-    """The values of a method by pressure; of several at one pressure none can be compared, and one stands bare."""
-    found: dict[float, Estimate] = {}
-    for e in analysis.estimates:
-        if (e.symbol, e.method, e.coordinate) != (symbol, method, "") or e.value is None:
-            continue
-        if "pressure" in e.at and "frequency" not in e.at:
-            P = e.at["pressure"]
-            found[P] = replace(e, parts=Parts()) if P in found else e
-    return found
+    @property
+    def known(self) -> bool:
+        """Whether both have an interval."""
+        return self.one.parts.combined is not None and self.two.parts.combined is not None
 
+    @property
+    def value(self) -> float:
+        """The difference [SI]."""
+        return (self.one.value or 0.0) - (self.two.value or 0.0)
 
-def _mean_damping(analysis: Analysis, method: str) -> dict[float, Estimate]:
-    """(B_c + B_r)/2 of the steps, which is what a sine sees."""
-    contracting, relaxing = (_at_pressures(analysis, symbol, method) for symbol in ("B_c", "B_r"))
-    found = {}
-    for pressure in contracting.keys() & relaxing.keys():
-        one, two = contracting[pressure], relaxing[pressure]
-        halves = [half for half in (one.parts.combined, two.parts.combined) if half is not None]
-        half = hypot(*halves) / 2 if len(halves) == 2 else None
-        mean = ((one.value or 0.0) + (two.value or 0.0)) / 2
-        found[pressure] = replace(one, symbol="B", value=mean, parts=Parts(repeats=half))
-    return found
+    @property
+    def half(self) -> float:
+        """Root of the sum of squares of both half widths."""
+        return hypot(self.one.parts.combined or 0.0, self.two.parts.combined or 0.0)
 
+    @property
+    def score(self) -> float:
+        """|E_n| (ISO/IEC 17043); of what need only not be below, how far it is."""
+        off = max(-self.value, 0.0) if self.at_least else abs(self.value)
+        return off / self.half if self.half else (0.0 if off == 0 else inf)
 
-def _sides(analysis: Analysis, symbol: str) -> Iterator[tuple[str, str]]:
-    """The methods of a contraction test that are compared, with their words; none for the primary one."""
-    if analysis.kind == PAPER:
-        first = next((e.method for e in analysis.estimates if e.symbol == symbol), None)
-        if first and symbol == "K":
-            yield first, PAPER_WORDS
-        return
-    yield PRIMARY[analysis.kind], ""
-    if analysis.kind == STEPS:
-        known = {e.method for e in analysis.estimates}
-        yield from ((method, words) for method, words in ASKED.items() if method in known)
+    def limit(self, count: int) -> float:
+        """|E_n| that is no chance any more among `count` comparisons (Bonferroni).
 
+        A half width that rests on few trials is often too small by chance: Student's t with the effective degrees of
+        freedom of Welch and Satterthwaite, of which all parts but the repeats have no end.
+        """
+        scatter = sum((e.parts.repeats or 0.0) ** 4 / max(e.n - 1, FEWEST) for e in (self.one, self.two))
+        freedom = self.half**4 / scatter if scatter else inf
+        freedom = min(freedom, 1e6)
+        return float(student.ppf(1 - FALSE_ALARM / (2 * count), freedom) / student.ppf(0.975, freedom))
 
-def _on_line(values: Values, P: float) -> Estimate | None:
-    """F_ce of static load at P [Pa], a straight line there, so between its points too; None outside of them.
+    @property
+    def where(self) -> str:
+        """The place in words."""
+        P, x = self.place
+        told = [show(P, "pressure")] if P == P else []  # NaN: of the whole campaign
+        if x is not None and self.symbol != "F_ce":
+            told.append(show(x, "length", 3))
+        return " at " + " and ".join(told) if told else ""
 
-    The half width between two points is at most what those of the ends are there.
-    """
-    if P in values:
-        return values[P]
-    low, high = (max((p for p in values if p < P), default=None), min((p for p in values if p > P), default=None))
-    if low is None or high is None:
-        return None
-    one, two, share = values[low], values[high], (P - low) / (high - low)
-    halves = [half for half in (one.parts.combined, two.parts.combined) if half is not None]
-    half = (1 - share) * halves[0] + share * halves[1] if len(halves) == 2 else None
-    value = (1 - share) * (one.value or 0.0) + share * (two.value or 0.0)
-    return replace(one, value=value, at={"pressure": P}, parts=Parts(repeats=half))
-
-
-def _pairs(one: Values, two: Values, kind: str) -> dict[float, tuple[Estimate, Estimate]]:
-    """Both values at every pressure that both tell; `one` of kind static-load is a line."""
-    found = {}
-    for P, other in sorted(two.items()):
-        mine = _on_line(one, P) if kind == STATIC else one.get(P)
-        if mine is not None:
-            found[P] = (mine, other)
-    return found
+    def estimate(self) -> Estimate:
+        """The difference as a row of a table."""
+        P, x = self.place
+        at = {"pressure": P} if P == P else {}
+        if x is not None and self.symbol != "F_ce":
+            at["contraction"] = x
+        return Estimate(
+            self.symbol, self.value, self.one.unit, self.one.quantity, self.title, at, Parts(repeats=self.half),
+            self.one.n + self.two.n, coordinate="difference",
+        )  # fmt: skip
 
 
 def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
-    """The differences between tests of one specimen at the same pressures; None where nothing can be compared.
+    """The differences between tests of one specimen at the same places; None where nothing can be compared.
 
     A value without an interval is compared with nothing, and a finding says so.
 
     Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
-    (E_n number at most 1, ISO/IEC 17043). Calibration errors that both tests share are counted in both: the judgement
-    is generous by that.
+    (E_n number at most 1). Of many comparisons one in twenty is beyond that by chance: results are refused where a
+    difference is larger than chance makes in one of a hundred campaigns. Calibration errors that both tests share are
+    counted in both: the judgement is generous by that.
     """
-    by_kind = {analysis.kind: analysis for analysis in analyses}
-    estimates: list[Estimate] = []
-    findings: list[Finding] = []
-    for symbol, title, left, right in PAIRS:
-        for kind in (right, PAPER) if right == STEPS else (right,):
-            if left not in by_kind or kind not in by_kind:
-                continue
-            for method, words in _sides(by_kind[kind], symbol):
-                name = f"{title}, {words}" if words else title
-                one, two = _values(by_kind[left], symbol, PRIMARY[left]), _values(by_kind[kind], symbol, method)
-                both = _pairs(one, two, left)
-                without = [P for P, pair in both.items() if any(e.parts.combined is None for e in pair)]
-                differences = [_difference(*pair, P, name) for P, pair in both.items() if P not in without]
-                if differences:
-                    estimates += differences
-                    findings.append(_sentence(symbol, name, differences))
-                if without:
-                    where = ", ".join(show(P, "pressure") for P in without)
-                    text = f"{symbol}, {name}: not compared at {where}, where one has no interval, or several values"
-                    findings.append(Finding("note", text))
+    found = [one for pair in combinations(_in_order(analyses), 2) for one in _compared(*pair)]
+    found += _of_rest(analyses)
+    known = [one for one in found if one.known]
+    findings, refusals = [], []
+    for symbol, title in dict.fromkeys((one.symbol, one.title) for one in found):
+        group = [one for one in found if (one.symbol, one.title) == (symbol, title)]
+        mine = [one for one in group if one.known]
+        if mine:
+            findings.append(_sentence(mine, len(known)))
+            refusals += _refusal(mine, len(known))
+        if without := [one.where.removeprefix(" at ") for one in group if not one.known]:
+            text = f"{symbol}, {title}: not compared at {', '.join(dict.fromkeys(without))}, where one has no interval"
+            findings.append(Finding("note", text))
     if not findings:
         return None
     return Analysis(
         KIND,
         tuple(dict.fromkeys(run for analysis in analyses for run in analysis.runs)),
         any(analysis.simulated for analysis in analyses),
-        tuple(estimates),
+        tuple(one.estimate() for one in known if not one.at_least),
         findings=tuple(findings),
+        refusals=tuple(refusals),
+        facts={"comparisons": len(known), "beyond_intervals": sum(one.score > 1.0 for one in known)},
     )
+
+
+def _in_order(analyses: Sequence[Analysis]) -> list[list[Offer]]:
+    """What each kind of test offers, in the order of naming."""
+    offers = [offer for analysis in analyses for offer in offers_of(analysis)]
+    return [[offer for offer in offers if offer.kind == kind] for kind in WORDS]
+
+
+def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Comparison]:
+    """Every place where two kinds of test both say something, once."""
+    seen: set[tuple[object, ...]] = set()
+    for one in left:
+        for two in right:
+            if one.symbol != two.symbol:
+                continue
+            title = f"{WORDS[one.kind]} against {WORDS[two.kind]}"
+            title = ", ".join([title, *(words for words in (one.words, two.words) if words)])
+            for place in sorted({*one.points, *two.points}, key=_order):
+                mine, theirs = one.at(place), two.at(place)
+                if mine is None or theirs is None or (key := (title, place[0], mine.value, theirs.value)) in seen:
+                    continue
+                seen.add(key)
+                symbol = "F_ce" if one.symbol == "F" and place[1] == 0.0 else one.symbol
+                yield Comparison(symbol, place, mine, theirs, title, (one.kind, two.kind))
+
+
+def _order(place: Place) -> tuple[float, bool, float]:
+    """By pressure, then by contraction; what has none comes last, for it is what others are compared with anywhere."""
+    P, x = place
+    return P, x is None, x or 0.0
+
+
+def _of_rest(analyses: Sequence[Analysis]) -> Iterator[Comparison]:
+    """The friction of static load, at which a muscle at rest begins to move, is not below F_c of one that moves."""
+    at_rest = [
+        e
+        for analysis in analyses
+        if analysis.kind == STATIC
+        for e in analysis.estimates
+        if e.method == REST and not e.at and e.value is not None
+    ]
+    moving = [(offer, e) for analysis in analyses for offer in offers_of(analysis) if offer.symbol == "F_c"
+              for e in (offer.points.values() or [offer.at((float("nan"), None))])]  # fmt: skip
+    for one in at_rest:
+        for offer, two in moving:
+            if two is not None:
+                title = f"friction at rest of {WORDS[STATIC]} against F_c of {WORDS[offer.kind]}"
+                place = (two.at.get("pressure", float("nan")), None)
+                yield Comparison("F_f", place, one, two, title, (STATIC, offer.kind), at_least=True)
 
 
 def against_static(analysis: Analysis, static: Analysis) -> dict[float, tuple[Estimate, Estimate]]:
     """F_ce of a test of `OF_STATIC` by its primary method and of static load, by pressure [Pa] that both cover."""
-    mine, theirs = _values(analysis, "F_ce", PRIMARY[analysis.kind]), _values(static, "F_ce", PRIMARY[STATIC])
-    return {P: (other, one) for P, (one, other) in _pairs(theirs, mine, STATIC).items()}
+    theirs: Mapping[float, Estimate] = at_pressures(static, "F_ce", PRIMARY[STATIC])
+    mine = at_pressures(analysis, "F_ce", PRIMARY[analysis.kind])
+    pairs = {P: (one, on_line(theirs, P)) for P, one in sorted(mine.items())}
+    return {P: (one, two) for P, (one, two) in pairs.items() if two is not None}
 
 
-def _difference(one: Estimate, two: Estimate, pressure: float, title: str) -> Estimate:
-    return replace(
-        one,
-        value=(one.value or 0.0) - (two.value or 0.0),
-        parts=Parts(repeats=hypot(one.parts.combined or 0.0, two.parts.combined or 0.0)),
-        coordinate="difference",
-        method=title,
-        at={"pressure": pressure},
-        n=one.n + two.n,
-        bias=None,
-        corrected=False,
-        note="",
-        trials=(),
-    )
+def _sentence(group: Sequence[Comparison], count: int) -> Finding:
+    """What a pair of kinds says of a quantity, by its worst place."""
+    worst = max(group, key=lambda one: one.score / one.limit(count))
+    difference, half = (show(value, worst.one.quantity, 2) for value in (worst.value, worst.half))
+    scope = f", furthest apart{worst.where}" if len(group) > 1 else f",{worst.where}" if worst.where else ""
+    begin = f"{worst.symbol}, {worst.title}{scope}: difference {difference}, combined interval {half}; "
+    if worst.score > worst.limit(count):
+        return Finding("doubt", f"{begin}they do not agree within their intervals")
+    if worst.at_least and worst.value > worst.half:
+        two = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
+        return Finding("note", f"{begin}they measure different things: {two}")
+    if worst.score <= 1.0:
+        return Finding("note", f"{begin}they agree within their intervals")
+    return Finding("note", f"{begin}that is chance among {count} comparisons")
 
 
-def _score(difference: Estimate) -> float:
-    """|E_n|."""
-    half = difference.parts.combined
-    return abs(difference.value or 0.0) / half if half else float("inf")
-
-
-def _sentence(symbol: str, title: str, differences: Sequence[Estimate]) -> Finding:
-    worst = max(differences, key=_score)
-    value = show(worst.value or 0.0, worst.quantity, 2)
-    half = show(worst.parts.combined or 0.0, worst.quantity, 2)
-    agree = _score(worst) <= 1.0
-    where = show(worst.at["pressure"], "pressure")
-    scope = f"furthest apart at {where}" if len(differences) > 1 else f"at {where}"
-    told = "they agree within their intervals" if agree else "they do not agree within their intervals"
-    return Finding(
-        "note" if agree else "doubt",
-        f"{symbol}, {title}, {scope}: difference {value}, combined interval {half}; {told}",
-    )
+def _refusal(group: Sequence[Comparison], count: int) -> list[str]:
+    """Why neither of two tests is accepted; nothing where they agree."""
+    beyond = [one for one in group if one.score > one.limit(count)]
+    if not beyond:
+        return []
+    worst = max(beyond, key=lambda one: one.score / one.limit(count))
+    sides = [
+        f"{WORDS[kind]} {show(e.value or 0.0, e.quantity, 4)} +- {show(e.parts.combined or 0.0, e.quantity, 2)}"
+        for kind, e in zip(worst.kinds, (worst.one, worst.two), strict=True)
+    ]
+    better = "the isobaric ramp measures the curve itself"
+    if ISOBARIC not in worst.kinds:
+        better = "an isobaric ramp (isobaric-ramp) measures the curve itself"
+    more = f" ({len(beyond)} of {len(group)} places)" if len(group) > 1 else ""
+    return [
+        f"{worst.symbol}{worst.where}{more}: {' and '.join(sides)} disagree: the difference is {worst.score:.2g} times "
+        f"the combined interval, and chance makes at most {worst.limit(count):.2g} in {count} comparisons; one of the "
+        f"two tests is wrong, or the muscle does not follow F = F_ce - K x: {better}"
+    ]

@@ -147,11 +147,6 @@ METHODS: dict[str, str] = {
     "logistic-mean": "The same through the mean of both ways.",
     "logistic-loads": "The same with a, b, c, d as powers of the load up to the fourth, through the ways up of all "
     "loads at once: paper 2's 20 numbers.",
-    "static load against isometric": _DIFFERENCE,
-    "isometric against steps": _DIFFERENCE,
-    "static load against contraction": _DIFFERENCE,
-    "sine against steps": _DIFFERENCE,
-    "sine against (B_c + B_r)/2 of steps": _DIFFERENCE,
 }
 """Method -> what it does, in a sentence or two."""
 
@@ -162,4 +157,4 @@ def described(method: str) -> str:
     What stands after ` above ` is a limit of it; after `, ` the way of one side of a comparison.
     """
     known = (METHODS.get(name) for name in (method, method.partition(" above ")[0], method.partition(", ")[0]))
-    return next((words for words in known if words), "")
+    return next((words for words in known if words), _DIFFERENCE if " against " in method else "")

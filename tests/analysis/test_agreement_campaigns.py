@@ -1,0 +1,135 @@
+"""Tests of one specimen processed together: those of one simulated muscle agree, a built-in contradiction is refused.
+
+The motion is that of shipped protocols on shipped benches, recorded once; a campaign of another seed has noise put on
+its channels. A contradiction is put into the record of one test alone, which then says something else than the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.reduce import reduce_runs, verdicts
+from pmabench.analysis.results import Analysis
+from pmabench.store.records import RunData
+from tests.analysis.driven_runs import recorded
+from tests.analysis.simulate import LOADS, contraction_run, rig, static_run
+
+NOISE = {"displacement": 2e-6, "force": 0.3, "pressure": 500.0}
+SHORT: dict[str, tuple[tuple[str, str], ...]] = {
+    "sinusoidal-displacement": (("sweep.matrix.frequency", "[0.5 Hz, 1 Hz, 3 Hz]"), ("trial.at_least", "4 s")),
+    "isobaric-ramp": (("sweep.matrix.pressure", "[200 kPa, 300 kPa, 400 kPa]"), ("trial.cycles", "3")),
+    "isometric-pressurisation": (("sweep.repeat.count", "2"),),
+}
+"""Protocol -> what is made shorter."""
+BENCHES = [("mock-actuator", "mas-20-250-paper0"), ("mock-contractor", "contractor-30")]
+
+
+@pytest.fixture(scope="module", params=BENCHES, ids=[bench for bench, _ in BENCHES])
+def driven(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[RunData]:
+    """Sines, isobaric ramps and isometric tests of one muscle."""
+    bench, specimen = request.param
+    out = tmp_path_factory.mktemp(bench)
+    return [recorded(out, protocol, bench, specimen, *settings) for protocol, settings in SHORT.items()]
+
+
+def changed(run: RunData, channel: str, gain: float = 1.0, noise: float = 0.0, seed: int = 0) -> RunData:
+    chance = np.random.default_rng([seed, len(run.id), len(channel)])
+    trials = []
+    for trial in run.trials:
+        values = trial.channels[channel] * gain + noise * chance.standard_normal(len(trial.t))
+        trials.append(replace(trial, channels={**trial.channels, channel: values}))
+    return replace(run, trials=tuple(trials))
+
+
+def again(runs: Sequence[RunData], seed: int) -> list[RunData]:
+    """The same motions with noise of another seed on every channel."""
+    found = list(runs)
+    for number in range(len(found)):
+        for channel, size in NOISE.items():
+            found[number] = changed(found[number], channel, noise=size, seed=1000 * seed + number)
+    return found
+
+
+def agreement_of(runs: Sequence[RunData]) -> Analysis:
+    (found,) = [analysis for analysis in reduce_runs(runs) if analysis.kind == "agreement"]
+    return found
+
+
+def of_weights(seed: int) -> list[RunData]:
+    """Static load and contraction of plant 5.1, whose sines and ramps mock-actuator records."""
+    bench = rig("paper0", uncertainty=True)
+    cells = [(load, P) for load in LOADS[1:6:2] for P in (2e5, 3e5, 4e5)]
+    return [static_run(bench, LOADS[::4], repeats=2, seed=seed), contraction_run(bench, cells, seed=seed)]
+
+
+def test_driven_tests_of_one_muscle_are_compared_and_agree(driven: list[RunData]) -> None:
+    found = agreement_of(driven)
+    titles = {e.method for e in found.estimates}
+    assert titles >= {"sine against isobaric", "sine against isometric", "isometric against isobaric"}
+    assert {e.symbol for e in found.estimates} >= {"K", "B", "F_c", "F"}
+    assert found.refusals == ()
+    assert not any(finding.level == "doubt" for finding in found.findings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "channel", "gain"), [(2, "force", 1.05), (0, "force", 0.95), (1, "displacement", 1.06)]
+)
+def test_a_test_that_contradicts_the_others_is_refused(
+    driven: list[RunData], kind: int, channel: str, gain: float
+) -> None:
+    """A cell or a displacement sensor that has another gain in one of the three tests, and nobody knows it."""
+    runs = list(driven)
+    runs[kind] = changed(runs[kind], channel, gain)
+    analyses = reduce_runs(runs)
+    found = analyses[-1]
+    assert found.refusals
+    assert any(finding.level == "doubt" for finding in found.findings)
+    assert set(found.refusals) <= set(verdicts(runs, analyses))
+    word = ("sine", "isobaric", "isometric")[kind]
+    assert all(f"{word} " in refusal and "disagree" in refusal for refusal in found.refusals)
+    assert all(
+        "isobaric ramp measures the curve itself" in r or "(isobaric-ramp) measures the curve" in r
+        for r in found.refusals
+    )
+
+
+def false_alarms(driven: Sequence[RunData], seeds: range) -> list[str]:
+    return [refusal for seed in seeds for refusal in agreement_of(again(driven, seed)).refusals]
+
+
+def test_agreeing_campaigns_raise_no_alarm(driven: list[RunData]) -> None:
+    assert false_alarms(driven, range(1, 3)) == []
+
+
+def test_all_kinds_of_tests_of_one_muscle_agree(tmp_path: Path) -> None:
+    """Static load and contraction with weights, sines with a driven end: 0 refusals, friction at rest above F_c."""
+    sines = recorded(
+        tmp_path, "sinusoidal-displacement", "mock-actuator", "mas-20-250-paper0", *SHORT["sinusoidal-displacement"]
+    )
+    weights = [replace(run, manifest=sines.manifest) for run in of_weights(3)]
+    found = agreement_of([*weights, sines])
+    assert found.refusals == ()
+    titles = {e.method for e in found.estimates}
+    assert titles == {"static load against contraction", "static load against sine", "sine against contraction"}
+    rest = [f.text for f in found.findings if f.text.startswith("F_f, friction at rest of static load")]
+    assert len(rest) == 2
+    assert all("they measure different things" in text for text in rest)
+
+
+@pytest.mark.study
+def test_agreeing_campaigns_raise_an_alarm_in_one_of_a_hundred_at_most(driven: list[RunData]) -> None:
+    alarms = {seed for seed in range(100, 150) if agreement_of(again(driven, seed)).refusals}
+    print(f"agreeing driven campaigns with a refusal: {len(alarms)} of 50")
+    assert not alarms
+
+
+@pytest.mark.study
+def test_agreeing_campaigns_with_weights_raise_an_alarm_in_one_of_a_hundred_at_most() -> None:
+    alarms = {seed for seed in range(100, 200) if agreement_of(of_weights(seed)).refusals}
+    print(f"agreeing campaigns of static load and contraction with a refusal: {len(alarms)} of 100")
+    assert len(alarms) <= 1
