@@ -53,8 +53,8 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
             name for name in results if name not in shown_symbols and any(e.symbol == name for e in shown_estimates)
         ]
         if more:
-            names = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
-            console.print(Text(f"  more in the tables of the analysis folder: {names}"))
+            others = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
+            console.print(Text(f"  more in the tables of the analysis folder: {others}"))
         if beside:
             console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
         console.print()

@@ -253,7 +253,7 @@ def test_muscles_that_are_slack_and_trials_that_lack_something_are_dropped_with_
     )  # fmt: skip
     analysis = reduce([replace(run, trials=trials)])
     reasons = " | ".join(d.reason for d in analysis.dropped)
-    for part in ("slack: up to 500 kPa", "force not recorded", "interrupted", "lacks one", "names no contraction"):
+    for part in ("slack: up to 500 kPa", "force not recorded", "interrupted", "lacks one", "at which contraction"):
         assert part in reasons
     assert len(analysis.dropped) == 6
     assert values(analysis, "m", METHOD)[0.0].ci95 is None

@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from pathlib import Path
 
 import control
 import mujoco
@@ -42,7 +43,8 @@ def test_samples_come_back_as_they_were(run, tmp_path):
     frame = run.stream(first)
     export_run(run, "csv", tmp_path / "csv")
     read = pd.read_csv(tmp_path / "csv" / f"{first}.csv")
-    pd.testing.assert_frame_equal(read, frame, check_dtype=False, rtol=1e-15, atol=0.0)
+    pd.testing.assert_frame_equal(read[list(frame.columns)], frame, check_dtype=False, rtol=1e-15, atol=0.0)
+    assert set(read.columns) - set(frame.columns) >= {"trial"}
     export_run(run, "parquet", tmp_path / "pq")
     table = pq.read_table(tmp_path / "pq" / f"{first}.parquet")
     assert table.schema.field("pressure [Pa]").metadata[b"unit"] == b"Pa"
@@ -206,7 +208,9 @@ def test_the_command_names_what_it_wrote(run, tmp_path):
 
     out = pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "x"), "--json")
     assert (out.exit_code, json.loads(out.stdout)["format"]) == (0, "csv")
-    assert all(path.endswith(".csv") for path in json.loads(out.stdout)["written"])
+    written = [Path(path) for path in json.loads(out.stdout)["written"]]
+    assert [path.name for path in written if path.suffix != ".csv"] == ["run.json"]
+    assert all(path.is_file() for path in written)
     (tmp_path / "f").write_text("")
     assert pmabench_export(run.data.path, "--format", "csv", "-o", str(tmp_path / "f")).exit_code == 2
     assert pmabench_export(str(tmp_path), "--format", "mat", "-o", str(tmp_path / "g")).exit_code == 3

@@ -150,7 +150,7 @@ def test_forms_of_names():
     match = form_pattern("*frq_test_rads-{frequency}_exp", True, used).fullmatch("x_frq_test_rads-1,57_exp")
     assert match["frequency"] == "1,57"
     assert used == {"contraction", "test", "frequency"}
-    for bad in ("{contraction}{test}", "{speed}", "*a*b*c", "{test}_{test}"):
+    for bad in ("{contraction}{test}", "{velocity}", "*a*b*c", "{test}_{test}"):
         with pytest.raises(ValueError, match=r".+"):
             form_pattern(bad, False, set())
 

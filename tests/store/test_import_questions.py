@@ -160,7 +160,11 @@ def test_two_clocks_that_disagree_are_a_question(tmp_path):
 
 def test_a_time_that_counts_samples_is_a_question(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t": np.arange(len(T)), "P [kPa]": P, "F [N]": F})
-    assert "counts the samples: how far apart are they?" in asked(path)["columns.t.period"].question
+    question = asked(path)["columns.t.unit"]
+    assert question.used == "ms"
+    assert "is it a time, or does it count the samples" in question.question
+    path = file(tmp_path / "held_9mm_Test1.csv", {"Sample": np.arange(len(T)), "P [kPa]": P, "F [N]": F})
+    assert "counts the samples: how far apart are they?" in asked(path)["columns.Sample.period"].question
 
 
 @pytest.mark.parametrize(("left", "role"), [("P [kPa]", "force"), ("F [N]", "pressure")])

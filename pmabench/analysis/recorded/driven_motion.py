@@ -1,4 +1,4 @@
-"""What a second-order motion does under a pressure that is held between its changes, exactly and in linear time.
+"""A second-order motion under a pressure that is held between its changes: its answer, exactly, and its fit.
 
 The answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum
 over all changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
@@ -7,10 +7,12 @@ goes on from sample to sample; it is found for all samples by cumulative sums ov
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from pmabench.store.records import Array
 
@@ -18,6 +20,88 @@ REACH = 200.0
 """exp(REACH) is far below the largest number, and its inverse far above the smallest."""
 EQUAL = 1e-6
 """Damping ratios closer to 1 than this count as 1 + EQUAL: there the two poles are one, and the sum of them is none."""
+
+FREQUENCY = (3.0, 400.0)
+DAMPING = (0.01, 3.0)
+"""Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
+LAGS = (0.005, 0.01, 0.02, 0.04)
+"""Lags [s] between the pressure that was measured and the one that drives."""
+AS_GOOD = 1.02
+"""Motions whose misfit is within this factor of the least are not told apart."""
+SHOWN = 5.0
+"""An extreme is one beyond so many standard deviations of the noise."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """x'' + 2 D w x' + w^2 x = w^2 g P, fitted with one assumed lateness of the pressure."""
+
+    late: float
+    """[s]."""
+    w: float
+    """Natural frequency [rad/s]."""
+    D: float
+    """Damping ratio [1]."""
+    g: float
+    """Stroke per pressure [m/Pa]."""
+    rms: float
+    """[m]."""
+    model: Array
+
+
+def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
+    """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
+
+    The measured pressure is held between its changes, as a polled channel reads, and moved `late` [s] ahead. The
+    response is the sum of the exact step responses of all changes, at the stamps as they are: no resampling.
+    """
+    changes = np.flatnonzero(np.diff(P)) + 1
+    jumps = np.diff(P)[changes - 1]
+    at = t[changes] - late
+
+    def answer(p: Array) -> tuple[Array, float]:
+        driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
+        off = driven - driven.mean()
+        power = float(np.sum(off * off))
+        g = float(np.sum(off * x)) / power if power > 0 else 0.0
+        return np.asarray(x.mean() + g * off), g
+
+    def misfit(p: Array) -> Array:
+        return np.asarray((answer(p)[0] - x) / scale)
+
+    scale = max(float(np.ptp(x)), 1e-9)
+    start = np.log([40.0, 0.3])
+    bounds = (np.log([FREQUENCY[0], DAMPING[0]]), np.log([FREQUENCY[1], DAMPING[1]]))
+    solved = least_squares(misfit, start, bounds=bounds, max_nfev=60)
+    model, g = answer(solved.x)
+    rms = float(np.sqrt(np.mean((model - x) ** 2)))
+    w, D = (float(value) for value in np.exp(solved.x))
+    return Motion(late, w, D, g, rms, model)
+
+
+def lagged_motions(t: Array, P: Array, x: Array, known: Motion) -> list[Motion]:
+    """Motions of a pressure that lags behind the measured one by `LAGS`, those that fit no worse than `known`."""
+    found = []
+    for lag in LAGS:
+        share = 1.0 - np.exp(-np.diff(t) / lag)
+        driving = np.empty(len(P))
+        driving[0] = P[0]
+        for k, part in enumerate(share):
+            driving[k + 1] = driving[k] + part * (P[k] - driving[k])
+        found.append(fit_motion(t, driving, x, known.late))
+    least = min(motion.rms for motion in [known, *found])
+    return [motion for motion in found if motion.rms <= AS_GOOD * least]
+
+
+def extremes(x: Array, end: float, noise: float) -> int:
+    """How often a motion that has reached its `end` [m] swings beyond it, to either side in turn, shape (n,)."""
+    away = (x - end) * (1.0 if end >= x[0] else -1.0)
+    count, side = 0, 1.0
+    reached = np.flatnonzero(away >= 0)
+    for value in away[reached[0] :] if len(reached) else ():
+        if side * value > SHOWN * noise:
+            count, side = count + 1, -side
+    return count
 
 
 def respond(t: Array, at: Array, jumps: Array, w: float, D: float) -> Array:

@@ -44,6 +44,8 @@ UNUSABLE_SHARE = 0.1
 OFF = 0.005
 """Relative difference between the named and the commanded frequency that is doubted."""
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+ANOTHER = 1.05
+"""Sines whose drive is larger by this factor are not repeats."""
 NO_SINE = 0.1
 """Share of the signal that its first harmonic leaves, above which that is told."""
 Complex = NDArray[np.complex128]
@@ -80,6 +82,11 @@ class Sine:
         return 2 * pi * self.frequency
 
     @property
+    def drive(self) -> float:
+        """Amplitude of the pressure command, else of the pressure [Pa]."""
+        return abs(self.amplitudes.get("pressure_command", self.amplitudes["pressure"]))
+
+    @property
     def turn(self) -> float:
         """Phase [rad] to add to that of x over P: the middle of what the pressure's lateness may be."""
         return -self.omega * sum(self.late) / 2
@@ -88,24 +95,32 @@ class Sine:
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Per frequency [Hz]: |P| [Pa], |x| [m], |P/x| [Pa/m], phases [rad] and the width of the x-P loop [m].
 
-    Three-parameter sine fits (IEEE 1057) at the known frequency, over whole cycles after the first second. `phi_x` is
-    the phase of x against the measured pressure, `phi_P` that of the pressure against its command, both negative for
-    a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean pressure. The pressure may be older than its
-    stamps (`late_by` of the map, or option [[least, most] in s]): phases are turned by the middle of that, and half
-    its range is the `method` part. The bandwidth is that of `sweep_bandwidth`. K and B do not follow from x and P
-    alone: F_ce(P) stands between them.
+    Repeats are sines of one frequency and one amplitude. Three-parameter sine fits (IEEE 1057) at the known frequency,
+    over whole cycles after the first second. `phi_x` is the phase of x against the measured pressure, `phi_P` that of
+    the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
+    pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
+    are turned by the middle of that, and half its range is the `method` part. The bandwidth is that of
+    `sweep_bandwidth`. K and B do not follow from x and P alone: F_ce(P) stands between them.
     """
     options = options or {}
     sines, dropped, told = measured(runs, options, measure)
-    groups: dict[float, list[tuple[RunData, Sine]]] = {}
-    for run, sine in sines:
-        groups.setdefault(round(sine.frequency, 6), []).append((run, sine))
-    estimates = [estimate for _, group in sorted(groups.items()) for estimate in _at(group)]
-    estimates += bandwidth({f: [sine for _, sine in group] for f, group in groups.items()})
+    groups: dict[float, list[list[tuple[RunData, Sine]]]] = {}
+    for run, sine in sorted(sines, key=lambda one: one[1].drive):
+        alike = groups.setdefault(round(sine.frequency, 6), [])
+        if not alike or sine.drive > ANOTHER * alike[-1][0][1].drive:
+            alike.append([])
+        alike[-1].append((run, sine))
+    estimates = [e for _, alike in sorted(groups.items()) for group in alike for e in _at(group, alone=len(alike) == 1)]
+    usual = float(np.median([sine.drive for _, sine in sines])) if sines else 0.0
+    swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
+    estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
     findings = [finding for _, sine in sines for finding in _sentences(sine)]
     if sines and not told:
         findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
-    first = [group[0][1] for _, group in sorted(groups.items())]
+    first = [group[0][1] for _, group in sorted(swept.items())]
+    if any(len(alike) > 1 for alike in groups.values()):
+        text = "sines of one frequency whose amplitudes differ by more than a twentieth are reported apart"
+        findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
         text = "no method part but for the lateness of the pressure: how far these are no sines is told beside them"
@@ -133,7 +148,8 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
     frequency = trial.point.get("frequency", 0.0)
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
     if missing or frequency <= 0:
-        return f"{' and '.join(missing)} not recorded" if missing else "its point names no frequency"
+        no_frequency = "nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map"
+        return f"{' and '.join(missing)} not recorded" if missing else no_frequency
     if trial.status != "finished":
         return f"the trial is {trial.status}"
     begin = float(trial.t[0]) + max(1, floor(SETTLE * frequency + 0.999)) / frequency
@@ -182,11 +198,13 @@ def _frequency_off(command: Complex | None, whole: int) -> float:
     return float(np.polyfit(np.arange(whole), phase, 1)[0]) / (2 * pi)
 
 
-def _at(group: Sequence[tuple[RunData, Sine]]) -> list[Estimate]:
-    """All estimates at one frequency."""
+def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool) -> list[Estimate]:
+    """All estimates at one frequency, and at one amplitude where there are others: `alone` is False then."""
     sines = [sine for _, sine in group]
     first = sines[0]
     at = {"frequency": first.frequency}
+    if not alone:
+        at["amplitude"] = float(f"{np.mean([abs(sine.amplitudes['displacement']) for sine in sines]):.3g}")
     parents = tuple(sine.name for sine in sines)
     scales = Scales.of([run for run, _ in group])
     doubt = max(first.omega * (sine.late[1] - sine.late[0]) / 2 for sine in sines)

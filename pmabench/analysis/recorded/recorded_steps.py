@@ -6,18 +6,28 @@ Knows trials with one command each and measured pressure and displacement; not w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import inf
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from numpy.typing import NDArray
 
 from pmabench.analysis.declared import Result
-from pmabench.analysis.recorded.driven_motion import respond
+from pmabench.analysis.recorded.driven_motion import (
+    DAMPING,
+    FREQUENCY,
+    SHOWN,
+    Motion,
+    extremes,
+    fit_motion,
+    lagged_motions,
+)
 from pmabench.analysis.recorded.imported import flagged_counts, import_findings, measured, unusable_because
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.motion import nothing_moved
+from pmabench.analysis.shared.onset import LEAST, onset
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
@@ -39,32 +49,22 @@ FEWEST = 30
 """Samples on each side that are needed."""
 SEEN = 5.0
 """An onset counts where it exceeds this many standard deviations of the baseline, and a twentieth of the step."""
-FREQUENCY = (3.0, 400.0)
-DAMPING = (0.01, 3.0)
-"""Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
+FINE = 2
+"""A log with at least so many samples between the level and a clear rise shows how the rise begins."""
+RINGS = 0.5
+"""Damping ratio from which on a motion does not ring: the mass shows in its fast pole only, which a few ms hide."""
+RANGE = 0.15
+"""K and B are given where they lie within so much of their value for all that is possible of times and lags."""
+UNTOLD = 0.005
+"""What pressure and position may be apart [s] where the map gives no `late_by`, for K and B."""
+UNKNOWN = "nothing is known of the time between the channels"
 ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are not told."""
+INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
 ONCE = "no repeats part: one step only"
 UNASSESSED = "no method part: how far it has settled is not assessed"
 SHIFTS = 4
 OVERSHOOT = 0.05
-
-
-@dataclass(frozen=True)
-class Motion:
-    """x'' + 2 D w x' + w^2 x = w^2 g P, fitted with one assumed lateness of the pressure."""
-
-    late: float
-    """[s]."""
-    w: float
-    """Natural frequency [rad/s]."""
-    D: float
-    """Damping ratio [1]."""
-    g: float
-    """Stroke per pressure [m/Pa]."""
-    rms: float
-    """[m]."""
-    model: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +90,16 @@ class Step:
     motions: tuple[Motion, ...]
 
     @property
+    def noise(self) -> float:
+        """Of the displacement at rest before the step [m]."""
+        return noise_of(self.x[self.t < 0])
+
+    @property
+    def near(self) -> NDArray[np.bool_]:
+        """Samples that the fit of the motion uses."""
+        return np.asarray((self.t >= -BEFORE) & (self.t <= AFTER))
+
+    @property
     def best(self) -> Motion:
         """The motion with the least misfit."""
         return min(self.motions, key=lambda motion: motion.rms)
@@ -109,31 +119,35 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, where they can be told, K [N/m] and B [N.s/m] of recorded steps.
 
     Pressure and displacement at one load give the ratios B/K and (dF_ce/dP)/K only, never K itself. Where the moving
-    `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const, driven by the
-    measured pressure, gives K = M w^2 and B = 2 D w M. The pressure may be older than its time stamp (`late_by` of the
-    map): K and B are told as the range over that time, and not at all where the range is as wide as the value.
+    `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const, driven by the measured
+    pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
+    are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The pressure may
+    be older than its time stamp (`late_by` of the map) and lag behind the sensor: K and B are given as the range over
+    that, and withheld where it is wider than 15 % either way.
 
-    Repeats are trials with the same commanded pressures before and after. `options`: `mass` [kg] and `late_by`
+    Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
     [[least, most] in s] instead of what the record says.
     """
     options = options or {}
     steps, dropped, told = measured(runs, options, measure)
-    groups: dict[tuple[float, float], list[tuple[RunData, Step]]] = {}
+    groups: dict[tuple[float, ...], list[tuple[RunData, Step]]] = {}
+    loads = len({_load(step) for _, step in steps}) > 1
     for run, step in steps:
         point = step.trial.point
-        groups.setdefault((round(point["from"], -2), round(point["pressure"], -2)), []).append((run, step))
+        key: tuple[float, ...] = (round(point["from"], -2), round(point["pressure"], -2))
+        groups.setdefault((*key, *_load(step)) if loads else key, []).append((run, step))
     commanded = [step for _, step in steps if not step.found]
     estimates: list[Estimate] = [_dead_time(commanded)] if commanded else []
     findings: list[Finding] = []
-    for (before, after), group in sorted(groups.items()):
-        at = {"from": before, "pressure": after}
-        estimates += _at(at, group, options)
+    for key, group in sorted(groups.items()):
+        at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
+        estimates += _at(at, group, options, () if told else (-UNTOLD, UNTOLD))
         findings += _sentences(at, [step for _, step in group])
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
     if steps and not told:
-        findings.append(Finding("doubt", "nothing is known of the time between the channels: K and B assume none"))
+        findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
     if any(e.symbol == "K" and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
@@ -144,7 +158,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=(*import_findings(runs), *findings),
-        traces=(_trace(group[0][1]) for _, group in sorted(groups.items())),
+        traces=(_trace(group[0][1], by_load=loads) for _, group in sorted(groups.items())),
         facts={
             "options": dict(options),
             "trials": len(steps),
@@ -159,8 +173,12 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     """One step from its samples, or the reason why it cannot be measured."""
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
     command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
-    if missing or command is None or not {"from", "pressure"} <= set(trial.point):
-        return f"{' and '.join(missing)} not recorded" if missing else "it has no commanded step"
+    if missing:
+        return f"{' and '.join(missing)} not recorded"
+    if command is None or not {"from", "pressure"} <= set(trial.point):
+        if nothing_moved(trial, "displacement"):
+            return "its length is held: with a column of force the map says `kind: isometric` for such a test"
+        return "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
     if trial.status != "finished":
         return f"the trial is {trial.status}"
     if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
@@ -183,44 +201,35 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     most = np.flatnonzero((rise > (1 - np.exp(-1)) * abs(size)) & (t > -within))
     if not len(begun) or not len(most) or begun[0] == 0:
         return "no onset of the pressure is seen"
-    first = int(begun[0])
-    onset, doubt = float(t[first] + t[first - 1]) / 2, float(t[first] - t[first - 1]) / 2
+    begins, doubt = _onset(t, rise, int(begun[0]), within)
     near = (t >= -BEFORE) & (t <= AFTER)
     shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
     motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
-    dead = onset + within / 2 - (late[0] + late[1]) / 2
+    dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(t[most[0]]) - onset, doubt, motions)
+    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(t[most[0]]) - begins, doubt, motions)
 
 
-def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
-    """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
+def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
+    """When the pressure begins to rise [s], and how far that may be off; `first` is the first sample clearly above.
 
-    The measured pressure is held between its changes, as a polled channel reads, and moved `late` [s] ahead. The
-    response is the sum of the exact step responses of all changes, at the stamps as they are: no resampling.
+    A threshold is crossed late, so the first part of the rise is followed back to the level along a straight line
+    (behind a lag pressure rises like t). Where a log has too few samples for that the rise begins between the last one
+    that is still at its level and `first`.
     """
-    changes = np.flatnonzero(np.diff(P)) + 1
-    jumps = np.diff(P)[changes - 1]
-    at = t[changes] - late
+    rest = rise[t < -within]
+    still = np.flatnonzero(rise[:first] <= np.median(rest) + float(np.std(rest)))
+    early, late = float(t[still[-1]]) if len(still) else float(t[first - 1]), float(t[first])
+    period = float(np.median(np.diff(t)))
+    begun = onset(t, rise, -within, LEAST["pressure"]) if late - early > FINE * period - 1e-9 else None
+    if begun is None or not early - period <= begun <= late:
+        return (early + late) / 2, (late - early) / 2
+    return begun, period / 2 + max(0.0, min(begun - early, late - begun)) / 2
 
-    def answer(p: Array) -> tuple[Array, float]:
-        driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
-        off = driven - driven.mean()
-        power = float(np.sum(off * off))
-        g = float(np.sum(off * x)) / power if power > 0 else 0.0
-        return np.asarray(x.mean() + g * off), g
 
-    def misfit(p: Array) -> Array:
-        return np.asarray((answer(p)[0] - x) / scale)
-
-    scale = max(float(np.ptp(x)), 1e-9)
-    start = np.log([40.0, 0.3])
-    bounds = (np.log([FREQUENCY[0], DAMPING[0]]), np.log([FREQUENCY[1], DAMPING[1]]))
-    solved = least_squares(misfit, start, bounds=bounds, max_nfev=60)
-    model, g = answer(solved.x)
-    rms = float(np.sqrt(np.mean((model - x) ** 2)))
-    w, D = (float(value) for value in np.exp(solved.x))
-    return Motion(late, w, D, g, rms, model)
+def _load(step: Step) -> tuple[float, float]:
+    """Load [N] and moving mass [kg]; 0 where they are not known."""
+    return round(step.trial.point.get("load", 0.0), 2), round(step.trial.point.get("mass", 0.0), 3)
 
 
 def _dead_time(steps: Sequence[Step]) -> Estimate:
@@ -234,8 +243,10 @@ def _dead_time(steps: Sequence[Step]) -> Estimate:
     return Estimate("t_d", mean, "s", "time", STEP, {}, parts, len(steps), note=note, trials=parents)
 
 
-def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any]) -> list[Estimate]:
-    """All estimates at one pair of commanded pressures."""
+def _at(
+    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float]
+) -> list[Estimate]:
+    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position."""
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
     scales = Scales.of([run for run, _ in group])
@@ -251,7 +262,11 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
         )
         return Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
 
-    seconds, slopes = ("s", "time"), [step.size / step.stroke if step.stroke else inf for step in steps]
+    seconds = ("s", "time")
+    moved = [step for step in steps if abs(step.stroke) > 2 * SEEN * step.noise]
+    if not moved:
+        why = f"the displacement moves by {show(steps[0].stroke, 'length', 2)} only: the load rests on its support"
+        unmoved = [Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
     return [
         *(
             []
@@ -262,56 +277,89 @@ def _at(at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options:
         ),
         estimate("tau_P", seconds, [s.rise for s in steps], max(s.rise_half for s in steps), note="63 %"),
         estimate("X", ("m", "length"), [step.stroke for step in steps], None, ("displacement",)),
-        estimate("dP/dx", ("Pa/m", "gain"), slopes, None, ("pressure", "displacement"), "at rest, includes friction"),
-        *_muscle(at, steps, parents, options),
+        *(
+            [
+                estimate(
+                    "dP/dx",
+                    ("Pa/m", "gain"),
+                    [step.size / step.stroke for step in moved],
+                    None,
+                    ("pressure", "displacement"),
+                    "at rest, includes friction",
+                ),
+                *_muscle(at, moved, options, apart),
+            ]
+            if moved
+            else unmoved
+        ),
     ]
 
 
 def _muscle(
-    at: Mapping[str, float], steps: Sequence[Step], parents: tuple[str, ...], options: Mapping[str, Any]
+    at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any], apart: Sequence[float]
 ) -> list[Estimate]:
-    """K and B from the ringing, or why they cannot be told; from times and a mass, no scale of a channel enters."""
+    """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
+    parents = tuple(step.name for step in steps)
     kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
     masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
+    unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
+    why = "" if all(masses) else unknown
+    held = False
     ranges: dict[str, list[tuple[float, float]]] = {"K": [], "B": []}
-    why = ""
-    if not all(masses):
-        why = "pressure and displacement at one load give ratios only; neither F_ce(P) nor the moving mass is known"
     for step, mass in zip(steps, masses, strict=True):
-        why = why or _why_not(step)
-        K = [mass * motion.w**2 for motion in step.motions]
-        B = [2 * motion.D * motion.w * mass for motion in step.motions]
-        ranges["K"].append((min(K), max(K)))
-        ranges["B"].append((min(B), max(B)))
-    found = []
+        if not why:
+            why = _why_not(step)
+            held = bool(why)
+        if why:
+            break
+        near = step.t[step.near], step.P[step.near], step.x[step.near]
+        possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
+        for symbol, values in (
+            ("K", [mass * motion.w**2 for motion in possible]),
+            ("B", [2 * motion.D * motion.w * mass for motion in possible]),
+        ):
+            ranges[symbol].append((min(values), max(values)))
+    found: list[Estimate] = []
     for symbol, unit, quantity in kinds:
-        middle = [(low + high) / 2 for low, high in ranges[symbol]]
-        value, half = mean_with_half(middle)
+        empty = Estimate(symbol, None, unit, quantity, RINGING, at, n=len(steps), trials=parents)
+        if why:
+            reason = f"{why}; {INSTEAD}"
+            found.append(withhold(empty, reason) if held else replace(empty, note=reason))
+            continue
+        value, half = mean_with_half([(low + high) / 2 for low, high in ranges[symbol]])
         wide = max((high - low) / 2 for low, high in ranges[symbol])
-        reason = why
-        if not reason and wide > 0.5 * value:
-            reason = f"lies within {wide / value:.0%} only for what is known of the time between pressure and position"
-        if reason:
-            found.append(Estimate(symbol, None, unit, quantity, RINGING, at, note=reason, n=len(steps), trials=parents))
+        if wide > RANGE * value:
+            spread = f"+-{wide / value:.0%} for what is known of the time between pressure and position"
+            found.append(withhold(empty, f"it lies within {spread}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
             continue
         parts = Parts(repeats=half, method=wide, calibration=0.0)
         once = ONCE if half is None else ""
-        found.append(Estimate(symbol, value, unit, quantity, RINGING, at, parts, len(steps), note=once, trials=parents))
+        found.append(replace(empty, value=value, parts=parts, note=once))
     return found
 
 
+def _ill_fitted(step: Step) -> str:
+    share = max(motion.rms for motion in step.motions) / abs(step.stroke)
+    return f"the misfit is {share:.0%} of the stroke (trial {step.name})" if share > ILL_FITTED else ""
+
+
 def _why_not(step: Step) -> str:
-    """The reason why the motion of a step says nothing of the muscle; empty where it does."""
-    at_bound = [
-        m
-        for m in step.motions
-        if not (1.02 * FREQUENCY[0] < m.w < FREQUENCY[1] / 1.02 and 1.02 * DAMPING[0] < m.D < DAMPING[1] / 1.02)
-    ]
-    if at_bound:
-        return f"the motion follows the pressure without ringing of its own (trial {step.name})"
-    worst = max(motion.rms for motion in step.motions)
-    if worst > ILL_FITTED * abs(step.stroke):
-        return f"the misfit is {worst / abs(step.stroke):.0%} of the stroke (trial {step.name})"
+    """The reason why the motion of a step says nothing of K; empty where it does."""
+    damped = max(motion.D for motion in step.motions)
+    frequencies = [motion.w for motion in step.motions]
+    hidden = "its mass shows in a fast pole only, which a few ms between pressure and position hide"
+    if damped >= RINGS:
+        most = f"{damped:.1f}" if damped < DAMPING[1] / 1.02 else f"{DAMPING[1]:g} or more"
+        return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {hidden}"
+    if min(frequencies) <= 1.02 * FREQUENCY[0] or max(frequencies) >= FREQUENCY[1] / 1.02:
+        low, high = FREQUENCY
+        return f"the motion does not ring (no natural frequency from {low:g} to {high:g} rad/s fits it): {hidden}"
+    if why := _ill_fitted(step):
+        return why
+    end = float(np.median(step.x[step.t > step.t[-1] - 1.0]))
+    seen = extremes(step.x[step.t > 0], end, step.noise)
+    if seen < 2:
+        return f"the motion does not ring ({seen} extremes beyond {SHOWN:g} times its noise, 2 are needed): {hidden}"
     return ""
 
 
@@ -350,13 +398,13 @@ def _facts(step: Step) -> dict[str, Any]:
     }
 
 
-def _trace(step: Step) -> Trace:
+def _trace(step: Step, *, by_load: bool) -> Trace:
     """The first trial of a pair of pressures, measured and with the best motion."""
-    near = (step.t >= -BEFORE) & (step.t <= AFTER)
+    near = step.near
     point = step.trial.point
     before, after = point["from"], point["pressure"]
     return Trace(
-        name=f"step-{before / 1e3:.0f}-{after / 1e3:.0f}kPa",
+        name=f"step-{before / 1e3:.0f}-{after / 1e3:.0f}kPa" + (f"-{_load(step)[0]:.0f}N" if by_load else ""),
         figure="overlay",
         title=f"{show(before, 'pressure')} to {show(after, 'pressure')}: measured and fitted motion",
         columns={"t": step.t[near], "pressure": step.P[near], "displacement": step.x[near], "model": step.best.model},

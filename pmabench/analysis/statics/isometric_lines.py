@@ -128,7 +128,8 @@ def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test
     if missing:
         return None, f"{' and '.join(missing)} not recorded"
     if "contraction" not in trial.point:
-        return None, "its point names no contraction"
+        where = "under `trials` of the map, or as {contraction} in `name_tells`"
+        return None, f"nothing says at which contraction it was held: give `point: {{contraction: 4 mm}}` {where}"
     if trial.status != "finished":
         return None, f"the trial is {trial.status}"
     phase = _phase_of(run, trial, phases)

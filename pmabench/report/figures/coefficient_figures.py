@@ -163,8 +163,8 @@ def _figure(
     for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
         missing = [e for _, e in members if e.value is None and e.withheld == withheld]
         if missing:
-            at = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
-            caption += f" {word}: {_and(at)}{' and others' if len(missing) > 6 else ''}."
+            where = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
+            caption += f" {word}: {_and(where)}{' and others' if len(missing) > 6 else ''}."
     leading = next(iter(titled.values()))
     named = names[:1].upper() + names[1:] if leading and leading.title else names
     title = f"{clean(leading.plot) if leading and leading.plot else named} over {spoken(over)}"

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis
 from pmabench.base.errors import RecordError, UsageError
-from pmabench.notebook import Results, Run, estimates_frame
+from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
 from pmabench.report.document import tables
 from pmabench.report.files import latex
 from pmabench.report.files.analysis_folder import file_names
@@ -27,6 +27,8 @@ from pmabench.report.files.control_model import control_model, control_text, sui
 from pmabench.report.files.csv_files import inert, write_tables
 from pmabench.report.files.mujoco_model import mujoco_model, mujoco_text
 from pmabench.report.words.wording import clean, kind_title
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import record_of
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -45,19 +47,55 @@ def _written(path: Path) -> Iterator[None]:
 def export_run(run: Run, form: str, out: Path) -> list[Path]:
     """Samples and trials of a run: `csv` and `parquet` into the folder `out`, `mat` as the file `out`.
 
+    `csv` holds what `import` needs to make the run again.
+
     UsageError for a format of results; RecordError where it cannot be written.
     """
     frames = {name: run.stream(name) for name in run.streams}
     frames["trials"] = run.trials.reset_index()
     with _written(out):
         if form == "csv":
-            return _csv(frames, out)
+            return _run_csv(run, frames, out)
         if form == "parquet":
             return _parquet(frames, out, {"run": run.id, "simulated": str(run.simulated).lower()})
         if form == "mat":
             structs = {name: _struct(frame) for name, frame in zip(_fields(frames), frames.values(), strict=True)}
             return [_mat(structs | {"run": run.id, "simulated": run.simulated}, out)]
     raise UsageError(f"{form} is a format of results: give an analysis folder, or a run to be processed")
+
+
+def _run_csv(run: Run, frames: dict[str, pd.DataFrame], out: Path) -> list[Path]:
+    """One file per stream, one of the trials, and the record `run.json` with which `import` makes the run again.
+
+    The samples that it belongs to say in each row which trial they are of, its operating point and whether they are
+    simulated. Where several streams were recorded these are the samples of the trials on one time base.
+    """
+    if len(run.streams) == 1 or not run.data.trials:
+        name, frame = run.streams[0], frames[run.streams[0]]
+    else:
+        numbers = dict.fromkeys(trial.number for trial in run.data.trials)
+        name, frame = "samples", pd.concat([run.trial(number) for number in numbers], ignore_index=True)
+    frames = {**frames, name: _with_trials(run, frame)}
+    paths = _csv(frames, out)
+    heads = {with_unit(channel, info.unit): channel for channel, info in run.data.channels.items()}
+    record = record_of(run.data, paths[list(frames).index(name)].name, {h: c for h, c in heads.items() if h in frame})
+    return [*paths, _text(json.dumps(record, indent=1, allow_nan=False) + "\n", out / RECORD)]
+
+
+def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
+    """The samples with the number of their trial (0: none), its operating point, and `simulated` where they are."""
+    t = frame["t [s]"].to_numpy()
+    number = np.zeros(len(t), dtype=np.int64)
+    points = dict.fromkeys(name for trial in run.data.trials for name in trial.point)
+    columns = {headed(f"trial {name}", POINT_QUANTITIES.get(name, "")): np.full(len(t), np.nan) for name in points}
+    for trial in run.data.trials:
+        if len(trial.t):
+            rows = slice(*np.searchsorted(t, [trial.t[0] - 1e-9, trial.t[-1] + 1e-9]))
+            number[rows] = trial.number
+            for values, name in zip(columns.values(), points, strict=True):
+                values[rows] = trial.point.get(name, np.nan)
+    simulated = {"simulated": np.ones(len(t), dtype=np.int64)} if run.simulated else {}
+    return frame.assign(trial=number, **columns, **simulated)
 
 
 def _csv(frames: Mapping[str, pd.DataFrame], out: Path) -> list[Path]:

@@ -6,6 +6,7 @@ All files are read and checked before anything is written; what is written befor
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,28 +20,41 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.folder import Copy
-from pmabench.store.importers import long, quality, units
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import Exported, read_record
+from pmabench.store.folder import PLAN, Copy
+from pmabench.store.importers import long, plausible, quality, siblings, units
+from pmabench.store.importers.found import Checked, Found, plain
 from pmabench.store.importers.long import Seen
+from pmabench.store.importers.magnitude import muscle_of, slope_of_held
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
-from pmabench.store.importers.quality import Checked, Found, Summary
 from pmabench.store.importers.questions import Question
 from pmabench.store.importers.segments import Segment, segments
+from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
 from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.trials import trial_spans
 from pmabench.store.writer import RunWriter
 
 NOTES_BYTES = 100_000
 FOLLOWS = {
     "isometric": "force",
     "recorded-pull": "force",
+    "isometric-pressurisation": "force",
     "recorded-step": "displacement",
     "recorded-sine": "displacement",
+    "contraction-relaxation": "displacement",
+    "static-load": "displacement",
+    "free-contraction": "displacement",
 }
 """Kind of run -> channel that rises with pressure."""
 MOST_FILES = 10_000
+PAUSED = ("record", "column")
+"""Ways to cut a file whose trials are marked: between them nothing need be recorded."""
+UNTOLD = "not told"
+"""What a proposed map says of a specimen that no file names."""
 SAME = 0.5
 """Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
 
@@ -96,6 +110,11 @@ class _Prepared:
     period: float
     """Median distance of the samples [s]."""
     summary: Summary
+    questions: tuple[Question, ...]
+    """Of the map, and what its numbers cannot decide."""
+    record: Exported | None
+    """What the run that the file was exported from said beyond its columns."""
+    simulated: bool
 
     def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
         """Time stamps [s] and channels of all rows in order, so many at a time as fit into memory."""
@@ -145,7 +164,8 @@ def import_files(
         ]
     if problems:
         raise InvalidFile(problems)
-    among = iter(quality.compare(summaries, rules.siblings))
+    found = siblings.compare(summaries, rules.siblings)
+    among = iter([plausible.answered(each, rules.confirmed) for each in found])
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
@@ -195,9 +215,20 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     named = _named(path, rules, table.started)
     if name:
         named = replace(named, test=named.test or number + 1)
-    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part), _summed)
+    record = _record_of(path, rules)
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
     seen, found = looked.seen, looked.seen.found
-    parts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+    muscle = muscle_of(rules.specimen, named.point, held=_held(rules))
+    questions: list[Question] = []
+    if record is None:
+        more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.confirmed)
+        found += more
+        parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+        found += [Found("doubt", "trial", text) for text in doubts]
+    else:
+        parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
+        if named.started is None and record.started:
+            named = replace(named, started=datetime.fromisoformat(record.started))
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
     told = tuple(_placed(each, seen.t, len(table)) for each in found)
@@ -219,8 +250,51 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
             {role: pair[0] for role, pair in looked.peaks.items()},
             {role: pair[1] for role, pair in looked.peaks.items()},
             not any(each.level == "fault" for each in told),
+            slope_of_held(seen.values, seen.flags) if muscle.held else None,
         ),
+        questions=(*rules.unresolved, *questions),
+        record=record,
+        simulated=rules.simulated
+        or (record is not None and record.simulated)
+        or bool(np.any(seen.values.get("simulated", 0.0))),
     )
+
+
+def _held(rules: ImportMap) -> bool:
+    """Whether the muscle is held at one length throughout a file, so that its force follows pressure."""
+    return rules.kind == "isometric" and rules.trials.by in ("file", "ramp")
+
+
+def _record_of(path: Path, rules: ImportMap) -> Exported | None:
+    """The record next to an exported file, where the map asks for it."""
+    if rules.trials.by != "record":
+        return None
+    place = path.resolve().parent / RECORD
+    record = read_record(place)
+    if record.file != path.name:
+        raise invalid(place, f"is the record of {record.file}, not of {path.name}")
+    if record.kind != rules.kind:
+        raise invalid(place, f'is of a run of kind "{record.kind}", the map says "{rules.kind}"')
+    return record
+
+
+def _flags_told(path: Path, values: Array) -> Flags:
+    """Flags that the file itself gives its samples, as `pmabench export` writes them."""
+    most = sum(Flag)
+    if not np.all((values >= 0) & (values <= most) & (values == np.round(values))):
+        raise invalid(path, f"a value of its flags is no whole number from 0 to {most}")
+    return np.asarray(values.astype(np.uint16))
+
+
+def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
+    """Flag gaps within trials; between them nothing was recorded, and that is none."""
+    if record is not None:
+        begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
+        trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
+    else:
+        trial = values["trial"]
+    late = np.concatenate([[False], (np.diff(t) > gap) & (np.diff(trial) == 0) & (trial[1:] != 0)])
+    flags[late] |= np.uint16(Flag.GAP)
 
 
 def _times(table: Table, rules: ImportMap) -> Array:
@@ -251,11 +325,24 @@ def _channels(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
 
 
-def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
+def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
     """Scale and check the rows of a table in memory."""
     t, checked = _times(table, rules), _channels(table, rules)
     _coarse(table, t)
-    flags, found = quality.inspect(t, checked, rules.rate, rules.gap, rules.leap)
+    others = {
+        c.role: c.slope * table.columns[c.column]
+        for c in rules.columns
+        if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
+    }
+    paused = rules.trials.by in PAUSED
+    flags, found = quality.inspect(t, checked, rules.rate, *((np.inf, np.inf) if paused else (rules.gap, rules.leap)))
+    if paused:
+        _gaps_within(t, flags, others, record, rules.gap)
+    if "flags" in others:
+        flags |= _flags_told(path, others["flags"])
+    if not paused:
+        flags, more = plausible.stopped(t, checked, flags, held=_held(rules))
+        found += more
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
         text = "the file ends within its last row or part: the last number may be cut"
@@ -266,17 +353,14 @@ def _inspected(path: Path, rules: ImportMap, table: Table) -> Seen:
     if table.left_out:
         text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
         found.append(Found("note", "left-out", text))
-    values = {channel.rule.role: channel.si for channel in checked}
-    follower = FOLLOWS[rules.kind]
+    values = {**others, **{channel.rule.role: channel.si for channel in checked}}
+    follower = FOLLOWS.get(rules.kind, "")
     if follower in values and rules.trials.by != "gap":
         doubt = quality.against_sign(flags, values, follower)
         found += [doubt] if doubt else []
     declared = rules.column("pressure")
     if rules.kind == "recorded-step" and declared is not None and (late := pressure_late(t, values, flags)):
         found.append(replace(late, level="note") if any(declared.late_by) else late)
-    phase = rules.column("phase")
-    if phase is not None and phase.column in table.columns:
-        values["phase"] = table.columns[phase.column]
     return Seen(t, checked, values, flags, found)
 
 
@@ -297,7 +381,7 @@ def _placed(found: Found, t: Array, rows: int) -> Found:
 
 
 def _is_channel(column: ColumnRule, table: Table) -> bool:
-    return column.role not in {"time", "date", "phase"} and column.column in table.columns
+    return column.is_channel and column.column in table.columns
 
 
 def _checked(table: Table, rule: ColumnRule) -> Checked:
@@ -355,22 +439,25 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     return found[0].name, found[0].read_bytes()
 
 
-def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out: Path) -> ImportedRun:
+def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
-    if any(found.level == "fault" for found in siblings):
+    if any(found.level == "fault" and not found.withholds for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in siblings))
+    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in apart))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
-    name = run_name(started, f"{rules.specimen['type']}-{rules.specimen['serial']}", rules.kind, simulated=False)
+    specimen = _specimen(prepared, rules)
+    title = f"{specimen.get('type', '')}-{specimen.get('serial', '')}"
+    name = run_name(started, title, rules.kind, simulated=prepared.simulated)
     manifest = _manifest(prepared, rules, findings, flagged, started)
     writer = RunWriter.create(out, name, manifest, _snapshots(prepared, rules))
     writer.waits = True
     try:
         columns = [channel.rule.record(channel.rule.role in prepared.whole) for channel in prepared.checked]
-        writer.open_stream("file", columns, 1.0 / prepared.period if prepared.period > 0 else 0.0)
+        rate = 1.0 / prepared.period if prepared.period > 0 else 0.0
+        writer.open_stream("file", columns, rate if prepared.record is None else prepared.record.rate)
         begin = 0
         for t, checked in prepared.blocks():
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
@@ -393,7 +480,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
         trials=len(prepared.parts),
         findings=findings,
         flagged=flagged,
-        unresolved=rules.unresolved,
+        unresolved=prepared.questions,
     )
 
 
@@ -403,7 +490,20 @@ def _is_int(channel: Checked) -> bool:
     return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1
 
 
+def _specimen(prepared: _Prepared, rules: ImportMap) -> Mapping[str, Any]:
+    """As the record of an exported run says, unless the map names another one."""
+    told = prepared.record.about.get("specimen") if prepared.record is not None else None
+    if not isinstance(told, Mapping):
+        return rules.specimen
+    same = all(str(told.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
+    return told if same or rules.specimen["type"] == UNTOLD else rules.specimen
+
+
 def _events(writer: RunWriter, prepared: _Prepared) -> None:
+    if prepared.record is not None:
+        for event in prepared.record.events:
+            writer.event(event.kind, event.t, **event.data)
+        return
     for index, part in enumerate(prepared.parts):
         told = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **told)
@@ -422,6 +522,11 @@ def _snapshots(prepared: _Prepared, rules: ImportMap) -> dict[str, bytes | Copy]
         kept[f"source/notes-{_legal(prepared.notes[0])}"] = prepared.notes[1]
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
+    plan = {**(prepared.record.plan if prepared.record is not None else {})}
+    if settings := {**(plan.get("settings") or {}), **rules.settings}:
+        plan["settings"] = settings
+    if plan:
+        kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()
     return kept
 
 
@@ -434,18 +539,18 @@ def _manifest(
 ) -> dict[str, Any]:
     table = prepared.table
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
-    told = [quality.plain(found) for found in findings]
+    told = [plain(found) for found in findings]
     for found in told:
         found["line"] = None if found["index"] is None else table.line(found["index"])
     return {
         "kind": rules.kind,
         "protocol": rules.name,
         "source": rules.source,
-        "simulated": False,
+        "simulated": prepared.simulated,
         "started_utc": started.isoformat(timespec="milliseconds"),
         "operator": "",
         "bench": rules.bench,
-        "specimen": dict(rules.specimen),
+        "specimen": dict(_specimen(prepared, rules)),
         "trials_planned": len(prepared.parts),
         "imported": {
             "file": table.path.name,
@@ -455,6 +560,7 @@ def _manifest(
             "rows": len(prepared.table),
             **({"test": prepared.name} if prepared.name else {}),
             "started_known": prepared.named.started is not None,
+            **({"exported_from": prepared.record.run} if prepared.record is not None else {}),
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,
@@ -462,6 +568,6 @@ def _manifest(
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.analysis.model_dump(mode="json"),
-            "unresolved": [vars(question) for question in rules.unresolved],
+            "unresolved": [vars(question) for question in prepared.questions],
         },
     }

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmabench.store.importers.found import Checked, Found
 from pmabench.store.importers.map_rules import ImportMap
-from pmabench.store.importers.quality import Checked, Found
 from pmabench.store.importers.table import Table
 from pmabench.store.records import Array, Flags
 
@@ -141,7 +141,7 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
     keep = np.zeros(rows, dtype=bool)
     keep[[0, -1]] = True
     size = -(-rows // stretches)
-    for role in ("pressure", "pressure_command"):
+    for role in ("pressure", "pressure_command", "displacement", "displacement_command"):
         values = seen.values.get(role)
         if values is None:
             continue

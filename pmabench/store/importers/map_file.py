@@ -35,10 +35,40 @@ Role = Literal[
     "pressure_command",
     "displacement_command",
     "supply",
+    "angle",
     "phase",
+    "trial",
+    "point",
+    "flags",
+    "simulated",
     "ignore",
 ]
-PointName = Literal["contraction", "load", "mass", "pressure", "frequency"]
+Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap"]
+NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
+"""Roles of columns that measure nothing: they have no unit and no scale."""
+PointName = Literal[
+    "contraction", "load", "mass", "pressure", "frequency", "speed", "lower", "upper", "start", "step", "mean",
+    "amplitude", "cycles", "side", "setpoint", "bias", "tip_mass",
+]  # fmt: skip
+Kind = Literal[
+    "isometric",
+    "recorded-step",
+    "recorded-sine",
+    "recorded-pull",
+    "contraction-relaxation",
+    "static-load",
+    "sinusoidal-displacement",
+    "isobaric-ramp",
+    "isometric-pressurisation",
+    "step-displacement",
+    "free-contraction",
+    "ultimate-gain",
+    "positioning",
+    "validation",
+    "closed-volume",
+    "arm-angle",
+]
+"""Kinds of recordings, then the kinds of tests of this program: a file of these is reduced as a run of its own is."""
 
 
 class TextLayout(Strict):
@@ -63,8 +93,10 @@ class TextLayout(Strict):
     """Lines before the header, or before the data."""
     lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
     """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
-    repeated_header: Literal["refuse", "new test"] = "refuse"
-    """What the line of names means where it is repeated further down: another test begins, which makes a run too."""
+    repeated_header: Literal["refuse", "new test", "page"] = "refuse"
+    """What the line of names means where it is repeated further down: another test begins, which makes a run too; or
+    the same test goes on, as on the next page of a print-out.
+    """
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
     """Texts that stand for "no value"; nothing else may."""
     period: Annotated[Time, Field(gt=0.0)] | None = None
@@ -131,6 +163,8 @@ class ColumnFile(Strict):
     """What one column is, and how its numbers become SI."""
 
     is_: Annotated[Role, Field(alias="is")]
+    of: PointName | None = None
+    """With `is: point`: which coordinate of the operating point."""
     unit: Short = ""
     """Unit of the raw reading: `mA`, `count`, `ms`, `kPa` ..."""
     points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)] | None = None
@@ -152,6 +186,8 @@ class ColumnFile(Strict):
     """How much older a value may be than its time stamp, least and most."""
     expanded_uncertainty: Reading | None = None
     gain_uncertainty: Ratio = 0.0
+    sensor_lag: Annotated[Time, Field(ge=0.0)] = 0.0
+    """Time constant of the sensor."""
     reference: Text = ""
     """Where the scale comes from."""
     written: Literal[
@@ -181,12 +217,16 @@ class ColumnFile(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> ColumnFile:
-        measured = self.is_ not in {"time", "date", "phase", "ignore"}
+        measured = self.is_ not in {"time", "date", "point"} | NUMBERS
         if self.points is not None and self.line is not None:
             raise ValueError('give "points" or "line", not both')
         counts = self.is_ == "time" and self.written in ("number", "epoch")
         if (measured or counts) and not self.unit:
             raise ValueError(f'"{self.is_}" needs "unit", the unit of its raw reading')
+        if (self.is_ == "point") != (self.of is not None):
+            raise ValueError('"is: point" and "of" belong together, for instance {is: point, of: load, unit: N}')
+        if self.is_ == "point" and not self.unit and self.of not in {"cycles", "side"}:
+            raise ValueError(f'the point "{self.of}" needs "unit"')
         if (self.is_ == "phase") != bool(self.marks):
             raise ValueError('"is: phase" and "marks" belong together')
         if self.is_ != "time" and (self.written != "number" or self.period is not None):
@@ -244,9 +284,11 @@ class Sampling(Strict):
 class Trials(Strict):
     """How a file is cut into trials."""
 
-    by: Literal["file", "step", "ramp", "sine", "gap"]
+    by: Literal["file", "step", "ramp", "sine", "gap", "column", "command", "record"]
     """The whole file; every step, or sine, of the command (of the measured pressure where none was recorded); every
-    rise of the measured pressure with the fall after it; or between gaps in time.
+    rise of the measured pressure with the fall after it; or between gaps in time. `column`: where the column of trials
+    has the same number, not 0. `command`: from each rise of the pressure command out of its lowest level to the next.
+    `record`: as run.json next to the file says, which `pmabench export` writes.
     """
     smallest: Pressure | None = None
     """Smallest change of pressure that is a step or a ramp; smallest sine, from peak to peak."""
@@ -260,7 +302,7 @@ class Trials(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> Trials:
-        if self.by in {"step", "ramp", "sine"} and not self.smallest:
+        if self.by in {"step", "ramp", "sine", "command"} and not self.smallest:
             raise ValueError(f'"by: {self.by}" needs "smallest", for instance "10 kPa"')
         if (self.by == "gap") != (self.longer_than is not None):
             raise ValueError('"by: gap" and "longer_than" belong together')
@@ -303,7 +345,11 @@ class MapFile(Strict):
     name: Text
     source: Text
     """Who recorded such files, and where they are to be found."""
-    kind: Literal["isometric", "recorded-step", "recorded-sine", "recorded-pull"]
+    kind: Kind
+    simulated: bool = False
+    """The file holds no measurement but what a simulation made."""
+    settings: Annotated[dict[Short, float | Text], Field(max_length=40)] = {}
+    """Settings of the reduction in SI, as the protocol of the kind has them: `discard`, `turn`, `nominal_length` ..."""
     bench: Text = ""
     recorded: datetime.date | None = None
     """Day of the recording, where the name of the file does not tell."""
@@ -322,16 +368,20 @@ class MapFile(Strict):
     """How far the peak of a file may lie from those of other files at the same point."""
     specimen: SpecimenText
     analysis: AnalysisRule = AnalysisRule()
+    confirmed: Annotated[list[Confirmable], Field(max_length=20)] = []
+    """Kinds of findings that somebody has looked at and found right: they withhold nothing any more."""
 
     @model_validator(mode="after")
     def _roles(self) -> MapFile:
-        roles = [column.is_ for column in self.columns.values() if column.is_ != "ignore"]
+        roles = [f"point of {c.of}" if c.of else c.is_ for c in self.columns.values() if c.is_ != "ignore"]
         twice = sorted({role for role in roles if roles.count(role) > 1})
         if twice:
             raise ValueError(f'two columns are "{twice[0]}"')
         for role in ("time", "pressure"):
             if role not in roles:
                 raise ValueError(f'no column is "{role}"')
+        if self.trials.by == "column" and "trial" not in roles:
+            raise ValueError('"by: column" needs a column that "is: trial"')
         (time,) = (column for column in self.columns.values() if column.is_ == "time")
         if "date" in roles and time.written != "clock":
             raise ValueError('a column of dates belongs to a time that is "written: clock"')

@@ -19,6 +19,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.map_file import (
+    NUMBERS,
     PLACE,
     TIME,
     AnalysisRule,
@@ -38,7 +39,21 @@ POINT_QUANTITY = {
     "mass": "mass",
     "pressure": "pressure",
     "frequency": "frequency",
+    "speed": "speed",
+    "lower": "length",
+    "upper": "length",
+    "start": "length",
+    "step": "length",
+    "mean": "length",
+    "amplitude": "length",
+    "cycles": "count",
+    "side": "count",
+    "setpoint": "length",
+    "bias": "pressure",
+    "tip_mass": "mass",
 }
+G = 9.80665
+"""Standard gravity [m/s2], for a load that is given as a mass."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
 _SPECIAL = {"test": r"\d{1,6}", "date": r"\d{4}-\d{2}-\d{2}", "clock": r"\d{6}"}
 
@@ -71,6 +86,11 @@ class ColumnRule:
     def quantity(self) -> str:
         """Key of `QUANTITIES`."""
         return CHANNEL_QUANTITY[self.role]
+
+    @property
+    def is_channel(self) -> bool:
+        """Whether it is measured or commanded, and so is stored as a channel of the run."""
+        return self.role in CHANNEL_QUANTITY
 
     def record(self, whole: bool) -> dict[str, Any]:
         """The column as `RunWriter.open_stream` wants it; `whole`: stored as int32 counts."""
@@ -117,6 +137,8 @@ class ImportMap:
     name: str
     source: str
     kind: str
+    simulated: bool
+    settings: Mapping[str, float | str]
     bench: str
     recorded: str
     layout: Layout
@@ -137,6 +159,8 @@ class ImportMap:
     tests: tuple[TestRule, ...]
     unresolved: tuple[Question, ...] = ()
     """Questions that nobody answered, with what is taken for them."""
+    confirmed: tuple[str, ...] = ()
+    """Kinds of findings that somebody has looked at and found right."""
 
     def each_test(self) -> list[ImportMap]:
         """A map for each test whose columns have names of their own; else the map itself."""
@@ -226,6 +250,8 @@ class _Rules:
             name=file.name,
             source=file.source,
             kind=file.kind,
+            simulated=file.simulated,
+            settings=dict(file.settings),
             bench=file.bench,
             recorded=file.recorded.isoformat() if file.recorded else "",
             layout=file.file,
@@ -238,18 +264,19 @@ class _Rules:
             leap=file.sampling.leap,
             trials=file.trials,
             point={
-                name: self.si(reading, POINT_QUANTITY[name], ("trials", "point", name))
+                name: reading[0] * self.of_point(name, reading[1], ("trials", "point", name))
                 for name, reading in file.trials.point.items()
             },
             siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
+            confirmed=tuple(file.confirmed),
             stamps=self.stamps(),
             tests=tuple(
                 TestRule(
                     test.name,
                     {
-                        name: self.si(reading, POINT_QUANTITY[name], ("tests", number, "point", name))
+                        name: reading[0] * self.of_point(name, reading[1], ("tests", number, "point", name))
                         for name, reading in test.point.items()
                     },
                 )
@@ -262,8 +289,13 @@ class _Rules:
 
     def column(self, name: str, file: ColumnFile) -> ColumnRule:
         at: Location = ("columns", name)
-        if file.is_ == "phase":
-            return ColumnRule(name, "phase", optional=file.optional, marks={float(v): k for k, v in file.marks.items()})
+        if file.is_ in NUMBERS:
+            return ColumnRule(
+                name, file.is_, optional=file.optional, marks={float(v): k for k, v in file.marks.items()}
+            )
+        if file.is_ == "point" and file.of is not None:
+            slope = self.of_point(file.of, file.unit, (*at, "unit"))
+            return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
         if file.is_ == "date":
             return ColumnRule(name, "date", optional=False)
         if file.is_ == "time":
@@ -316,7 +348,7 @@ class _Rules:
                 "valid_until": "",
                 "offset_uncertainty": uncertainty,
                 "gain_uncertainty": file.gain_uncertainty,
-                "sensor_lag": 0.0,
+                "sensor_lag": file.sensor_lag,
                 "sha256": "",
             },
         )
@@ -330,6 +362,14 @@ class _Rules:
         if time.written == "epoch":
             unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
         return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
+
+    def of_point(self, name: str, unit: str, location: Location) -> float:
+        """SI units in one `unit` of a coordinate of the operating point; a load in kg or g is a weight."""
+        if name == "load" and unit in ("kg", "g"):
+            return G * self.si((1.0, unit), "mass", location)
+        if POINT_QUANTITY[name] == "count" and unit in ("", "1"):
+            return 1.0
+        return self.si((1.0, unit), POINT_QUANTITY[name], location)
 
     def scale(self, file: ColumnFile, quantity: str, at: Location) -> tuple[float, float, float]:
         """Slope [SI per raw unit], offset [SI] and the largest distance of a point from that line [SI]."""
@@ -403,9 +443,9 @@ class _Rules:
             if name not in file.units:
                 self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
         for unit_of, unit in file.units.items():
-            factors[unit_of] = self.si((1.0, unit), POINT_QUANTITY[unit_of], ("name_tells", "units", unit_of))
+            factors[unit_of] = self.of_point(unit_of, unit, ("name_tells", "units", unit_of))
         otherwise: dict[str, float] = {
-            name: self.si(reading, POINT_QUANTITY[name], ("name_tells", "otherwise", name))
+            name: reading[0] * self.of_point(name, reading[1], ("name_tells", "otherwise", name))
             for name, reading in file.otherwise.items()
         }
         return NameRule(file.of, tuple(forms), file.decimal == "comma", factors, otherwise)

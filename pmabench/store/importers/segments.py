@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pmabench.store.importers import motion
-from pmabench.store.importers.map_rules import ImportMap
+from pmabench.base.quantities import CHANNEL_QUANTITY
+from pmabench.store.importers import commanded, motion
+from pmabench.store.importers.map_rules import G, ImportMap
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
+
+RECORDED = ("isometric", "recorded-step", "recorded-sine", "recorded-pull")
+"""Kinds of recordings; the others are tests of this program."""
+LOADED = ("contraction-relaxation", "static-load")
+"""Kinds whose trials each hang from a load."""
+POINT = "point of "
 
 
 @dataclass(frozen=True)
@@ -54,18 +62,78 @@ _Span = tuple[float, float, dict[str, float], list[Mapping[str, Any]], list[tupl
 
 def segments(
     t: Array, values: Mapping[str, Array], flags: Flags, rules: ImportMap, point: Mapping[str, float]
-) -> list[Segment]:
-    """The trials of one file; `t` [s], `values` [SI] by channel (and `phase`) and `flags` have shape (n,).
+) -> tuple[list[Segment], list[str]]:
+    """The trials of one file, and sentences about what is doubtful in them.
 
-    Steps, ramps, sines and phases are looked for among samples that are neither dropouts nor spikes nor out of time.
+    `t` [s], `values` [SI] by channel (and `phase`, `trial`, `point of NAME`) and `flags` have shape (n,). Steps, ramps,
+    sines and phases are looked for among samples that are neither dropouts nor spikes nor out of time.
     """
     good = _good(t, flags)
     phases = _phases(t, values, good, rules)
-    cut = {"step": _by_step, "ramp": _by_ramp, "sine": _by_sine, "gap": _by_gap, "file": _by_file}[rules.trials.by]
-    return [
+    cut = {
+        "step": _by_step,
+        "ramp": _by_ramp,
+        "sine": _by_sine,
+        "gap": _by_gap,
+        "file": _by_file,
+        "column": _by_column,
+        "command": _by_command,
+    }[rules.trials.by]
+    found = [
         Segment(begin, end, here, tuple(commands), tuple(own or (p for p in phases if begin <= p[0] <= end)))
         for begin, end, here, commands, own in cut(t, values, flags, good, rules, point)
     ]
+    if rules.kind in RECORDED:
+        return found, []
+    return _as_own(found, t, values, good & _later(t), rules)
+
+
+def _as_own(
+    found: Sequence[Segment], t: Array, values: Mapping[str, Array], good: Any, rules: ImportMap
+) -> tuple[list[Segment], list[str]]:
+    """The trials with commands and operating points as a test of the program's own has them.
+
+    The operating point is what the map says, else what its columns say, else what the commands say.
+    """
+    parts: list[Segment] = []
+    doubts: list[str] = []
+    loads: dict[int, float] = {}
+    hanging = 0
+    channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
+    for number, part in enumerate(found):
+        rows = good & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
+        mine = {name: column[rows] for name, column in channels.items()}
+        commands, told = commanded.read(rules.kind, t[rows], mine, rules.trials.smallest)
+        columns: dict[str, float] = {}
+        for name, column in values.items():
+            if not name.startswith(POINT):
+                continue
+            here = column[rows][np.isfinite(column[rows])]
+            if len(here) and np.ptp(here) <= 1e-6 * float(np.abs(here).max()):
+                columns[name.removeprefix(POINT)] = float(here[0])
+            elif len(here):
+                low, high = float(here.min()), float(here.max())
+                doubts.append(
+                    f"trial {number + 1}: the column of {name.removeprefix(POINT)} goes from {low:.6g} to {high:.6g} "
+                    "[SI] within it, so it is not taken: cut the file into trials in which it is the same"
+                )
+        point = {**told, **columns, **part.point}
+        if rules.kind in LOADED and "load" in point and "mass" not in point:
+            point["mass"] = point["load"] / G
+            hanging += "force" not in mine
+        if rules.kind in LOADED and "load" not in point and "force" in mine:
+            load = commanded.cell_load(t[rows], mine["force"], commands)
+            if load is not None:
+                loads[number] = load
+        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands))
+    if hanging:
+        doubts.append(
+            f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
+            "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
+        )
+    for number, load in zip(loads, commanded.alike(list(loads.values())), strict=True):
+        parts[number] = replace(parts[number], point={**parts[number].point, "load": load})
+    return parts, doubts
 
 
 def _good(t: Array, flags: Flags) -> Any:
@@ -148,8 +216,52 @@ def _by_file(
 ) -> list[_Span]:
     steps = _steps(t, values, good, rules.trials.smallest) if "pressure_command" in values else []
     told: list[Mapping[str, Any]] = [step.command() for step in steps]
+    if rules.kind == "recorded-sine" and "frequency" not in point:
+        return _longest_sine(t, values, good, point)
+    if rules.kind == "isometric":
+        point = {**_measured(values, flags, np.arange(len(t))), **point}
     commands = told or list(_sine(t[good], values.get("pressure_command"), good, point))
     return [(float(t.min()), float(t.max()), dict(point), commands, [])]
+
+
+def _by_column(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    """Where the column of trials holds the same number for a while; 0 and no number are no trial."""
+    number = np.where(np.isfinite(values["trial"]), values["trial"], 0.0)
+    edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
+    return [
+        (float(t[first:last].min()), float(t[first:last].max()), dict(point), [], [])
+        for first, last in pairwise(edges)
+        if number[first] != 0
+    ]
+
+
+def _by_command(
+    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
+) -> list[_Span]:
+    """From each rise of the pressure command out of its lowest level, with `lead` before it, to the next."""
+    steps, lead = _steps(t, values, good, rules.trials.smallest), rules.trials.lead
+    if not steps:
+        return []
+    smallest = rules.trials.smallest or 0.0
+    lowest = min(min(step.before, step.value) for step in steps)
+    begins = [step.t - lead for step in steps if step.before < lowest + smallest < step.value]
+    ends = [begin - 1e-5 for begin in begins[1:]] + [float(t.max())]
+    return [(max(begin, float(t.min())), end, dict(point), [], []) for begin, end in zip(begins, ends, strict=True)]
+
+
+def _longest_sine(t: Array, values: Mapping[str, Array], good: Any, point: Mapping[str, float]) -> list[_Span]:
+    """The whole file, with the frequency that it shows where it is one sine."""
+    channel = "pressure_command" if "pressure_command" in values else "pressure"
+    rises = good & _later(t)
+    seen = values[channel][rises]
+    waves = motion.waves(t[rises], seen, 0.25 * float(np.ptp(seen))) if rises.any() else []
+    whole = 0.8 * float(t.max() - t.min())
+    found = [wave for wave in waves if wave.end - wave.begin > whole]
+    here = {**point, "frequency": float(f"{found[0].frequency:.5g}")} if len(found) == 1 else dict(point)
+    commands: list[Mapping[str, Any]] = [*_sine(t[good], values.get("pressure_command"), good, here)]
+    return [(float(t.min()), float(t.max()), here, commands, [])]
 
 
 def _later(t: Array) -> Any:

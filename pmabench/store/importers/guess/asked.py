@@ -174,15 +174,19 @@ def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
         if not any(reason.startswith("a second time") for reason in other.reasons) or time is None:
             continue
         ours, theirs = (_seconds(each) for each in (time, other))
-        if abs(theirs / ours - 1) > 0.001:
+        step = max(float(np.max(np.abs(np.diff(_in_seconds(each))), initial=0.0)) for each in (time, other))
+        if abs(theirs - ours) > 0.001 * abs(ours) + step:
             told = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
             yield Asked("time", f"which clock is right? {told}; the other one then is to be: ignore")
 
 
 def _seconds(column: Proposal) -> float:
-    return (
-        float(column.good[-1] - column.good[0]) * unit_factor(column.unit or "s", "time") if len(column.good) else 0.0
-    )
+    values = _in_seconds(column)
+    return float(values[-1] - values[0]) if len(values) else 0.0
+
+
+def _in_seconds(column: Proposal) -> Array:
+    return column.good * unit_factor(column.unit or "s", "time")
 
 
 def _top(values: Array) -> float:

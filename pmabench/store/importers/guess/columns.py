@@ -8,10 +8,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
 from pmabench.store.importers.guess.clock import counted
+from pmabench.store.importers.map_file import PointName
 from pmabench.store.importers.units import QUANTITY, spelled
 from pmabench.store.records import Array
 
@@ -79,6 +81,8 @@ WORDS = {
         "count",
     },
 }
+SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
+"""Words of a column that counts the samples."""
 HELD, STILL = 0.02, 3e-4
 """A length is held that moves by less than this share of itself, or by less than this [m]."""
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
@@ -111,6 +115,8 @@ class Proposal:
     """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
     """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
+    extra: list[str] = field(default_factory=list)
+    """Further lines of the map that are known of it."""
 
     @property
     def good(self) -> Array:
@@ -148,6 +154,7 @@ def words(name: str) -> set[str]:
 
 def choose(proposals: Sequence[Proposal]) -> None:
     """Give every column its role; at most one of each."""
+    proposals = [proposal for proposal in proposals if not _exported(proposal)]
     for proposal in proposals:
         if not proposal.bare:
             _by_name(proposal)
@@ -155,6 +162,16 @@ def choose(proposals: Sequence[Proposal]) -> None:
     _one_each(proposals)
     _by_shape(proposals)
     _unknown(proposals)
+
+
+def _exported(proposal: Proposal) -> bool:
+    """Whether it is a column that `pmabench export` adds to the channels: it gets its role."""
+    name, of = proposal.name, re.fullmatch(r"trial (\w+)(?: \[.*\])?", proposal.name)
+    if name in ("trial", "flags", "simulated"):
+        proposal.role = name
+    elif of is not None and of[1] in get_args(PointName):
+        proposal.role, proposal.extra = "point", [f"of: {of[1]}"]
+    return proposal.role in ("trial", "flags", "simulated", "point")
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
@@ -237,7 +254,7 @@ def _time(proposals: Sequence[Proposal]) -> None:
     if good and good[0].written == "number" and (count := counted(good[0].values)) is not None:
         good[0].written, good[0].unit = count
         good[0].reasons.append(f"its numbers are those of {good[0].written or 'serial days'} of our years")
-    elif good and not good[0].unit and good[0].written == "number" and bool(np.all(np.diff(good[0].values) == 1.0)):
+    elif good and not good[0].unit and bool(np.all(np.diff(good[0].values) == 1.0)) and words(good[0].name) & SAMPLES:
         good[0].written = "index"
         good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
     elif good and not good[0].unit:
@@ -273,7 +290,10 @@ def _which_time(time: Proposal, step: float) -> None:
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
-    if len(possible) > 1:
+    if bool(np.all(np.diff(time.values) == 1.0)):
+        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {told}"
+    elif len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 

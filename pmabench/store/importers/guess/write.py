@@ -47,6 +47,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
         "source: not told  # who recorded these files, when and where",
         f"kind: {guess.kind}{_why(guess, 'trials')}",
+        *(["simulated: true  # as the file says"] if guess.simulated else []),
         "",
         *_file(guess),
         "",
@@ -64,7 +65,9 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
     lines += _siblings(guess) + _analysis(guess)
-    lines.append("specimen: {type: not told, serial: unknown}  # make, type, serial, nominal_length, inner_diameter")
+    specimen = {"type": "not told", "serial": "unknown"} | guess.specimen
+    told = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
+    lines.append(f"specimen: {{{told}}}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
 
@@ -123,6 +126,11 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         told = ", ".join(f"{scalar(key)}: {mark:g}" for key, mark in called.items())
         optional = ", optional: true" if column.name in guess.optional else ""
         return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
+    if column.role == "point":
+        unit = f", unit: {_unit_of(column.name)}" if _unit_of(column.name) else ""
+        return [*head, f"  {name}: {{is: point, {', '.join(column.extra)}{unit}}}"]
+    if column.role in ("flags", "simulated", "trial"):
+        return [*head, f"  {name}: {{is: {column.role}}}"]
     if column.role == "time":
         return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
     if column.role == "date":
@@ -130,6 +138,12 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
         head.append(f"  {comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
         return [*head, f"  {name}: ignore"]
+    if guess.exported:
+        return [
+            *head,
+            f"  {name}:",
+            *(f"    {line}" for line in (f"is: {role}", f"unit: {column.unit}", *column.extra)),
+        ]
     body, why = _scale(column, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
@@ -150,6 +164,12 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
         f"  {name}:",
         *(f"    {line}" for line in [*asking, f"is: {role}", *body]),
     ]
+
+
+def _unit_of(head: str) -> str:
+    """The unit in the head of an exported column, as it stands there."""
+    found = re.fullmatch(r".* \[([^\[\]]*)\]", head)
+    return found[1] if found else ""
 
 
 def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
@@ -280,7 +300,7 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
     channel = guess.role(guess.smallest_of)
     if "smallest" in trials and channel is not None:
         trials["smallest"] = _smallest(float(trials["smallest"]), channel, spans.get(guess.smallest_of))
-    at = asked.contraction_of(guess)
+    at = "" if guess.tests else asked.contraction_of(guess)
     if isinstance(at, Asked):
         lines.append(question(at))
     if at:

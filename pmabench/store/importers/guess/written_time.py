@@ -68,7 +68,7 @@ def test_lines(guess: Guess) -> list[str]:
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
         point = ""
-        if guess.kind == "isometric":
+        if guess.kind == "isometric" and not any("{contraction}" in form for form in guess.forms):
             which = Asked("", f'at which contraction was "{test}" held? For instance 8 mm')
             lines.append(question(which))
             point = f", point: {{contraction: {which.scalar}}}"

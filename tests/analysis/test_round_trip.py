@@ -1,0 +1,308 @@
+"""Runs that were exported as CSV and imported again give the coefficients of the run itself, or name what is missing."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from pmabench.analysis.reduce import reduce_runs, verdicts
+from pmabench.base.errors import InvalidFile
+from pmabench.notebook import Run
+from pmabench.report.files.export import export_run
+from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.importers.guess.write import map_text, still_open
+from pmabench.store.importers.importing import import_files
+from pmabench.store.reader import open_run
+from tests.analysis.driven_runs import recorded
+
+MAS = "mas-20-250-paper0"
+BARE = ("prepare.precondition.cycles", "0")
+ONCE = ("sweep.repeat.count", "1")
+OWN = {
+    "contraction-relaxation": (
+        "mock", MAS, BARE, ONCE, ("sweep.matrix.load", "[6 kg, 26 kg]"),
+        ("sweep.matrix.pressure", "[300 kPa, 400 kPa, 500 kPa]"), ("trial.contract.hold", "4 s"),
+        ("trial.relax.hold", "2 s"), ("trial.relax.hold_at_end", "3 s"),
+    ),
+    "static-load": ("mock", MAS, BARE, ("sweep.matrix.load", "[6 kg, 16 kg, 26 kg]"), ONCE, ("sample_rate", "100 Hz"),
+                    ("trial.search.window", "50 ms")),
+    "sinusoidal-displacement": (
+        "mock-actuator", MAS, BARE, ("sweep.repeat.count", "2"), ("sweep.matrix.frequency", "[0.5 Hz, 2 Hz]"),
+        ("trial.at_least", "4 s"),
+    ),
+    "isobaric-ramp": (
+        "mock-actuator", MAS, BARE, ("sweep.matrix.pressure", "[200 kPa, 400 kPa]"),
+        ("sweep.matrix.speed", "[5 mm/s, 20 mm/s]"), ("trial.cycles", "3"),
+    ),
+    "isometric-pressurisation": ("mock-actuator", MAS, BARE, ONCE, ("sweep.matrix.contraction", "[0 %, 4 %]")),
+    "step-displacement": (
+        "mock-actuator-ideal", MAS, BARE, ("trial.cycles", "3"), ("trial.hold", "0.6 s"),
+        ("sweep.matrix.pressure", "[300 kPa]"), ("sweep.matrix.step", "[5 mm]"), ("sweep.matrix.speed", "[20 mm/s]"),
+    ),
+    "free-contraction": (
+        "mock-contractor-free", "contractor-30", BARE, ONCE, ("sample_rate", "50 Hz"),
+        ("sweep.matrix.pressure", "[0 kPa, 100 kPa, 200 kPa, 300 kPa, 500 kPa]"),
+    ),
+    "ultimate-gain": ("mock-ideal", MAS, BARE, ONCE, ("trial.gain_steps.start", "60 kPa/mm"),
+                      ("trial.gain_steps.levels", "10")),
+}  # fmt: skip
+QUICK = ("contraction-relaxation", "static-load", "sinusoidal-displacement", "step-displacement", "free-contraction")
+"""The kinds of which each commit makes the whole way; the others take longer and are a study."""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """Own runs by kind with the folder of their export and their analyses, each made once."""
+    made = {}
+
+    def get(kind):
+        if kind not in made:
+            bench, specimen, *settings = OWN[kind]
+            run = recorded(tmp_path_factory.mktemp(kind), kind, bench, specimen, *settings)
+            out = tmp_path_factory.mktemp("csv")
+            export_run(Run(run), "csv", out)
+            made[kind] = run, out, reduce_runs([run])
+        return made[kind]
+
+    return get
+
+
+def back(folder, map_text_or_none=None, name="plant.csv"):
+    """The run of an exported file, by a guessed map without questions, or by the map that is given."""
+    path = folder / "map.yaml"
+    text = map_text_or_none or map_text(guess_files([folder / name]), {})
+    assert not still_open(text)
+    path.write_text(text, encoding="utf-8")
+    (made,) = import_files([folder / name], path, folder / "runs")
+    return open_run(made.path)
+
+
+def keyed(analyses):
+    return {
+        (e.symbol, e.method, e.coordinate, tuple(sorted(e.at.items()))): e
+        for analysis in analyses
+        for e in analysis.estimates
+    }
+
+
+def assert_as_from(analyses, again):
+    mine, other = keyed(analyses), keyed(again)
+    assert mine.keys() == other.keys()
+    assert any(e.value is not None for e in mine.values())
+    for key, e in mine.items():
+        found = other[key]
+        assert (e.value is None) == (found.value is None), (key, found.note)
+        if e.value is None:
+            continue
+        half = e.parts.combined
+        slack = 0.1 * half if half is not None else 0.002 * abs(e.value)
+        assert abs(found.value - e.value) <= slack + 1e-12 * abs(e.value), key
+        if half is not None:
+            assert found.parts.combined == pytest.approx(half, rel=0.3, abs=1e-9 * abs(e.value)), key
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=() if k in QUICK else pytest.mark.study) for k in OWN])
+def test_an_exported_run_comes_back_with_its_coefficients(own, kind):
+    run, folder, analyses = own(kind)
+    again = back(folder)
+    assert again.simulated
+    assert "SIMULATED" in again.id
+    assert again.kind == kind
+    assert len(again.trials) == len(run.trials)
+    assert_as_from(analyses, reduce_runs([again]))
+
+
+COLUMNS = """
+schema: pmabench.map/1
+name: a foreign file
+source: made for this test
+kind: {kind}
+file: {{delimiter: comma, header: first line}}
+columns:
+  t: {{is: time, unit: s}}
+  p: {{is: pressure, unit: kPa}}
+  x: {{is: displacement, unit: mm}}
+{more}
+sampling: {{rate: [10 Hz, 2000 Hz], gap: 30 ms}}
+trials: {trials}
+specimen: {{type: MAS-20, serial: F-1}}
+"""
+FORCE, P_SET, X_SET, TRIAL = (
+    "  F: {is: force, unit: N}",
+    "  p_set: {is: pressure_command, unit: kPa}",
+    "  x_set: {is: displacement_command, unit: mm}",
+    "  trial: {is: trial}",
+)
+FOREIGN = {
+    "t": ("t [s]", 1.0), "p": ("pressure [Pa]", 1e-3), "x": ("displacement [m]", 1e3), "F": ("force [N]", 1.0),
+    "p_set": ("pressure_command [Pa]", 1e-3), "x_set": ("displacement_command [m]", 1e3), "trial": ("trial", 1.0),
+    "load": ("trial load [N]", 1.0), "mass": ("trial mass [kg]", 1.0),
+}  # fmt: skip
+
+
+def foreign(own, kind, tmp_path, *columns, trials="{by: column}"):
+    """A run from nothing but some columns of an exported file, by names and units of another lab."""
+    import pandas as pd
+
+    _, folder, _ = own(kind)
+    table = pd.read_csv(folder / "plant.csv")
+    names = ["t", "p", "x", *columns]
+    frame = pd.DataFrame({name: table[FOREIGN[name][0]] * FOREIGN[name][1] for name in names})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    told = {
+        "F": FORCE,
+        "p_set": P_SET,
+        "x_set": X_SET,
+        "trial": TRIAL,
+        "load": "  load: {is: point, of: load, unit: N}",
+        "mass": "  mass: {is: point, of: mass, unit: kg}",
+    }
+    text = COLUMNS.format(kind=kind, more="\n".join(told[name] for name in columns), trials=trials)
+    return back(tmp_path, text, "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns", "trials"),
+    [
+        ("contraction-relaxation", ("F", "p_set", "load"), "{by: command, smallest: 20 kPa, lead: 200 ms}"),
+        pytest.param(
+            "contraction-relaxation",
+            ("F", "p_set"),
+            "{by: command, smallest: 20 kPa, lead: 200 ms}",
+            marks=pytest.mark.study,
+        ),
+        ("sinusoidal-displacement", ("F", "p_set", "x_set", "trial"), "{by: column}"),
+        ("step-displacement", ("F", "x_set", "trial"), "{by: column}"),
+        pytest.param("isobaric-ramp", ("F", "p_set", "x_set", "trial"), "{by: column}", marks=pytest.mark.study),
+        pytest.param("isometric-pressurisation", ("F", "p_set", "trial"), "{by: column}", marks=pytest.mark.study),
+    ],
+)
+def test_columns_alone_make_the_test_that_they_are_of(own, tmp_path, kind, columns, trials):
+    """What the record would say is read off the commands; values stay within half an interval."""
+    run, _, (mine, *_) = own(kind)
+    again = foreign(own, kind, tmp_path, *columns, trials=trials)
+    assert len(again.trials) == len(run.trials)
+    found = reduce_runs([again])[0]
+    seen = set()
+    for e in found.estimates:
+        for one in mine.estimates:
+            at = all(e.at.get(name) == pytest.approx(value, rel=0.02, abs=1e-9) for name, value in one.at.items())
+            same = (e.symbol, e.method, e.coordinate) == (one.symbol, one.method, one.coordinate)
+            if at and same and e.at.keys() == one.at.keys() and None not in (e.value, one.value):
+                # a command came anywhere between two samples of its column: half a period of 2 ms of a dead time
+                slack = 0.5 * (one.parts.combined or 0.0) + 0.003 * abs(one.value) + (1.1e-3 if e.unit == "s" else 0)
+                assert abs(e.value - one.value) <= slack, (e.symbol, e.at, e.value, one.value)
+                seen.add(e.symbol)
+    assert "K" in seen or (kind == "isometric-pressurisation" and "m" in seen)
+
+
+def test_what_no_column_gives_is_named(own, tmp_path):
+    """A contraction study without cell and without weights tells no force at all."""
+    trials = "{by: command, smallest: 20 kPa, lead: 200 ms}"
+    run = foreign(own, "contraction-relaxation", tmp_path, "p_set", trials=trials)
+    analyses = reduce_runs([run])
+    assert not [e for a in analyses for e in a.estimates if e.value is not None]
+    (said,) = verdicts([run], analyses)
+    assert "a column `is: force` or `point: {load: ...}` gives it" in said
+
+
+def test_weights_stand_in_for_a_cell_where_their_moving_mass_is_known(own, tmp_path):
+    trials = "{by: command, smallest: 20 kPa, lead: 200 ms}"
+    run = foreign(own, "contraction-relaxation", tmp_path, "p_set", "load", "mass", trials=trials)
+    K = next(e for e in reduce_runs([run])[0].estimates if e.symbol == "K" and e.at.get("pressure") == 400e3)
+    assert K.value == pytest.approx(7.552e3, rel=0.03)  # the plant's: 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm, P in kPa
+
+
+STEPS = "{by: step, smallest: 50 kPa, lead: 200 ms, point: {load: 255.06 N, mass: 28 kg}}"
+
+
+def test_damped_steps_of_a_known_mass_give_no_K(own, tmp_path):
+    """Finding 1: 0.75 to 17 N/mm were told by a ringing that there cannot be (damping ratio 1.6 to 3)."""
+    import pandas as pd
+
+    _, folder, _ = own("contraction-relaxation")
+    table = pd.read_csv(folder / "plant.csv")
+    table = table[table["trial load [N]"] == 255.06]
+    table[["t [s]", "pressure [Pa]", "displacement [m]", "force [N]", "pressure_command [Pa]"]].to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    text = COLUMNS.format(kind="recorded-step", more=f"{FORCE}\n{P_SET}", trials=STEPS)
+    for name, head in (("t", "t [s]"), ("p", "pressure [Pa]"), ("x", "displacement [m]"), ("F", "force [N]"),
+                       ("p_set", "pressure_command [Pa]")):  # fmt: skip
+        text = text.replace(f"  {name}: {{", f'  "{head}": {{')
+    text = text.replace("unit: kPa", "unit: Pa").replace("unit: mm", "unit: m")
+    run = back(tmp_path, text, "log.csv")
+    analyses = reduce_runs([run])
+    values = {(e.symbol, tuple(e.at.items())): e for e in analyses[0].estimates}
+    muscle = [e for e in values.values() if e.symbol in ("K", "B")]
+    assert muscle
+    assert all(e.value is None and e.note for e in muscle)
+    assert any(e.withheld and "does not ring" in e.note for e in muscle)
+    assert any("withheld" in text for text in verdicts([run], analyses))
+    dead = [e for e in values.values() if e.symbol == "t_d"]
+    assert all(abs(e.value - 0.040) < 3e-3 for e in dead), [e.value for e in dead]  # the mock's regulator
+    json.dumps([a.to_dict() for a in analyses], allow_nan=False)
+
+
+def test_a_record_that_was_damaged_or_is_of_another_file_is_refused(own, tmp_path):
+    _, folder, _ = own("contraction-relaxation")
+    for name in ("plant.csv", "run.json"):
+        shutil.copy(folder / name, tmp_path / name)
+    text = map_text(guess_files([tmp_path / "plant.csv"]), {})
+    good = json.loads((tmp_path / "run.json").read_text())
+    wrong = [
+        {**good, "schema": "other/1"},
+        {**good, "file": "other.csv"},
+        {**good, "kind": "static-load"},
+        {**good, "events": [{"t": None, "kind": "found", "data": {}}]},
+        {**good, "events": [{"t": 1.0, "kind": "vent", "data": {}}]},
+        {**good, "events": [{"t": 1.0, "kind": "trial-begin", "data": {"trial": 0, "point": {"load": "26"}}}]},
+        {**good, "simulated": "no"},
+        {**good, "columns": {"force [N]": {"channel": "force"}}},
+        {key: value for key, value in good.items() if key != "events"},
+        [good],
+    ]
+    for record in wrong:
+        (tmp_path / "run.json").write_text(json.dumps(record))
+        with pytest.raises(InvalidFile, match=r"run\.json"):
+            back(tmp_path, text)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(InvalidFile, match="is not JSON"):
+        back(tmp_path, text)
+    (tmp_path / "run.json").unlink()
+    with pytest.raises(InvalidFile, match="no such record"):
+        back(tmp_path, text)
+
+
+def test_without_its_record_an_export_still_says_that_it_is_simulated(own, tmp_path):
+    _, folder, _ = own("contraction-relaxation")
+    shutil.copy(folder / "plant.csv", tmp_path / "plant.csv")
+    text = map_text(guess_files([tmp_path / "plant.csv"]), {})
+    run = back(tmp_path, text)
+    assert run.simulated
+    assert "SIMULATED" in run.id
+
+
+def _step_of(dead, lag, noise, seed, rate=500.0, size=300e3):
+    """Time, pressure and command of a step behind a dead time and a first-order lag, in closed form."""
+    t = np.arange(0.0, 4.0, 1 / rate)
+    since = t - 1.0 - dead
+    P = size * np.where(since > 0, 1 - np.exp(-np.maximum(since, 0) / lag), 0.0)
+    return t, P + np.random.default_rng(seed).normal(0, noise, len(t)), np.where(t >= 1.0, size, 0.0)
+
+
+@pytest.mark.parametrize(("dead", "lag"), [(0.025, 0.0955), (0.040, 0.0955), (0.025, 0.143), (0.015, 0.03)])
+def test_the_dead_time_of_a_step_is_not_late(tmp_path, dead, lag):
+    found = []
+    for seed in range(5):
+        t, P, command = _step_of(dead, lag, 300.0, seed)
+        x = 20e-3 * P / 300e3
+        np.savetxt(tmp_path / f"log{seed}.csv", np.column_stack([t, P / 1e3, x * 1e3, command / 1e3]), delimiter=",",
+                   header="t,p,x,p_set", comments="")  # fmt: skip
+        text = COLUMNS.format(kind="recorded-step", more=P_SET, trials="{by: step, smallest: 50 kPa, lead: 200 ms}")
+        (analysis,) = reduce_runs([back(tmp_path, text, f"log{seed}.csv")])
+        found.append(next(e for e in analysis.estimates if e.symbol == "t_d" and e.at))
+    # the command's sample says when it came to half a period
+    assert all(abs(e.value - dead) < 3e-3 for e in found), [e.value for e in found]
+    assert all(abs(e.value - dead) < e.parts.method + 1e-3 for e in found)
