@@ -3,7 +3,7 @@
 - `cells` (trials by operating point), `reference` (trials of reference and what drifted)
 - `samples` (noise, unusable ones, time), `onset` (when something begins)
 - `repeats` (trials of one operating point over each other), `motion` (whether anything moved)
-- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths), `sessions` (which tests are
-  of one session)
+- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths)
+- `sessions` (which tests are of one session)
 - `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do)
 """
