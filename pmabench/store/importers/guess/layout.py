@@ -116,8 +116,12 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     if missing:
         reasons.append(f"texts that stand for no value: {', '.join(repr(text) for text in missing)}")
     if other:
-        told = ", ".join(str(names[k] if names else k + 1) for k in other)[:200]
-        reasons.append(f"columns with the other decimal sign than the others are taken for words: {told}")
+        told = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
+        one, two = ("comma", "point") if decimal == "comma" else ("point", "comma")
+        problem = (
+            f"two decimal signs in one file: {told} have the {two}, the others the {one}; export it with one of them"
+        )
+        raise invalid(path, problem, first + 1, 1)
     called = names or [f"column {k + 1}" for k in range(width)]
     header_line = bool(names) and not units and skip is not None and not _twice(called)
     again = _again(text, lines, first, called) if names and not _twice(called) else 0
