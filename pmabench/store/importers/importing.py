@@ -222,7 +222,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     questions: list[Question] = []
     if record is None:
         more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.confirmed)
-        found += more
+        found += looked.placed(more)
         parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
         found += [Found("doubt", "trial", text) for text in doubts]
     else:
