@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.store.importers.guess.clock import counted
 from pmabench.store.importers.map_file import PointName
@@ -482,7 +483,7 @@ def _like_pressure(values: Array) -> float:
     return size - below - rest
 
 
-def lone(values: Array) -> Array:
+def lone(values: Array) -> NDArray[np.bool_]:
     """Which samples leap away from those around them, as sentinels and spikes do: shape (n,), finite values only."""
     if len(values) < 9:
         return np.zeros(len(values), dtype=bool)
