@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from pmabench.analysis.declared import Result
+from pmabench.analysis.recorded.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
 from pmabench.analysis.statics.break_away import option_of
@@ -100,7 +101,7 @@ def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, M
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
-    checked: Analysis = with_record(with_checks(analysis, runs), runs)
+    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 
@@ -129,7 +130,14 @@ def _withheld(analysis: Analysis) -> list[str]:
     for estimate in analysis.estimates:
         if estimate.withheld:
             found.setdefault(estimate.note, []).append(_named(estimate))
-    return [f"{', '.join(dict.fromkeys(names))}: withheld: {reason}" for reason, names in found.items()]
+    return [f"{_first(names)}: withheld: {reason}" for reason, names in found.items()]
+
+
+def _first(names: Sequence[str]) -> str:
+    """The first of many names, and how many more there are."""
+    names = list(dict.fromkeys(names))
+    more = f" and {len(names) - MOST_REASONS} more" if len(names) > MOST_REASONS else ""
+    return ", ".join(names[:MOST_REASONS]) + more
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:

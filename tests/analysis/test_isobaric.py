@@ -259,3 +259,15 @@ def test_the_share_that_comes_back_knows_no_gain_of_force_and_length(mas):
     found = one(reduce([zero]), "eta", "loop-gap", pressure=2e5, speed=0.005)
     taken = 0.02 * (167 - 61.88 + 5e-3 * 1780)
     assert found.parts.calibration == pytest.approx(0.02 * 2.0 * (1 - found.value) / taken, rel=0.01)
+
+
+def test_a_regulator_that_gives_way_is_no_damping(tmp_path):
+    """Plant 5.5 loses by the way gone alone, B = 0; at 5 bar the pressure of the two branches differs with the speed."""
+    run = recorded(
+        tmp_path, "isobaric-ramp-paper3", "mock-daerden", "daerden-20-200",
+        ("sweep.concat.1.matrix.pressure", "[5 bar]"), ("trial.cycles", "3"), ("prepare.precondition.cycles", "0"),
+    )  # fmt: skip
+    found = one(reduce([run]), "B", "loop-gap", pressure=5e5)
+    assert found.value > 200.0, "N.s/m, all of it from the pressure"
+    assert found.ci95[0] == 0.0
+    assert found.parts.method > found.value

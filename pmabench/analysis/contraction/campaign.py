@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.contraction.segments import Gate, Noise, Samples, noise_seen, samples_of, steps_seen
+from pmabench.analysis.contraction.segments import (
+    Gate,
+    Noise,
+    Samples,
+    noise_of_means,
+    noise_seen,
+    samples_of,
+    steps_seen,
+)
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.skew import apart
 from pmabench.store.records import RunData, TrialData
@@ -66,6 +74,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
         return None, dropped
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
     still = [settled(trial) for _, trial in members]
+    noise = noise_seen(samples, still, _every(runs))
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
     return (
@@ -76,9 +85,9 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             cells=np.array([numbers[key] for key in keys], dtype=np.intp),
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
-            noise=noise_seen(samples, still, _every(runs)),
+            noise=noise,
             steps=steps_seen(samples, _every(runs)),
-            noise_of_means=noise_seen(samples, still, _every(runs), Gate().samples(runs[0].rate)[0]),
+            noise_of_means=noise_of_means(samples, still, Gate().samples(runs[0].rate)[0], noise),
         ),
         dropped,
     )

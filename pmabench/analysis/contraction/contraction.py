@@ -33,6 +33,7 @@ from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.analysis.shared import reference, skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
@@ -74,9 +75,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     options = options or {}
     campaign, dropped = gather(runs)
-    pooled = pool(campaign, options) if campaign is not None else None
+    pooled, reason = None, "no trial moves: there is nothing to fit"
+    try:
+        pooled = pool(campaign, options) if campaign is not None else None
+    except NotUsable as why:
+        reason = str(why)
     if campaign is None or pooled is None:
-        reason = "no trial moves: there is nothing to fit"
         findings = [] if campaign is None and dropped else [Finding("fault", reason)]
         if campaign is not None:
             dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
@@ -140,7 +144,7 @@ def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
 
 
 def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
-    """The pooled fit with its trust; None where nothing moves."""
+    """The pooled fit with its trust; None where nothing moves, NotUsable where the fit itself would not move."""
     gate = Gate(speed=float(options.get("speed", Gate.speed)))
     tested = np.array(campaign.tested)
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
@@ -169,7 +173,10 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         mine = segments.where(rows)
 
         def replayed(seed: int) -> Segments:
-            return segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
+            seen_again = segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
+            if len(seen_again) < 2 * FEWEST:
+                raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
+            return seen_again
 
         replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
         skews = _skews(campaign, segments_of, again, other)

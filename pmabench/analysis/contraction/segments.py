@@ -237,17 +237,13 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
     return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], F_mid, force, mass
 
 
-def noise_seen(
-    stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None, over: int = 0
-) -> Noise:
+def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
     """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
 
     Of these rows the longest run of usable samples counts.
     Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
     `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
-    With `over`, means of so many samples are compared as well: noise that is smooth from sample to sample, as that of a
-    filter or between interpolated samples, counts as the white noise that makes these means scatter as they do.
     """
 
     def typical(name: str) -> float:
@@ -256,16 +252,32 @@ def noise_seen(
             column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
             if column is not None and rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
-                white = np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0))
-                values.append(max(white, np.sqrt(over) * noise_of(_means(column[rows], over))))
+                values.append(np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0)))
         return float(np.median(values)) if values else 0.0
 
     return Noise(typical("P"), typical("x"), typical("force"))
 
 
-def _means(values: Array, over: int) -> Array:
-    """Means of `over` values each; none for 0."""
-    return np.asarray(values[: len(values) // over * over].reshape(-1, over).mean(axis=1)) if over else np.empty(0)
+def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
+    """White noise that makes means of `over` samples scatter as they do in the rows `still`; not below `least`.
+
+    More than `noise_seen` where noise is smooth from sample to sample, as that of a filter or between interpolated
+    samples.
+    """
+
+    def typical(name: str) -> float:
+        values = []
+        for samples, rows in zip(stretches, still, strict=True):
+            column = getattr(samples, name)
+            if column is not None:
+                whole = column[_unbroken(samples.ok, rows)]
+                means = whole[: len(whole) // over * over].reshape(-1, over).mean(axis=1)
+                values.append(np.sqrt(over) * noise_of(means))
+        return float(np.median(values)) if values else 0.0
+
+    return Noise(
+        max(least.pressure, typical("P")), max(least.displacement, typical("x")), max(least.force, typical("force"))
+    )
 
 
 def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:

@@ -30,6 +30,8 @@ BENT = 0.02
 BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
 UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
+GUESSED = 1.5
+"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
 LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
@@ -143,7 +145,7 @@ class Cell:
         """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
         if not self.bent:
             return 0.0
-        straight = np.polyfit(self.x, self.curve, 1)[0]
+        straight = float(np.polyfit(self.x, self.curve, 1)[0])
         places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
         slopes = [_local(self.x, self.curve, place)[1] for place in places]
         return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
@@ -307,7 +309,8 @@ class Cell:
         if self.one_speed or len({speed for speed, _ in known}) < 2:
             return 0.0
         speeds, aparts = np.array(known).T
-        return abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
+        guessed = GUESSED if dF_dP is None else 1.0
+        return guessed * abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
 
     def _force_per_pressure(self, dF_dP: float | None) -> float:
         """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""

@@ -6,11 +6,12 @@ Knows the manifest of imports; no reduction.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
-from pmabench.analysis.results import Dropped, Finding
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, withhold
 from pmabench.store.records import Flag, RunData, TrialData
 
 LEVELS = ("fault", "doubt", "note")
@@ -91,6 +92,36 @@ def import_findings(runs: Sequence[RunData]) -> list[Finding]:
         more = f" (and {len(members) - 1} more of this kind)" if len(members) > 1 else ""
         findings.append(Finding("note", f"import, {kind}: {members[0].get('text', '')}{more}"))
     return sorted(findings, key=lambda finding: LEVELS.index(finding.level) if finding.level in LEVELS else 0)
+
+
+def without_doubtful(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
+    """The analysis with all withheld that rests on files whose findings say so, for instance on a doubtful unit.
+
+    Such a fault changes numbers and no rule can set it right, so a value would be wrong without a sign of it.
+    """
+    reasons = {run.id: reason for run in runs if (reason := _withholding(run))}
+    if not reasons:
+        return analysis
+
+    def kept(estimate: Estimate) -> Estimate:
+        of = {trial.rpartition("/")[0] for trial in estimate.trials} or set(analysis.runs)
+        why = [reason for run, reason in reasons.items() if run in of]
+        return withhold(estimate, "; ".join(why)) if why and estimate.value is not None else estimate
+
+    estimates = tuple(kept(estimate) for estimate in analysis.estimates)
+    curves = tuple(replace(curve, terms=tuple(kept(term) for term in curve.terms)) for curve in analysis.curves)
+    known = {estimate.note for estimate in estimates if estimate.withheld}
+    more = tuple(reason for reason in reasons.values() if not any(reason in note for note in known))
+    return replace(analysis, estimates=estimates, curves=curves, refusals=(*analysis.refusals, *more))
+
+
+def _withholding(run: RunData) -> str:
+    """Why nothing that rests on an imported file is reported; empty where it may be."""
+    name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
+    found = [found for found in import_of(run).get("findings") or () if found.get("withholds")]
+    answer = ", ".join(dict.fromkeys(str(each.get("kind")) for each in found))
+    texts = "; ".join(str(each.get("text", "")) for each in found)
+    return f"{name}: {texts}. If it is right as it is, import with confirmed: [{answer}]" if found else ""
 
 
 def unusable_because(trial: TrialData) -> str:

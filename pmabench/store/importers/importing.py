@@ -23,13 +23,15 @@ from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Exported, read_record
 from pmabench.store.folder import PLAN, Copy
-from pmabench.store.importers import long, quality, units
+from pmabench.store.importers import long, plausible, quality, siblings, units
+from pmabench.store.importers.found import Checked, Found, plain
 from pmabench.store.importers.long import Seen
+from pmabench.store.importers.magnitude import muscle_of, slope_of_held
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule, read_map
 from pmabench.store.importers.order import pressure_late
-from pmabench.store.importers.quality import Checked, Found, Summary
 from pmabench.store.importers.questions import Question
 from pmabench.store.importers.segments import Segment, segments
+from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
 from pmabench.store.naming import run_name
 from pmabench.store.records import Array, Flag, Flags
@@ -108,6 +110,8 @@ class _Prepared:
     period: float
     """Median distance of the samples [s]."""
     summary: Summary
+    questions: tuple[Question, ...]
+    """Of the map, and what its numbers cannot decide."""
     record: Exported | None
     """What the run that the file was exported from said beyond its columns."""
     simulated: bool
@@ -160,7 +164,8 @@ def import_files(
         ]
     if problems:
         raise InvalidFile(problems)
-    among = iter(quality.compare(summaries, rules.siblings))
+    found = siblings.compare(summaries, rules.siblings)
+    among = iter([plausible.answered(each, rules.confirmed) for each in found])
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
@@ -213,7 +218,11 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     record = _record_of(path, rules)
     looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
     seen, found = looked.seen, looked.seen.found
+    muscle = muscle_of(rules.specimen, named.point, held=_held(rules))
+    questions: list[Question] = []
     if record is None:
+        more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.confirmed)
+        found += more
         parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
         found += [Found("doubt", "trial", text) for text in doubts]
     else:
@@ -241,12 +250,19 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
             {role: pair[0] for role, pair in looked.peaks.items()},
             {role: pair[1] for role, pair in looked.peaks.items()},
             not any(each.level == "fault" for each in told),
+            slope_of_held(seen.values, seen.flags) if muscle.held else None,
         ),
+        questions=(*rules.unresolved, *questions),
         record=record,
         simulated=rules.simulated
         or (record is not None and record.simulated)
         or bool(np.any(seen.values.get("simulated", 0.0))),
     )
+
+
+def _held(rules: ImportMap) -> bool:
+    """Whether the muscle is held at one length throughout a file, so that its force follows pressure."""
+    return rules.kind == "isometric" and rules.trials.by in ("file", "ramp")
 
 
 def _record_of(path: Path, rules: ImportMap) -> Exported | None:
@@ -324,6 +340,9 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
         _gaps_within(t, flags, others, record, rules.gap)
     if "flags" in others:
         flags |= _flags_told(path, others["flags"])
+    if not paused:
+        flags, more = plausible.stopped(t, checked, flags, held=_held(rules))
+        found += more
     if table.cut_end:
         flags[-1] |= np.uint16(Flag.SUSPECT)
         text = "the file ends within its last row or part: the last number may be cut"
@@ -420,12 +439,12 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
     return found[0].name, found[0].read_bytes()
 
 
-def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out: Path) -> ImportedRun:
+def _write(prepared: _Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
-    if any(found.level == "fault" for found in siblings):
+    if any(found.level == "fault" and not found.withholds for found in apart):
         flags = flags | np.uint16(Flag.SUSPECT)
-    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in siblings))
+    findings = (*prepared.findings, *(_placed(found, prepared.t, len(prepared.table)) for found in apart))
     counts = {str(flag.name).lower(): int(np.count_nonzero(flags & np.uint16(flag))) for flag in Flag if flag}
     flagged = {name: count for name, count in counts.items() if count}
     started = prepared.named.started or datetime.now(UTC)
@@ -461,7 +480,7 @@ def _write(prepared: _Prepared, rules: ImportMap, siblings: Sequence[Found], out
         trials=len(prepared.parts),
         findings=findings,
         flagged=flagged,
-        unresolved=rules.unresolved,
+        unresolved=prepared.questions,
     )
 
 
@@ -521,7 +540,7 @@ def _manifest(
 ) -> dict[str, Any]:
     table = prepared.table
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
-    told = [quality.plain(found) for found in findings]
+    told = [plain(found) for found in findings]
     for found in told:
         found["line"] = None if found["index"] is None else table.line(found["index"])
     return {
@@ -550,6 +569,6 @@ def _manifest(
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.analysis.model_dump(mode="json"),
-            "unresolved": [vars(question) for question in rules.unresolved],
+            "unresolved": [vars(question) for question in prepared.questions],
         },
     }

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmabench.store.importers.found import Checked, Found
 from pmabench.store.importers.map_rules import ImportMap
-from pmabench.store.importers.quality import Checked, Found
 from pmabench.store.importers.table import Table
 from pmabench.store.records import Array, Flags
 

@@ -43,6 +43,7 @@ Role = Literal[
     "simulated",
     "ignore",
 ]
+Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap"]
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that measure nothing: they have no unit and no scale."""
 PointName = Literal[
@@ -92,8 +93,10 @@ class TextLayout(Strict):
     """Lines before the header, or before the data."""
     lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
     """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
-    repeated_header: Literal["refuse", "new test"] = "refuse"
-    """What the line of names means where it is repeated further down: another test begins, which makes a run too."""
+    repeated_header: Literal["refuse", "new test", "page"] = "refuse"
+    """What the line of names means where it is repeated further down: another test begins, which makes a run too; or
+    the same test goes on, as on the next page of a print-out.
+    """
     missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
     """Texts that stand for "no value"; nothing else may."""
     period: Annotated[Time, Field(gt=0.0)] | None = None
@@ -365,6 +368,8 @@ class MapFile(Strict):
     """How far the peak of a file may lie from those of other files at the same point."""
     specimen: SpecimenText
     analysis: AnalysisRule = AnalysisRule()
+    confirmed: Annotated[list[Confirmable], Field(max_length=20)] = []
+    """Kinds of findings that somebody has looked at and found right: they withhold nothing any more."""
 
     @model_validator(mode="after")
     def _roles(self) -> MapFile:

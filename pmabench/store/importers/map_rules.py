@@ -159,6 +159,8 @@ class ImportMap:
     tests: tuple[TestRule, ...]
     unresolved: tuple[Question, ...] = ()
     """Questions that nobody answered, with what is taken for them."""
+    confirmed: tuple[str, ...] = ()
+    """Kinds of findings that somebody has looked at and found right."""
 
     def each_test(self) -> list[ImportMap]:
         """A map for each test whose columns have names of their own; else the map itself."""
@@ -268,6 +270,7 @@ class _Rules:
             siblings={str(name): share for name, share in file.siblings.items()},
             specimen=file.specimen.model_dump(mode="json"),
             analysis=file.analysis,
+            confirmed=tuple(file.confirmed),
             stamps=self.stamps(),
             tests=tuple(
                 TestRule(

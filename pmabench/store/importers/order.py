@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pmabench.store.importers import motion
-from pmabench.store.importers.quality import Found
+from pmabench.store.importers.found import Found
 from pmabench.store.records import Array, Flag, Flags
 
 SHARE = 0.1

@@ -32,7 +32,9 @@ MOST_HEAD = 60
 MARKS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 THOUSANDS = {"comma": ",", "point": ".", "blank": " \u00a0\u2009\u202f", "apostrophe": "'\u2019"}
 """Signs between groups of three digits."""
-_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?\s*")
+_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
+MINUS = "\u2212"
+"""The minus sign of typesetting, which some programs write."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,8 @@ class TextReader:
         """Whether anything but a byte order mark came."""
         self._rest = ""
         """What was decoded and is no whole line yet, with the last whole line."""
+        self._zeros = 0
+        """Bytes of zero at the end, as an interrupted write leaves them."""
         self._line = 0
         """Lines that are done."""
         self._names: list[str] = []
@@ -155,6 +159,9 @@ class TextReader:
         parts = [self._block(before)] if before else []
         if last:
             parts.append(self._last(last))
+        if self._zeros:
+            told = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
+            self.cut_row = f"{self.cut_row}; {told}" if self.cut_row else told
         if not self._seen:
             raise invalid(self.path, "holds no data: all lines are blank, skipped or comments")
         if not self._rows:
@@ -199,11 +206,14 @@ class TextReader:
         return len(fields) == len(self._names)
 
     def _decoded(self, piece: bytes, *, last: bool) -> str:
-        if self._plain and (zero := piece.find(b"\0")) >= 0:
-            raise invalid(self.path, f"is binary, not text (a zero at byte {zero})")
+        if self._plain and (self._zeros or b"\0" in piece):
+            text = piece.rstrip(b"\0")
+            if b"\0" in text or (self._zeros and text):
+                raise invalid(self.path, f"is binary, not text (a zero at byte {piece.index(0)})")
+            self._zeros, piece = self._zeros + len(piece) - len(text), text
         self._begun = self._begun or bool(piece.strip())
         try:
-            return self._decoder.decode(piece, last)
+            return self._decoder.decode(piece, last).replace(MINUS, "-")
         except UnicodeError as error:
             where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
             told = f"is not text in {self.layout.encoding}{where}; say the right encoding, or it is binary"
@@ -382,9 +392,10 @@ class TextReader:
     def _again(self, starts: list[int], row: int) -> None:
         """The header line once more: another test begins, where the map says so."""
         if self.layout.repeated_header == "refuse":
-            told = 'the header is repeated: several tests in one file? If so say "repeated_header: new test"'
+            told = 'the header is repeated: say "repeated_header: new test" or, where the test goes on below it, "page"'
             raise invalid(self.path, told, self._line, 1)
-        starts.append(row)
+        if self.layout.repeated_header == "new test":
+            starts.append(row)
         self._titles.clear()
         self._below = self.layout.lines_below_header
 
@@ -461,7 +472,7 @@ class TextReader:
             plain = "?" if "." in plain else plain.replace(",", ".")
         if _NUMBER.fullmatch(plain) is None:
             raise ValueError("is no number")
-        value = float(plain)
+        value = float(plain.replace("d", "e").replace("D", "e"))
         if not np.isfinite(value):
             raise ValueError("is no finite number")
         return value

@@ -81,6 +81,8 @@ WORDS = {
         "count",
     },
 }
+SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
+"""Words of a column that counts the samples."""
 HELD, STILL = 0.02, 3e-4
 """A length is held that moves by less than this share of itself, or by less than this [m]."""
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
@@ -103,6 +105,8 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    mixed: str = ""
+    """Name of a file in which it holds whole numbers while it does not in others; empty where all are alike."""
     question: str = ""
     """What is asked about its role, where the choice is open."""
     written: str = "number"
@@ -223,6 +227,9 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(told)
 
 
+UNLIKE_TIME = "is named or measured like a time"
+
+
 def _time(proposals: Sequence[Proposal]) -> None:
     """The column that rises: a named one where it does, else any."""
 
@@ -236,7 +243,7 @@ def _time(proposals: Sequence[Proposal]) -> None:
     for proposal in named:
         if proposal not in good:
             proposal.role = "ignore"
-            proposal.doubts.append("is named or measured like a time, but does not rise")
+            proposal.doubts.append(f"{UNLIKE_TIME}, but does not rise")
     if not good:
         good = [
             p for p in proposals if p.role == "ignore" and p.unit == "" and rises(p.values) and len(set(p.values)) > 9
@@ -252,7 +259,7 @@ def _time(proposals: Sequence[Proposal]) -> None:
     if good and good[0].written == "number" and (count := counted(good[0].values)) is not None:
         good[0].written, good[0].unit = count
         good[0].reasons.append(f"its numbers are those of {good[0].written or 'serial days'} of our years")
-    elif good and not good[0].unit and good[0].written == "number" and bool(np.all(np.diff(good[0].values) == 1.0)):
+    elif good and not good[0].unit and bool(np.all(np.diff(good[0].values) == 1.0)) and words(good[0].name) & SAMPLES:
         good[0].written = "index"
         good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
     elif good and not good[0].unit:
@@ -288,7 +295,10 @@ def _which_time(time: Proposal, step: float) -> None:
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
     told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
-    if len(possible) > 1:
+    if bool(np.all(np.diff(time.values) == 1.0)):
+        head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {told}"
+    elif len(possible) > 1:
         time.question = f'in which unit is "{time.name[:40]}"? {told}'
 
 
@@ -459,3 +469,8 @@ def lattice(values: Array) -> float:
     step = float(np.median(gaps))
     near = np.abs(gaps / step - np.round(gaps / step))
     return step if float(np.mean(near < 0.2)) > 0.95 and float(gaps.min()) > 1e-6 * step else 0.0
+
+
+def is_whole(values: Array) -> bool:
+    """Whole numbers throughout, and more than a few of them."""
+    return len(values) > 0 and bool(np.all(values == np.round(values))) and len(np.unique(values)) > 12

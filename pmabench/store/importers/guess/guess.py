@@ -14,9 +14,10 @@ from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
 from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, owners
-from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
+from pmabench.store.importers.guess.columns import Proposal, choose, held, is_whole, unit_in
 from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
+from pmabench.store.importers.guess.names import frequency_of, told_by
 from pmabench.store.importers.map_file import PLACE, BinaryLayout, TextLayout
 from pmabench.store.importers.map_rules import ImportMap, read_map
 from pmabench.store.importers.table import content_of, read_table
@@ -73,7 +74,7 @@ class Guess:
     lacks: str = ""
     """A channel without which nothing can be fitted, and that was not found."""
     tests: list[str] = field(default_factory=list)
-    """Names of several tests in each file."""
+    """Names of several tests in each file, in their order."""
     slower: tuple[float, float] = (1.0, 1.0)
     """Least and largest step of the clocks of the tests, against that of the test that is shown."""
     period: float = 0.0
@@ -189,6 +190,11 @@ def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
 def _look_at_text(path: Path, told: TextGuess) -> Guess:
     numbers = [name for name in told.names if name not in told.texts]
     stamps = told.stamps
+    if told.tests and _goes_on(path, told, numbers):
+        told.tests, told.layout = 0, told.layout.model_copy(update={"repeated_header": "page"})
+        told.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
+    elif told.tests:
+        told.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
     asked = [name for name in told.names if name in numbers]
     table = read_table(path, told.layout, asked, (), told.texts, stamps, LOOKED_AT)
     if table.starts:
@@ -207,6 +213,10 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if stamps is not None and stamps.date:
         order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
+    if falls and all(column.role != "time" for column in columns):
+        backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
+        raise invalid(path, backward)
     every = {column.name: column for column in [*columns, *words]}
     reasons = {"file": told.reasons}
     guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], reasons=reasons)
@@ -214,9 +224,22 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
     if time is not None and time.written == "index":
         time.period = told.interval
     guess.period, guess.either = told.interval, told.either
+    guess.tests = [str(number) for number in range(1, told.tests + 1)]
     if not told.named:
         _call_by_role(guess)
     return guess
+
+
+def _goes_on(path: Path, told: TextGuess, numbers: Sequence[str]) -> bool:
+    """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
+    layout = told.layout.model_copy(update={"repeated_header": "page"})
+    starts = read_table(path, told.layout, numbers, (), told.texts, told.stamps, LOOKED_AT).starts
+    table = read_table(path, layout, numbers, (), told.texts, told.stamps, LOOKED_AT)
+    over = np.array(starts, dtype=int) - 1
+    return len(over) > 0 and any(
+        is_clock(values) and float(np.diff(values)[over].max()) < 2.0 * float(np.median(np.diff(values)))
+        for values in table.columns.values()
+    )
 
 
 def _call_by_role(guess: Guess) -> None:
@@ -231,6 +254,7 @@ def _call_by_role(guess: Guess) -> None:
 def _alike(guess: Guess, path: Path) -> None:
     """Another file of the same layout: a column at the end that not all files have is optional."""
     other = _look(path)
+    _mixed(guess, other)
     same = type(other.layout) is type(guess.layout)
     if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
         keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
@@ -254,6 +278,14 @@ def _alike(guess: Guess, path: Path) -> None:
         raise invalid(
             path, f"is laid out otherwise than {guess.files[0]}{f' ({told})' if told else ''}: guess them apart"
         )
+
+
+def _mixed(guess: Guess, other: Guess) -> None:
+    """Columns that hold whole numbers in one of two files only."""
+    there = {column.name: column for column in other.columns}
+    for column in guess.columns:
+        if column.name in there and (here := is_whole(column.good)) != is_whole(there[column.name].good):
+            column.mixed = (guess if here else other).files[0].name
 
 
 def _sampling(guess: Guess) -> None:
@@ -392,22 +424,10 @@ def _edge(values: Array) -> float:
     return 0.5 * float(np.quantile(moves[big], 0.05))
 
 
-_PARTS = (
-    (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
-    (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
-    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
-    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
-    (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
-)
-
-
 def _names(guess: Guess) -> None:
     """Dates, numbers of tests and points in the names of the files, or of their folders: whichever tell more."""
-    best = max((_told_by(guess, of) for of in ("file", "folder")), key=lambda told: (len(told[0]), told[1] == "file"))
+    found = (told_by(guess.files, of) for of in ("file", "folder"))
+    best = max(found, key=lambda told: (len(told[0]), told[1] == "file"))
     keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
     if keys and len(forms) <= 20:
         guess.forms = forms
@@ -418,7 +438,7 @@ def _frequency(guess: Guess) -> None:
     """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
     if not guess.frequency:
         return
-    told = _frequency_told(guess)
+    told = frequency_of(guess.files[0], guess.form_of, guess.form_units)
     slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
     if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and _found(guess, "sine") > 0:
         why = (
@@ -427,16 +447,6 @@ def _frequency(guess: Guess) -> None:
         guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{_share(guess, 'pressure_command'):.3g}"}
         guess.reasons["trials"].append(f"{why}: it is fitted to each file")
-
-
-def _frequency_told(guess: Guess) -> float | None:
-    """The frequency in the name of the first file [Hz]."""
-    name = guess.files[0].resolve().parent.name if guess.form_of == "folder" else guess.files[0].stem
-    for pattern, key, unit in _PARTS:
-        match = pattern.search(name) if key == "frequency" and guess.form_units.get(key) == unit else None
-        if match is not None:
-            return float(match[0].replace(",", ".")) / (2 * np.pi if unit == "rad/s" else 1.0)
-    return None
 
 
 def _lacking(guess: Guess) -> None:
@@ -457,45 +467,6 @@ def _lacking(guess: Guess) -> None:
         form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
         text = f"which column is the {guess.lacks}? No name says it; there is {names}"
         ignored[0].question = f"{text}: write what it is and its unit, {form}"
-
-
-CONTRACTED = re.compile(
-    r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
-)
-"""What stands before a length that is a contraction, and no diameter."""
-
-
-def _told_by(guess: Guess, of: str, *, lengths: bool = True) -> tuple[set[str], str, list[str], dict[str, str], bool]:
-    """Keys that the names tell, from files or folders, their forms, units, and whether they have a decimal comma.
-
-    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
-    """
-    sizes: set[str] = set()
-    units: dict[str, str] = {}
-    comma = False
-    forms: dict[str, None] = {}
-    for path in guess.files:
-        form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
-        for pattern, key, unit in _PARTS:
-            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
-            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
-            match = next(iter(called or found), None)
-            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
-                continue
-            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
-                continue
-            sizes |= {match[0]} if key == "contraction" and not called else set()
-            comma |= "," in match[0]
-            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
-            if unit:
-                units[key] = unit
-        forms[form] = None
-    if len(sizes) == 1:
-        return _told_by(guess, of, lengths=False)
-    keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
-    if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
-        keys = set()
-    return keys, of, list(forms), units, comma
 
 
 def _known(path: Path) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pmabench.base.errors import invalid
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
 from pmabench.store.importers.map_file import TextLayout
+from pmabench.store.importers.text import MINUS
 from pmabench.store.importers.times import Stamps, step_in
 
 TABLE = 0.5
@@ -20,11 +21,18 @@ LOOKED_AT = 400
 """Lines from the beginning."""
 MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
-NO_VALUE = {"nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"}
+NO_VALUE = {
+    *("nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"),
+    *("1.#inf", "-1.#inf", "1.#ind", "-1.#ind", "1.#qnan", "-1.#qnan", "+inf", "infinity", "-infinity", "-nan"),
+    *("nan(ind)", "-nan(ind)", "ol", "ovld", "over", "overload", "over range", "overrange", "open", "?", "invalid"),
+    *("missing", "---", "----", "-.-", "--.-", "--.--", "#div/0!", "#value!", "#num!", "#ref!", "no data", "bad"),
+}
 MOST_MISSING = 12
+FAULTS = 0.05
+"""Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
-_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?\s*")
-_COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d{1,3})?\s*")
+_POINT = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
+_COMMA = re.compile(r"\s*[+-]?(?:\d+,?\d*|,\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
 
 
 _GROUPED = {
@@ -63,6 +71,8 @@ class TextGuess:
     """The column whose texts are times, or that counts the steps of the header."""
     open_order: bool = False
     """Day and month of its dates may be the other way round."""
+    tests: int = 0
+    """How often the line of names was found; 0 where it is not repeated."""
     interval: float = 0.0
     """Distance of the samples that the header gives [s]; 0 where it gives none."""
     either: str = ""
@@ -71,8 +81,8 @@ class TextGuess:
 
 def guess_layout(path: str, content: bytes) -> TextGuess:
     """The layout that makes most cells of the first lines numbers; raises InvalidFile where none does."""
-    text, encoding, why = _decoded(path, content)
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text, encoding, why = _decoded(path, content.rstrip(b"\0") or content)
+    text = text.replace(MINUS, "-").replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
@@ -113,7 +123,6 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     again = _again(text, lines, first, called) if names and not _twice(called) else 0
     called = _apart(called)
     if again:
-        reasons.append("the line of names is repeated: another test begins there, which makes a run too")
         header_line = True
     layout = TextLayout.model_validate(
         {
@@ -141,6 +150,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     guess.interval = interval_in(lines[:first])
     if decimal == "comma" and not thousands:
         guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
+    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
     _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
     if above and guess.stamps is None:
         guess.stamps = Stamps(called[0], "header step")
@@ -383,12 +393,13 @@ def _words(
         ]
         if not strange:
             continue
-        if len(strange) > len(cells) / 2 or any(text.lower() not in NO_VALUE for text in strange):
+        known = sum(text.lower() in NO_VALUE for text in strange)
+        if len(strange) > len(cells) / 2 or len(strange) - known > max(1.0, FAULTS * len(cells)):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
                 other.append(column)
         else:
-            missing |= set(strange)
+            missing |= {text for text in strange if text.lower() in NO_VALUE}
     return texts, sorted(missing)[:MOST_MISSING], other
 
 

@@ -1,0 +1,270 @@
+"""Whether pressures and forces can be those of a muscle: its size bounds the force, whatever the units are called.
+
+Braided muscles obey F = P (pi D0^2/4) (3 cos^2 a - 1)/sin^2 a at most (Chou and Hannaford 1996, eq. 8 at no
+contraction; D0 inner diameter, a braid angle from the axis). Measured slopes of muscles of 10, 20 and 40 mm are 8 to
+10 times pi D0^2/4, and fall with contraction and for short muscles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import cos, pi, radians, sin, sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.quantities import show
+from pmabench.store.importers.effect import in_words, slope
+from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.importers.questions import Question
+from pmabench.store.importers.units import spelled
+from pmabench.store.records import UNUSABLE, Array, Flags
+
+STEEPEST = 17.0
+"""No braid is laid at a smaller angle [deg]: the most force that a diameter gives."""
+USUAL = 12.0
+"""Force per pressure and area of bore [1] that real muscles hardly exceed."""
+FLATTEST = 42.0
+"""Nor at a larger one that still pulls well: the least force, for long muscles at no contraction."""
+DIAMETERS = (0.004, 0.1)
+"""Inner diameters of muscles [m]."""
+LONG = 5.0
+"""Length over diameter from which on the ends do not weaken a muscle."""
+HELD = 0.05
+"""Contraction of the length up to which the least force holds."""
+PEAKS = (15e3, 2.5e6)
+"""Highest gauge pressures of a test [Pa]: less opens no bladder, more bursts it."""
+PSI = 6894.757
+UNITS_OF_PRESSURE = {"kPa": 1e3, "bar": 1e5, "psi": PSI, "MPa": 1e6}
+LOW, USUAL_PEAKS = (15e3, 180e3), (100e3, 1.25e6)
+"""Peaks [Pa] that are low for muscles, and what they would be in another unit for it to be asked."""
+PULLS = 0.1
+"""Share of its span above its least from which on a force is one."""
+ATMOSPHERE = (97.5e3, 104e3)
+"""Absolute pressure of the air [Pa], up to 300 m above the sea."""
+VACUUM = -30e3
+"""Lower gauge pressures [Pa] no supply of a muscle makes."""
+MANY = 100
+"""Samples from which on it shows in which steps a channel reads."""
+LEVELS = 25
+"""Fewer steps of a converter over the whole span are coarse."""
+
+CONFUSED = {
+    "is the pressure in bar, not kPa?": 1e-2,
+    "is the pressure in psi, not kPa?": 1e3 / PSI,
+    "is the pressure in MPa, not kPa?": 1e-3,
+    "is the pressure in kPa, not bar?": 1e2,
+    "is the force in kg, not N?": 9.80665,
+    "is the force in pounds, not N?": 4.448,
+    "is the force in kN, not N?": 1e3,
+    "is the force in grams, not N?": 9.80665e-3,
+}
+"""Question -> factor on the slope where the answer is yes."""
+
+
+@dataclass(frozen=True)
+class Muscle:
+    """What is known of the specimen and of the point [SI]; None where it is not."""
+
+    diameter: float | None
+    length: float | None
+    contraction: float | None
+    held: bool
+    """Its length is set: force follows pressure."""
+
+
+def muscle_of(specimen: Mapping[str, Any], point: Mapping[str, float], *, held: bool) -> Muscle:
+    """What the specimen of a map and the point of a file tell of the muscle [SI]."""
+    diameter, length = (specimen.get(key) for key in ("inner_diameter", "nominal_length"))
+    return Muscle(
+        None if diameter is None else float(diameter),
+        None if length is None else float(length),
+        point.get("contraction"),
+        held,
+    )
+
+
+def slope_of_held(values: Mapping[str, Array], flags: Flags) -> float | None:
+    """Slope of force over pressure where there is force [N/Pa], of channels and flags of shape (n,)."""
+    good = (flags & np.uint16(UNUSABLE)) == 0
+    if not {"pressure", "force"} <= set(values) or not good.any():
+        return None
+    return slope_of(values["pressure"][good], values["force"][good])
+
+
+def area_factor(angle: float) -> float:
+    """Force per pressure and area of bore [1] at no contraction for a braid angle [deg]."""
+    a = radians(angle)
+    return (3.0 * cos(a) ** 2 - 1.0) / sin(a) ** 2
+
+
+def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: Muscle) -> list[Question]:
+    """Report pressures and forces that no muscle gives; returns questions that the numbers cannot decide."""
+    pressure, force = channels.get("pressure"), channels.get("force")
+    if pressure is None or good.sum() < 20:
+        return []
+    P = pressure.si[good]
+    questions: list[Question] = []
+    for channel in channels.values():
+        if channel.rule.role in {"pressure", "force", "displacement"}:
+            questions += _converter(report, channel, good)
+    peak = float(np.quantile(P, 0.999))
+    if not PEAKS[0] <= peak <= PEAKS[1]:
+        text = f"its peak is {show(peak, 'pressure', 4)}, and muscles need {show(PEAKS[0], 'pressure')} at least and "
+        text += f"bear {show(PEAKS[1], 'pressure')} at most: its unit or its scale is wrong{_other_unit(peak)}"
+        report.withhold("magnitude", text, "pressure")
+        return questions
+    if float(np.quantile(P, 0.02)) < VACUUM:
+        low = show(float(np.quantile(P, 0.02)), "pressure", 3)
+        report.add("doubt", "zero", f"falls to {low}, as no supply does: its zero or its scale is doubtful", "pressure")
+    if force is None:
+        return questions if muscle.diameter else [*questions, *_low(pressure, peak)]
+    F = force.si[good]
+    _absolute(report, P, F)
+    m = slope_of(P, F) if muscle.held else _steepest(P, F)
+    return questions if m is None else [*questions, *_steep(report, m, peak, muscle, pressure)]
+
+
+def slope_of(P: Array, F: Array) -> float | None:
+    """Slope of force over pressure where there is force."""
+    low = float(np.quantile(F, 0.02))
+    pulls = low + PULLS * float(np.quantile(F, 0.998) - low) < F
+    return slope(P[pulls], F[pulls])
+
+
+def _steepest(P: Array, F: Array) -> float | None:
+    """Force over pressure where the pressure is at least half of its peak; it bounds the area from below."""
+    high = 0.5 * float(np.quantile(P, 0.999)) < P
+    return float(np.median(F[high] / P[high])) if high.any() else None
+
+
+def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Checked) -> list[Question]:
+    """Hold the force per pressure [N/Pa] against what diameters give."""
+    most = area_factor(STEEPEST)
+    word = "slope of force over pressure" if muscle.held else "force over pressure"
+    if muscle.diameter is None:
+        size = sqrt(4.0 * abs(m) / (pi * area_factor(25.0)))
+        limit = most * pi * DIAMETERS[1] ** 2 / 4.0
+        least = area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0 * (1.0 if _stretched(muscle) else 0.1)
+        if least <= abs(m) <= limit or (not muscle.held and abs(m) < least):
+            if muscle.held:
+                text = f"{word} of {in_words(m, 'force')} suits an inner diameter of about {show(size, 'length', 2)}"
+                report.add(
+                    "note", "size", f"{text}; the map gives none, so the units were held against no size", "force"
+                )
+            return _low(pressure, peak)
+        text = (
+            f"{word} is {in_words(m, 'force')}; muscles of {show(DIAMETERS[0], 'length')} to "
+            f"{show(DIAMETERS[1], 'length')} give {in_words(least, 'force')} to {in_words(limit, 'force')} (this would "
+            f"be one of about {show(size, 'length', 2)}): the unit or the scale of force or pressure is wrong"
+        )
+        report.withhold("magnitude", text + _units(m, lambda x: least <= x <= limit), "force")
+        return []
+    area = pi * muscle.diameter**2 / 4.0
+    least = area_factor(FLATTEST) * area if _shows_least(muscle) else 0.0
+    if least <= m <= most * area:
+        return _low(pressure, peak) if m > USUAL * area else []
+    bore = show(muscle.diameter, "length", 3)
+    bounds = (
+        f"{in_words(least, 'force')} to {in_words(most * area, 'force')}"
+        if least
+        else (f"at most {in_words(most * area, 'force')}")
+    )
+    text = f"{word} is {in_words(m, 'force')}; a muscle of {bore} gives {bounds}: the unit or the scale of force or "
+    text += "pressure is wrong, or the inner diameter"
+    report.withhold("magnitude", text + _units(m, lambda x: max(least, 2.0 * area) <= x <= 14.0 * area), "force")
+    return []
+
+
+def _shows_least(muscle: Muscle) -> bool:
+    """Whether the least force of a diameter can be expected: long, held, and hardly contracted."""
+    long = muscle.length is not None and muscle.diameter is not None and muscle.length >= LONG * muscle.diameter
+    return muscle.held and long and _stretched(muscle)
+
+
+def _stretched(muscle: Muscle) -> bool:
+    """Whether the muscle is known to be hardly contracted."""
+    length = muscle.length or 0.0
+    return muscle.contraction is not None and abs(muscle.contraction) <= HELD * length
+
+
+def _units(m: float, fits: Callable[[float], bool]) -> str:
+    """The units which would make a slope plausible, as questions."""
+    asked = [text for text, factor in CONFUSED.items() if fits(abs(m) * factor)]
+    return f" ({' '.join(asked)})" if asked else ""
+
+
+def _other_unit(peak: float) -> str:
+    """Units in which a peak of the pressure [Pa] would be a usual one."""
+    shown = peak / 1e3
+    names = {"bar": 1e5, "psi": PSI, "MPa": 1e6, "Pa": 1.0}
+    asked = [f"is it {name}?" for name, factor in names.items() if 80e3 <= shown * factor <= 1.2e6]
+    return f" ({' '.join(asked)})" if asked else ""
+
+
+def _low(pressure: Checked, peak: float) -> list[Question]:
+    """The question whether a low pressure has another unit, where nothing decides it."""
+    unit = pressure.rule.raw_unit
+    if unit not in UNITS_OF_PRESSURE or not LOW[0] <= peak <= LOW[1]:
+        return []
+    number = peak / UNITS_OF_PRESSURE[unit]
+    others = {
+        other: show(number * factor, "pressure", 3)
+        for other, factor in UNITS_OF_PRESSURE.items()
+        if other != unit and USUAL_PEAKS[0] <= number * factor <= USUAL_PEAKS[1]
+    }
+    if not others:
+        return []
+    asked = " or ".join(f"in {other} ({value})" for other, value in others.items())
+    question = (
+        f"is the pressure in {unit}, as the map says, or {asked}? Its peak, {number:.4g}, is low for {unit}; say "
+        "specimen inner_diameter, by which the force may decide it, or confirmed: [pressure-unit]"
+    )
+    return [Question("pressure-unit", pressure.rule.column, question, unit)]
+
+
+def _absolute(report: Report, P: Array, F: Array) -> None:
+    """A pressure that rests at that of the air where the muscle does not pull."""
+    low = float(np.quantile(P, 0.02))
+    rest = float(np.quantile(F, 0.02)) + 0.05 * float(np.quantile(F, 0.998) - np.quantile(F, 0.02)) >= F
+    near = P < low + 0.03 * float(np.ptp(P))
+    if ATMOSPHERE[0] <= low <= ATMOSPHERE[1] and near.mean() > 0.02 and float(rest[near].mean()) > 0.9:
+        text = f"rests at {show(low, 'pressure', 4)} where the muscle does not pull: is it absolute? The intercept of "
+        text += "force over pressure is at stake, its slope is not"
+        report.add("doubt", "absolute", text, "pressure")
+
+
+def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
+    """Readings of a converter: whole numbers that are called newtons, or steps that are coarse.
+
+    Where the name of the column gives the unit this is a question, otherwise nothing speaks for newtons.
+    """
+    rule = channel.rule
+    numbers = (channel.raw * rule.back[0] + rule.back[1])[good]
+    marks = np.unique(numbers)
+    if len(numbers) < MANY or len(marks) < 3:
+        return []
+    whole = bool(np.all(marks == np.round(marks)))
+    scaled = rule.raw_unit in {"count", "g", "Pa", "mV", "mbar", "hPa", "um"}
+    if whole and rule.role == "force" and not scaled and float(np.abs(marks).max()) >= 50:
+        text = (
+            f"holds whole numbers only, {marks[0]:g} to {marks[-1]:g}, and they are called {rule.raw_unit}: are they "
+            'counts of a converter? Then say "unit: count" and the line of its calibration; if not, '
+            "confirmed: [counts]"
+        )
+        if spelled(rule.column) == rule.raw_unit or _names_unit(rule.column, rule.raw_unit):
+            return [Question("counts", rule.column, text, rule.raw_unit)]
+        report.withhold("counts", text, rule.role)
+        return []
+    step, span = float(np.diff(marks).min()), float(np.ptp(numbers))
+    if span < LEVELS * step and float(np.mean(np.diff(numbers) != 0)) > 0.005:
+        size = show(step * abs(rule.slope / rule.back[0]), rule.quantity, 3)
+        text = f"reads in steps of {size}, {span / step:.0f} in its whole span: too coarse for it"
+        report.add("doubt", "coarse", text, rule.role)
+    return []
+
+
+def _names_unit(column: str, unit: str) -> bool:
+    """Whether the name of a column gives the unit."""
+    return any(spelled(part) == unit for part in column.replace("[", " [").replace("(", " (").replace("_", " ").split())

@@ -1,0 +1,269 @@
+"""What changes in the middle of a file: columns that exchange their numbers, a gain or an offset; arrays only.
+
+These say that one part of a file is wrong, not which: nothing is flagged, and what rests on the file is withheld.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.quantities import show
+from pmabench.store.importers import motion
+from pmabench.store.importers.effect import in_words, slope
+from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.records import Array
+
+
+def edge(side: int) -> Array:
+    """Weights, shape (2 side,), with which a convolution gives by how much samples leap in the middle of a window.
+
+    It is the line through the second half less that through the first, both taken half a sample from the middle.
+    """
+    k = np.arange(side) + 0.5
+    at = 1.0 / side - (k - k.mean()) * k.mean() / float(((k - k.mean()) ** 2).sum())
+    return np.asarray(np.concatenate([at[::-1], -at]))  # convolution turns it round
+
+
+SIDE = 20
+"""Samples on either side of a change that are compared."""
+EDGE = edge(SIDE)
+"""Weights of what lines through both sides differ by at the change."""
+ALONE = 3.0
+"""A change is so many times larger than the fourth largest of the file."""
+JUMP = 0.03
+"""Share of the span of a channel below which nothing is a change."""
+CANDIDATES = 3
+MOMENT = 0.5
+"""Seconds before and after a leap that show whether the pressure was moving."""
+FRICTION = 0.15
+"""Share of the span by which a force may leap where the pressure turns, which is friction."""
+SHARP = 0.5
+"""Share of a change that happens from one sample to the next."""
+SAME = 0.25
+"""Two columns exchange their numbers where each goes on with the other's, within this share of the leap."""
+FAR, STRAIGHT = 60, 0.97
+"""Where two columns cross, so many samples on either side show their slope, if they lie on lines so well."""
+LEVER = 0.4
+"""Change of the logarithm of the slope from which on it is one."""
+CYCLES = 4
+"""Cycles from which on gains of early and late ones are compared."""
+GAIN = 0.06
+"""Change of gain between cycles [1] that is reported, and how many times it exceeds the scatter between cycles."""
+SCATTER = 5.0
+SETTLES = 0.25
+"""The first cycle alone may differ by this, as in a muscle that was at rest."""
+
+
+def swapped(report: Report, channels: Sequence[Checked], good: Bools) -> bool:
+    """Report where two columns begin to exchange their numbers, shape (n,); whether any do."""
+    rows = np.flatnonzero(good)
+    if len(rows) < 4 * SIDE:
+        return False
+    numbers = {c.rule.role: (c.raw * c.rule.back[0] + c.rule.back[1])[rows] for c in channels}
+    found = False
+    for a, b in combinations(numbers, 2):
+        if "command" in a + b and not {a, b} <= {"pressure_command", "displacement_command"}:
+            continue
+        at = _exchanges(numbers[a], numbers[b]) or _crossings(numbers[a], numbers[b])
+        if not at:
+            continue
+        found = True
+        text = f"{a} and {b} exchange their numbers"
+        text += f", {len(at)} times, first" if len(at) > 1 else ""
+        text += f": {a} goes from {numbers[a][at[0] - 1]:.4g} to {numbers[a][at[0]]:.4g}"
+        text += f", {b} from {numbers[b][at[0] - 1]:.4g} to {numbers[b][at[0]]:.4g}"
+        text += "; which part is right no rule can say: mend the columns, or cut the file there, and import it again"
+        report.withhold("swap", text, a, int(rows[at[0]]))
+    return found
+
+
+def _exchanges(a: Array, b: Array) -> list[int]:
+    """Rows from which on `a` and `b`, both of shape (n,), go on with each other's numbers."""
+    step = np.abs(np.diff(a)) + np.abs(np.diff(b))
+    crossed = np.abs(a[1:] - b[:-1]) + np.abs(b[1:] - a[:-1])
+    size = float(np.quantile(np.abs(a - b), 0.9))
+    likely = np.flatnonzero((crossed < SAME * step) & (step > 0.1 * size)) + 1
+    found: list[int] = []
+    for at in likely.tolist():
+        side = slice(max(0, at - SIDE), at), slice(at, at + SIDE)
+        if len(a[side[0]]) < 3 or len(a[side[1]]) < 3:
+            continue
+        others = [np.abs(np.diff(x[s])).max() for x in (a, b) for s in side]
+        (a0, a1), (b0, b1) = ([float(np.median(x[s])) for s in side] for x in (a, b))
+        leap = min(abs(a[at] - a[at - 1]), abs(b[at] - b[at - 1]))
+        if leap > ALONE * max(others) and abs(a1 - b0) + abs(b1 - a0) < abs(a1 - a0) + abs(b1 - b0):
+            found.append(at)
+    return found
+
+
+def _crossings(a: Array, b: Array) -> list[int]:
+    """Rows at which `a` and `b` cross, so that nothing leaps, and the slope of one over the other is turned over."""
+    below = a < b
+    near = np.flatnonzero(below[1:] != below[:-1]) + 1
+    found: list[int] = []
+    last = -SIDE
+    for at in near.tolist():
+        if at - last < SIDE or at < FAR or at + FAR > len(a):
+            continue
+        last = at
+        sides = [(a[part], b[part]) for part in (slice(at - FAR, at - 2), slice(at + 2, at + FAR))]
+        if any(np.ptp(x) == 0 or np.ptp(y) == 0 for x, y in sides):
+            continue
+        alike = [float(np.corrcoef(x, y)[0, 1]) for x, y in sides]
+        if min(alike) < STRAIGHT:
+            continue
+        before, after = (float(np.log(np.std(y) / np.std(x))) for x, y in sides)
+        if abs(before - after) > LEVER and abs(before + after) < SAME * abs(before - after):
+            found.append(at)
+    return found
+
+
+def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, follows: bool) -> bool:
+    """Report where a channel leaps against pressure, from one sample to the next and to stay; whether it does.
+
+    `follows`: the channel follows pressure at once, as the force of a muscle that is held; otherwise only leaps count
+    at which the pressure does not move.
+    """
+    rows = np.flatnonzero(good)
+    if len(rows) < 6 * SIDE:
+        return False
+    y, p = channel.si[rows], pressure.si[rows]
+    span, range_p = (float(np.ptp(np.quantile(v, [0.002, 0.998]))) for v in (y, p))
+    if span <= 0 or range_p <= 0:
+        return False
+    gain = abs(slope(p, y) or 0.0) if follows else 0.0
+    leaps = [np.convolve(v, EDGE, mode="valid") for v in (y, p)]  # at the sample after the first SIDE of each window
+    step = np.maximum(np.abs(leaps[0]) - gain * np.abs(leaps[1]), gain * np.abs(leaps[1]) - np.abs(leaps[0]))
+    steps, usual = np.diff(report.t[rows], prepend=report.t[rows[0]]), float(np.median(np.diff(report.t[rows])))
+    step[np.convolve(steps > SIDE * usual, np.ones(2 * SIDE), mode="valid") > 0.5] = 0.0  # it may have moved meanwhile
+    wide = max(SIDE, int(MOMENT / max(usual, 1e-9)))
+    peaks = _peaks(step, 2 * SIDE)
+    if len(peaks) <= CANDIDATES:
+        return False
+    level = max(float(step[peaks[CANDIDATES]]), 0.0)
+    found = False
+    for peak in peaks[:CANDIDATES]:
+        near = np.arange(peak + SIDE - 2, peak + SIDE + 3)
+        sharp = np.abs(np.diff(y)[near - 1]) / span, np.abs(np.diff(p)[near - 1]) / range_p
+        who, row = (
+            (channel.rule.role, near[np.argmax(sharp[0])])
+            if sharp[0].max() > sharp[1].max()
+            else ("pressure", near[np.argmax(sharp[1])])
+        )
+        alone = abs(sharp[0][row - near[0]] - sharp[1][row - near[0]])
+        size = float(leaps[0][peak])
+        if step[peak] < max(JUMP * span, ALONE * level) or alone < SHARP * step[peak] / span:
+            continue
+        if not follows and float(np.abs(np.diff(p[max(0, row - SIDE) : row + SIDE])).max()) > 0.02 * range_p:
+            continue
+        both = float(leaps[0][peak]) / span, float(leaps[1][peak]) / range_p
+        if follows and step[peak] < FRICTION * span and _friction(y, p, (int(row), wide), both):
+            continue
+        found = True
+        _report_jump(report, channel, (size, who), (y, p), rows, int(row), follows)
+    return found
+
+
+def _friction(y: Array, pressure: Array, place: tuple[int, int], leaps: tuple[float, float]) -> bool:
+    """Whether friction may be what leaps at a row, seen so many samples wide; `leaps` are shares of their spans.
+
+    It may where the pressure turns or begins to move, where it is set in steps, or where there is no force yet.
+    """
+    row, wide = place
+    before, after = (slice(max(0, row - wide), row), slice(row, row + wide))
+    span = float(np.ptp(pressure))
+    rates = [float(pressure[part][-1] - pressure[part][0]) for part in (before, after)]
+    turns = abs(rates[1]) > 0.01 * span and rates[0] * float(np.sign(rates[1])) < 0.2 * abs(rates[1])
+    slack = float(np.median(y[before])) < float(y.min()) + 0.1 * float(np.ptp(y))
+    rests = min(abs(rate) for rate in rates) < 0.01 * span
+    steps = abs(leaps[1]) > 0.02 and (rests or leaps[0] / leaps[1] > 0.3)
+    return turns or slack or steps
+
+
+def _peaks(values: Array, apart: int) -> list[int]:
+    """Places of the largest values, none nearer than `apart` to a larger one; up to one more than the candidates."""
+    left = values.copy()
+    found: list[int] = []
+    while len(found) <= CANDIDATES:
+        place = int(np.argmax(left))
+        if left[place] < 0:
+            break
+        found.append(place)
+        left[max(0, place - apart) : place + apart + 1] = -1.0
+    return found
+
+
+def _report_jump(
+    report: Report,
+    channel: Checked,
+    jump: tuple[float, str],
+    signals: tuple[Array, Array],
+    rows: NDArray[np.intp],
+    row: int,
+    withholds: bool,
+) -> None:
+    y, p = signals
+    role = channel.rule.role
+    text = f"leaps by {show(jump[0], channel.rule.quantity, 3)} from one sample to the next"
+    if not withholds:
+        report.add(
+            "doubt", "jump", f"{text} while the pressure rests: it slipped, or its zero changed", role, int(rows[row])
+        )
+        return
+    slopes = [slope(p[part], y[part]) for part in (slice(None, row), slice(row, None))]
+    told = [in_words(s, role) for s in slopes if s is not None]
+    text = f"against pressure {role} {text}"
+    if len(told) == 2:
+        text += f"; slope over pressure {told[0]} before, {told[1]} after"
+    text += (
+        f"; the gain or the zero of {jump[1]} changed, or something slipped: cut the file there and import the part "
+        "that is right"
+    )
+    report.withhold("jump", text, jump[1], int(rows[row]))
+
+
+def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
+    """Report where the slope over pressure changes from one cycle to the next and stays; whether it does."""
+    rows = np.flatnonzero(good & np.concatenate([[True], report.t[1:] > np.maximum.accumulate(report.t)[:-1]]))
+    if len(rows) < CYCLES * SIDE:
+        return False
+    t, p, y = report.t[rows], pressure.si[rows], channel.si[rows]
+    stride = max(1, len(rows) // 50_000)
+    t, p, y = t[::stride], p[::stride], y[::stride]
+    cycles = motion.cycles(t, p, 0.3 * float(np.ptp(np.quantile(p, [0.002, 0.998]))))
+    gains, begins = [], []
+    for cycle in cycles:
+        inside = (t >= cycle.begin) & (t <= cycle.turn)
+        inside &= y > y.min() + 0.2 * float(np.ptp(y[inside])) if inside.any() else inside
+        gain = slope(p[inside], y[inside])
+        if gain is not None and gain > 0:
+            gains.append(gain)
+            begins.append(cycle.begin)
+    if len(gains) < CYCLES:
+        return False
+    logs = np.log(gains)
+    best = int(np.argmax([_contrast(logs, k) for k in range(1, len(logs))])) + 1
+    change = float(np.median(logs[best:]) - np.median(logs[:best]))
+    within = max(float(np.ptp(part)) if len(part) > 1 else 0.0 for part in (logs[:best], logs[best:]))
+    allowed = SETTLES if best in (1, len(logs) - 1) else GAIN
+    if abs(np.expm1(change)) < allowed or abs(change) < SCATTER * within / 2.0:
+        return False
+    role = channel.rule.role
+    before, after = (in_words(float(np.exp(np.median(part))), role) for part in (logs[:best], logs[best:]))
+    text = (
+        f"slope over pressure {before} in {best} cycle{'' if best == 1 else 's'}, {after} in the {len(logs) - best} "
+        f"after it ({np.expm1(change):+.1%}): a gain was changed in mid-file; import the part that is right"
+    )
+    at = int(np.searchsorted(t, begins[best])) * stride
+    report.withhold("gain", text, role, int(rows[min(at, len(rows) - 1)]))
+    return True
+
+
+def _contrast(logs: Array, k: int) -> float:
+    """How far the means of two parts lie apart, with their numbers as weights."""
+    n = len(logs)
+    return float(abs(logs[:k].mean() - logs[k:].mean()) * np.sqrt(k * (n - k) / n))
