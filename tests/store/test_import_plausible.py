@@ -190,12 +190,22 @@ def test_psi_called_kpa_is_a_question_where_nothing_decides_it():
     assert look(bad, confirmed=("pressure-unit",))[2] == []
 
 
-def test_whole_newtons_are_a_doubt_where_the_file_itself_names_the_unit():
+def test_mpa_called_bar_is_a_question():
+    file = isometric(1)
+    bar = tuple(("pressure", "P (bar)", "bar", 1e5) if role == "pressure" else (role, *rest) for role, *rest in COLUMNS)
+    _, _, (question,) = look(damaged(file, pressure=file.pressure / 1000.0), columns=bar)
+    assert "in MPa" in question.question
+    assert look(damaged(file, pressure=file.pressure / 100.0), columns=bar)[2] == []
+
+
+def test_whole_newtons_are_a_question_where_the_file_itself_names_the_unit():
     file = isometric(1)
     whole = damaged(file, force=np.round(file.force / file.force.max() * 900.0))
     named = tuple(("force", "F (N)", "N", 1.0) if role == "force" else (role, *rest) for role, *rest in COLUMNS)
-    finding = look(whole, columns=named)[1]["counts"]
-    assert (finding.level, finding.withholds) == ("doubt", False)
+    _, found, (question,) = look(whole, columns=named)
+    assert "counts" not in found
+    assert (question.what, question.where) == ("counts", "F (N)")
+    assert look(whole, columns=named, confirmed=("counts",))[2] == []
 
 
 def test_coarse_steps_and_absolute_pressure_are_doubts():

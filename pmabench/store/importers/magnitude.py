@@ -36,8 +36,9 @@ HELD = 0.05
 PEAKS = (15e3, 2.5e6)
 """Highest gauge pressures of a test [Pa]: less opens no bladder, more bursts it."""
 PSI = 6894.757
-AS_PSI = (15e3, 180e3)
-"""Peaks which, read as psi, are usual for muscles: 15 to 180 psi are 1 to 12 bar."""
+UNITS_OF_PRESSURE = {"kPa": 1e3, "bar": 1e5, "psi": PSI, "MPa": 1e6}
+LOW, USUAL_PEAKS = (15e3, 180e3), (100e3, 1.25e6)
+"""Peaks [Pa] that are low for muscles, and what they would be in another unit for it to be asked."""
 PULLS = 0.1
 """Share of its span above its least from which on a force is one."""
 ATMOSPHERE = (97.5e3, 104e3)
@@ -104,26 +105,25 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
     if pressure is None or good.sum() < 20:
         return []
     P = pressure.si[good]
+    questions: list[Question] = []
     for channel in channels.values():
         if channel.rule.role in {"pressure", "force", "displacement"}:
-            _converter(report, channel, good)
+            questions += _converter(report, channel, good)
     peak = float(np.quantile(P, 0.999))
     if not PEAKS[0] <= peak <= PEAKS[1]:
         text = f"its peak is {show(peak, 'pressure', 4)}, and muscles need {show(PEAKS[0], 'pressure')} at least and "
         text += f"bear {show(PEAKS[1], 'pressure')} at most: its unit or its scale is wrong{_other_unit(peak)}"
         report.withhold("magnitude", text, "pressure")
-        return []
+        return questions
     if float(np.quantile(P, 0.02)) < VACUUM:
         low = show(float(np.quantile(P, 0.02)), "pressure", 3)
         report.add("doubt", "zero", f"falls to {low}, as no supply does: its zero or its scale is doubtful", "pressure")
     if force is None:
-        return [] if muscle.diameter else _psi(pressure, peak)
+        return questions if muscle.diameter else [*questions, *_low(pressure, peak)]
     F = force.si[good]
     _absolute(report, P, F)
     m = slope_of(P, F) if muscle.held else _steepest(P, F)
-    if m is None:
-        return []
-    return _steep(report, m, peak, muscle, pressure)
+    return questions if m is None else [*questions, *_steep(report, m, peak, muscle, pressure)]
 
 
 def slope_of(P: Array, F: Array) -> float | None:
@@ -153,7 +153,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
                 report.add(
                     "note", "size", f"{text}; the map gives none, so the units were held against no size", "force"
                 )
-            return _psi(pressure, peak)
+            return _low(pressure, peak)
         text = (
             f"{word} is {in_words(m, 'force')}; muscles of {show(DIAMETERS[0], 'length')} to "
             f"{show(DIAMETERS[1], 'length')} give {in_words(least, 'force')} to {in_words(limit, 'force')} (this would "
@@ -164,7 +164,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     area = pi * muscle.diameter**2 / 4.0
     least = area_factor(FLATTEST) * area if _shows_least(muscle) else 0.0
     if least <= m <= most * area:
-        return _psi(pressure, peak) if m > USUAL * area else []
+        return _low(pressure, peak) if m > USUAL * area else []
     bore = show(muscle.diameter, "length", 3)
     bounds = (
         f"{in_words(least, 'force')} to {in_words(most * area, 'force')}"
@@ -203,16 +203,25 @@ def _other_unit(peak: float) -> str:
     return f" ({' '.join(asked)})" if asked else ""
 
 
-def _psi(pressure: Checked, peak: float) -> list[Question]:
-    """The question whether kPa are psi, where nothing decides it."""
-    if pressure.rule.raw_unit != "kPa" or not AS_PSI[0] <= peak <= AS_PSI[1]:
+def _low(pressure: Checked, peak: float) -> list[Question]:
+    """The question whether a low pressure has another unit, where nothing decides it."""
+    unit = pressure.rule.raw_unit
+    if unit not in UNITS_OF_PRESSURE or not LOW[0] <= peak <= LOW[1]:
         return []
+    number = peak / UNITS_OF_PRESSURE[unit]
+    others = {
+        other: show(number * factor, "pressure", 3)
+        for other, factor in UNITS_OF_PRESSURE.items()
+        if other != unit and USUAL_PEAKS[0] <= number * factor <= USUAL_PEAKS[1]
+    }
+    if not others:
+        return []
+    asked = " or ".join(f"in {other} ({value})" for other, value in others.items())
     question = (
-        f"is the pressure in kPa, as the map says, or in psi? Its peak of {peak / 1e3:.4g} is usual for psi "
-        f"({show(peak / 1e3 * PSI, 'pressure', 3)}) and low for kPa; say specimen inner_diameter, by which force "
-        "may decide it, or confirmed: [pressure-unit]"
+        f"is the pressure in {unit}, as the map says, or {asked}? Its peak, {number:.4g}, is low for {unit}; say "
+        "specimen inner_diameter, by which the force may decide it, or confirmed: [pressure-unit]"
     )
-    return [Question("pressure-unit", pressure.rule.column, question, "kPa")]
+    return [Question("pressure-unit", pressure.rule.column, question, unit)]
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:
@@ -226,13 +235,16 @@ def _absolute(report: Report, P: Array, F: Array) -> None:
         report.add("doubt", "absolute", text, "pressure")
 
 
-def _converter(report: Report, channel: Checked, good: Bools) -> None:
-    """Readings of a converter: whole numbers that are called newtons, or steps that are coarse."""
+def _converter(report: Report, channel: Checked, good: Bools) -> list[Question]:
+    """Readings of a converter: whole numbers that are called newtons, or steps that are coarse.
+
+    Where the name of the column gives the unit this is a question, otherwise nothing speaks for newtons.
+    """
     rule = channel.rule
     numbers = (channel.raw * rule.back[0] + rule.back[1])[good]
     marks = np.unique(numbers)
     if len(numbers) < MANY or len(marks) < 3:
-        return
+        return []
     whole = bool(np.all(marks == np.round(marks)))
     scaled = rule.raw_unit in {"count", "g", "Pa", "mV", "mbar", "hPa", "um"}
     if whole and rule.role == "force" and not scaled and float(np.abs(marks).max()) >= 50:
@@ -242,15 +254,15 @@ def _converter(report: Report, channel: Checked, good: Bools) -> None:
             "confirmed: [counts]"
         )
         if spelled(rule.column) == rule.raw_unit or _names_unit(rule.column, rule.raw_unit):
-            report.add("doubt", "counts", text, rule.role)
-        else:
-            report.withhold("counts", text, rule.role)
-        return
+            return [Question("counts", rule.column, text, rule.raw_unit)]
+        report.withhold("counts", text, rule.role)
+        return []
     step, span = float(np.diff(marks).min()), float(np.ptp(numbers))
     if span < LEVELS * step and float(np.mean(np.diff(numbers) != 0)) > 0.005:
         size = show(step * abs(rule.slope / rule.back[0]), rule.quantity, 3)
         text = f"reads in steps of {size}, {span / step:.0f} in its whole span: too coarse for it"
         report.add("doubt", "coarse", text, rule.role)
+    return []
 
 
 def _names_unit(column: str, unit: str) -> bool:
