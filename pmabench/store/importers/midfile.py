@@ -47,6 +47,8 @@ SAME = 0.25
 """Two columns exchange their numbers where each goes on with the other's, within this share of the leap."""
 FAR, STRAIGHT = 60, 0.97
 """Where two columns cross, so many samples on either side show their slope, if they lie on lines so well."""
+CROSSINGS = 200
+"""Places where two columns cross that are looked at."""
 LEVER = 0.4
 """Change of the logarithm of the slope from which on it is one."""
 CYCLES = 4
@@ -104,12 +106,9 @@ def _crossings(a: Array, b: Array) -> list[int]:
     """Rows at which `a` and `b` cross, so that nothing leaps, and the slope of one over the other is turned over."""
     below = a < b
     near = np.flatnonzero(below[1:] != below[:-1]) + 1
+    near = near[np.diff(near, prepend=-SIDE) >= SIDE][:CROSSINGS]
     found: list[int] = []
-    last = -SIDE
-    for at in near.tolist():
-        if at - last < SIDE or at < FAR or at + FAR > len(a):
-            continue
-        last = at
+    for at in near[(near >= FAR) & (near + FAR <= len(a))].tolist():
         sides = [(a[part], b[part]) for part in (slice(at - FAR, at - 2), slice(at + 2, at + FAR))]
         if any(np.ptp(x) == 0 or np.ptp(y) == 0 for x, y in sides):
             continue
