@@ -127,9 +127,11 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
 
 
 def slope_of(P: Array, F: Array) -> float | None:
-    """Slope of force over pressure where there is force."""
+    """Slope of force over pressure where there is force, or over all where that is at one pressure only."""
     low = float(np.quantile(F, 0.02))
     pulls = low + PULLS * float(np.quantile(F, 0.998) - low) < F
+    if not pulls.any() or np.ptp(np.quantile(P[pulls], [0.05, 0.95])) < 0.2 * np.ptp(P):
+        return slope(P, F)
     return slope(P[pulls], F[pulls])
 
 

@@ -237,7 +237,12 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
     gains, begins = [], []
     for cycle in cycles:
         inside = (t >= cycle.begin) & (t <= cycle.turn)
-        inside &= y > y.min() + 0.2 * float(np.ptp(y[inside])) if inside.any() else inside
+        if inside.sum() < SIDE:
+            continue
+        low, size = float(p[inside].min()), float(np.ptp(p[inside]))
+        inside &= (np.abs(p - low - 0.5 * size) < 0.4 * size) & (y > y.min() + 0.2 * float(np.ptp(y[inside])))
+        if inside.sum() < SIDE or np.corrcoef(p[inside], y[inside])[0, 1] < STRAIGHT:
+            continue
         gain = slope(p[inside], y[inside])
         if gain is not None and gain > 0:
             gains.append(gain)
