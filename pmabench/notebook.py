@@ -196,7 +196,7 @@ def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
             row: dict[str, Any] = {"kind": analysis.kind, "symbol": e.symbol, "coordinate": e.coordinate}
             row |= {headed(name, POINT_QUANTITIES.get(name, "")): e.at.get(name, np.nan) for name in points}
             row |= {"value": np.nan if e.value is None else e.value, "low95": low, "high95": high, "unit": e.unit}
-            row |= {"n": e.n, "method": e.method, "note": e.note, "trials": list(e.trials)}
+            row |= {"n": e.n, "method": e.method, "withheld": e.withheld, "note": e.note, "trials": list(e.trials)}
             rows.append(row | {"simulated": analysis.simulated})
     return pd.DataFrame(rows)
 

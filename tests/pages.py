@@ -2,7 +2,8 @@
 
 A fenced block without a language whose lines begin with `pmabench` is executed, unless the line above it is the comment
 `<!-- by hand: why -->`. `<!-- with: WORD = PATTERN, ... -->` there says what a placeholder is: the newest path that the
-pattern matches. A fenced `yaml` block that begins with `# name.yaml` is written as that file first.
+pattern matches, or a text in quotes. `<!-- after demo: WORD = PATTERN, ... -->` is the same where the runs of `campaign
+demo` and their analyses are there. A fenced `yaml` block that begins with `# name.yaml` is written as that file first.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from click.testing import CliRunner
 from pmabench.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
-NOTE = re.compile(r"<!-- (by hand|with): (.*) -->")
+NOTE = re.compile(r"<!-- (by hand|with|after demo): (.*) -->")
 FILE = re.compile(r"```yaml\n# (\S+\.yaml)\n(.*?)```", re.DOTALL)
 
 
@@ -32,7 +33,9 @@ class Command:
     by_hand: str
     """Why nobody but a person can do it; empty where it is executed."""
     stands_for: dict[str, str]
-    """Placeholder -> pattern of the path that it stands for."""
+    """Placeholder -> pattern of the path that it stands for, or a text in quotes."""
+    after_demo: bool = False
+    """Whether it works on the runs of `campaign demo`."""
 
 
 def pages() -> list[Path]:
@@ -55,10 +58,10 @@ def commands(page: Path) -> Iterator[Command]:
             if line.endswith("\\"):
                 continue
             kind, told = (note[1], note[2]) if note else ("", "")
-            pairs = [pair.partition("=") for pair in told.split(",")] if kind == "with" else []
+            pairs = [pair.partition(" = ") for pair in told.split(",")] if kind in ("with", "after demo") else []
             stands_for = {word.strip(): pattern.strip() for word, _, pattern in pairs}
             place = f"{page.relative_to(ROOT)}:{number}"
-            yield Command(place, begun, told if kind == "by hand" else "", stands_for)
+            yield Command(place, begun, told if kind == "by hand" else "", stands_for, kind == "after demo")
             begun = ""
 
 
@@ -77,7 +80,9 @@ def execute(command: Command) -> str:
     given: list[str] = []
     for word in words:
         pattern = command.stands_for.get(word)
-        if pattern is not None:
+        if pattern is not None and pattern.startswith('"'):
+            given.append(pattern.strip('"'))
+        elif pattern is not None:
             matches = sorted(Path().glob(pattern), key=lambda path: path.stat().st_mtime)
             assert matches, f"{command.place}: nothing matches {pattern}"
             given.append(str(matches[-1]))

@@ -1,6 +1,7 @@
 """Every page that lists commands does what it says: each is executed in the order written, where no hand is needed."""
 
 import re
+import shutil
 
 import pytest
 
@@ -17,10 +18,24 @@ def name(page):
 TO_RUN = [page for page in pages() if any(not c.by_hand for c in commands(page)) and name(page) not in ELSEWHERE]
 
 
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The runs of `campaign demo` and their analyses, made once."""
+    folder = tmp_path_factory.mktemp("demo")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("PMABENCH_STATE", str(folder / "state"))
+        execute(Command("the demo", "pmabench campaign demo --yes -q", "", {}))
+        execute(Command("the demo", "pmabench process runs/* -q", "", {}))
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", TO_RUN, ids=name)
-def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch):
+def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch, request):
     write_files(page, tmp_path)
+    if any(command.after_demo for command in commands(page)):
+        shutil.copytree(request.getfixturevalue("demo"), tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PMABENCH_STATE", str(tmp_path / "state"))
     for command in commands(page):

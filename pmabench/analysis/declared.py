@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pmabench.base.quantities import QUANTITIES
+
 if TYPE_CHECKING:
     from pmabench.analysis.results import Curve, Estimate
 
@@ -35,9 +37,9 @@ class Result:
 def check_declared(
     kind: str, declared: Sequence[Result], estimates: Iterable[Estimate], curves: Iterable[Curve]
 ) -> None:
-    """Raise ValueError where a result of an analysis of `kind` is not declared, or is in another quantity.
+    """Raise ValueError where a result of an analysis of `kind` is not declared, or is in another quantity or unit.
 
-    An estimate with a coordinate (a slope, a term) has a unit of its own.
+    An estimate with a coordinate (a slope, a term) has a quantity of its own, in the unit of that.
     """
     known = {result.symbol: result for result in declared}
     if len(known) < len(declared):
@@ -52,6 +54,9 @@ def check_declared(
             "RESULTS of its reduction, with title, quantity and whether it is a headline"
         )
     for e in estimates:
+        if e.quantity in QUANTITIES and e.unit != QUANTITIES[e.quantity].unit:
+            right = QUANTITIES[e.quantity].unit
+            raise ValueError(f"{kind}: {e.symbol} is given in {e.unit}; a {e.quantity} is in {right}")
         wanted = known[e.symbol]
         if not e.coordinate and (e.quantity, e.unit if wanted.unit else "") != (wanted.quantity, wanted.unit):
             told = wanted.quantity or wanted.unit

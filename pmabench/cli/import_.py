@@ -60,7 +60,7 @@ def command(
     if len(told) < len(answers):
         raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
     runs = import_files(files, find_file("map", map_name), out, [(k, v) for k, v in told], unresolved=unresolved)
-    asked = runs[0].unresolved if runs else ()
+    asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {
         "schema": "pmabench.import/1",
         "runs": [_plain(run) for run in runs],

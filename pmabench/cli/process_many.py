@@ -130,8 +130,13 @@ def _human(many: Many, paths: Sequence[Path]) -> None:
     ]
     for line in _first(since, "that something was added to; the table names them"):
         click.echo(line)
-    click.echo("\n".join(_failures(many)), nl=bool(_failures(many)))
     click.echo("\n".join(str(path) for path in paths))
+    refused = sum(bool(entry["verdicts"]) for entry in many.results())
+    done = many.count("computed", "unchanged")
+    click.echo(
+        f"Not accepted: {refused:,} of {done:,} runs" if refused else f"None of {done:,} runs is refused acceptance"
+    )
+    click.echo("\n".join(_failures(many)), nl=bool(_failures(many)))
 
 
 def _failures(many: Many) -> list[str]:

@@ -77,6 +77,7 @@ def _resume(run: Path, row: Mapping[str, Any]) -> str:
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
+    from pmabench.analysis.verdict.record import unresolved_of
     from pmabench.display.wording import point_text
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
@@ -146,6 +147,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         if result:
             click.echo(f"  {'vent':12} {result}")
         _print_rest(data)
+        for entry in unresolved_of(data):
+            click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
         for sentence in data.since.sentences:
             click.echo(f"  {'since then':12} {sentence}")
         if going_on["continued_by"]:

@@ -130,6 +130,6 @@ def test_agreeing_campaigns_raise_an_alarm_in_one_of_a_hundred_at_most(driven: l
 
 @pytest.mark.study
 def test_agreeing_campaigns_with_weights_raise_an_alarm_in_one_of_a_hundred_at_most() -> None:
-    alarms = {seed for seed in range(100, 200) if agreement_of(of_weights(seed)).refusals}
-    print(f"agreeing campaigns of static load and contraction with a refusal: {len(alarms)} of 100")
-    assert len(alarms) <= 1
+    alarms = {seed for seed in range(100, 150) if agreement_of(of_weights(seed)).refusals}
+    print(f"agreeing campaigns of static load and contraction with a refusal: {len(alarms)} of 50")
+    assert not alarms

@@ -49,6 +49,13 @@ def test_another_unit_than_declared_is_an_error_except_for_terms():
         analysis(Estimate("IAE", 1.0, "m", "", "m"), results=(area,))
 
 
+def test_a_value_in_another_unit_than_that_of_its_quantity_is_an_error():
+    with pytest.raises(ValueError, match="new-kind: K is given in N/mm; a stiffness is in N/m"):
+        analysis(replace(K, value=6.5, unit="N/mm"))
+    with pytest.raises(ValueError, match="K is given in N/m; a stiffness per pressure is in N/m/Pa"):
+        analysis(replace(K, quantity="stiffness per pressure", coordinate="slope"))
+
+
 def test_a_symbol_declared_twice_is_an_error():
     with pytest.raises(ValueError, match="declared twice in K, K"):
         analysis(K, results=(STIFF, replace(STIFF, title="bulk modulus")))

@@ -14,6 +14,7 @@ import pytest
 
 from pmabench.analysis.contraction.campaign import Campaign, gather
 from pmabench.analysis.contraction.contraction import pool, reduce
+from pmabench.analysis.contraction.contraction_view import findings
 from pmabench.analysis.contraction.departures import causes, order
 from pmabench.analysis.contraction.intervals import Pooled
 from pmabench.analysis.contraction.weights import weighed
@@ -239,6 +240,8 @@ def test_a_gain_that_the_weights_contradict_is_in_the_interval() -> None:
     row = misread.fit.row("K", 350e3)
     half = misread.trust.parts(row)[0].combined
     assert half == pytest.approx(0.01 * float(row @ misread.fit.theta), rel=0.1)
+    said = findings(gathered(clean()), misread, [])
+    assert any(f.level == "doubt" and "it reads 1 % more than they weigh" in f.text for f in said)
 
 
 def test_a_drift_that_the_zero_check_holds_is_not_counted_twice() -> None:

@@ -48,6 +48,15 @@ def test_nrmse_is_the_error_by_the_spread_of_what_was_measured():
     assert nrmse([]) is None
 
 
+def test_a_phase_that_hardly_moves_counts_by_the_stroke_of_its_trial():
+    """An error of 0.1 while it moves by 0.01: not 1000 %, but a tenth of the standard deviation of the trial."""
+    x = np.concatenate((np.tile([0.0, 2.0], 50), np.tile([0.99, 1.01], 50)))
+    one = free_run(x, np.full(200, 0.1), np.repeat([1, -1], 100))
+    assert nrmse([one], "relaxation") == pytest.approx(0.1 / np.std(x))
+    assert nrmse([one], "contraction") == pytest.approx(0.1 / np.std(x))
+    assert nrmse([one]) == pytest.approx(0.1 / np.std(x))
+
+
 def test_a_muscle_of_the_models_form_follows_its_trials():
     analysis = reduced(kind="ideal")
     check = check_of(analysis)

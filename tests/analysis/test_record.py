@@ -29,6 +29,13 @@ def test_a_question_that_was_open_at_the_import_refuses_acceptance_once_for_all_
     )
 
 
+def test_what_a_record_of_another_says_is_harmless_on_a_terminal(tmp_path):
+    asked = {"what": "unit", "question": "which\x1b[31m?"}
+    run = open_run(closed(tmp_path, rows=200, imported={"unresolved": [asked, "no question", {"what": 1}]}))
+    (refusal,) = with_record(EMPTY, [run]).refusals
+    assert "\x1b" not in refusal
+
+
 def test_doubts_of_the_record_become_findings(tmp_path):
     run = open_run(closed(tmp_path, rows=200, doubts=["bench.yaml:3:1  the simulated muscle is another one"]))
     (finding,) = with_record(EMPTY, [run]).findings

@@ -98,6 +98,14 @@ def test_a_recovery_in_closed_form():
     assert recovery(t, np.full(len(t), 300.0)) is None
 
 
+def test_a_way_back_of_two_exponentials_shows_in_its_later_part():
+    t = np.arange(0.0, 1.0, 1e-3)
+    one = recovery(t, 300.0 - 40.0 * np.exp(-t / 0.03))
+    assert one.apart < 1e-3 * one.tau
+    two = recovery(t, 300.0 - 20.0 * np.exp(-t / 0.02) - 20.0 * np.exp(-t / 0.1))
+    assert two.apart > 0.15 * two.tau
+
+
 def test_what_cannot_be_measured_is_dropped_with_its_reason(mas):
     (trial,) = mas.trials
     bad = [

@@ -65,10 +65,15 @@ def _must_end(result: Result, device: Regulator, going: Run, began: float, over:
     if result.noticed > VENTS_WITHIN:
         result.wrong.append(f"the guard vented {result.noticed:.2f} s after the freeze, not {VENTS_WITHIN:g} s")
     first = safe[0]["t"] if safe else over
-    for line in device.lines("write", since=over):
-        if line["register"] == 10 and line["value"] and line["done"] and (ended or line["t"] > first):
-            result.wrong.append(f"set-point {line['value']} {line['t'] - over:.2f} s after the freeze")
-            break
+    sets = [line for line in device.lines("write", since=over) if line["register"] == 10 and line["value"]]
+    after = [line for line in sets if line["done"] and line["t"] > first]
+    # one write that was on its way to the device when both were stopped cannot be taken back: the vent follows it
+    if len(sets) - len(after) > 1:
+        after = sets
+    if after:
+        result.wrong.append(f"set-point {after[0]['value']} {after[0]['t'] - over:.2f} s after the freeze")
+    if ended and device.lines("pressurised", since=over):
+        result.wrong.append("pressurised again after the device's watchdog had ended")
     state = device.state()
     if state["pressure"] > 20.0:
         result.by = "nobody"

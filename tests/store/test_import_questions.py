@@ -88,6 +88,43 @@ def test_whole_numbers_without_a_unit_are_never_newtons(tmp_path):
     assert "which line makes a force of it" in found["columns.load cell.line.slope"].question
 
 
+@pytest.mark.parametrize(
+    ("label", "scale", "slope", "candidate"),
+    [
+        ("kPa", 0.145038, 2.3, "psi: at most 498 kPa"),
+        ("bar", 1e-3, 2.3, "MPa: at most 498 kPa"),
+        ("kPa", 0.17, 2.3, ""),
+    ],
+)
+def test_a_low_pressure_with_the_force_of_a_high_one_is_asked_for(tmp_path, label, scale, slope, candidate):
+    """2.3 N/kPa is a muscle of 20 mm; read in a unit too small by 6.9 or 10 it would be one of 50 mm and more."""
+    force = slope * P + 5 if candidate else slope * scale * P + 5
+    columns = {"t [s]": T, f"P [{label}]": scale * P, "F [N]": force + NOISE[1]}
+    found = asked(file(tmp_path / "held_8mm_Test1.csv", columns, digits=6))
+    assert list(found) == ([f"columns.P [{label}].unit"] if candidate else [])
+    assert all(candidate in question.question for question in found.values())
+
+
+def test_whole_newtons_far_from_zero_or_in_one_file_only_may_be_counts(tmp_path):
+    columns = {"t [s]": T, "P [kPa]": P, "F [N]": F}
+    one = file(tmp_path / "held_8mm_Test1.csv", columns)
+    two = file(tmp_path / "held_8mm_Test2.csv", {**columns, "F [N]": np.round(F)})
+    raw = file(tmp_path / "held_8mm_Test3.csv", {**columns, "F [N]": np.round(1.46 * F + 210)})
+    assert asked(two) == {}, "a display of whole newtons"
+    question = asked(raw)["columns.F [N].unit"].question
+    assert "holds whole numbers only, and 2" in question
+    guess = guess_files([one, two])
+    (question,) = questions_of(Document("map.yaml", map_text(guess, {})))
+    assert "holds whole numbers in held_8mm_Test2.csv, but not in others" in question.question
+
+
+def test_wrong_samples_do_not_move_what_is_asked(tmp_path):
+    wrong = F.copy()
+    wrong[::50] = 99999.0
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": wrong})
+    assert asked(path) == {}, "the checks of the import find them"
+
+
 def test_an_absolute_pressure_that_does_not_say_so_is_asked_for(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P + 101.3, "F [N]": F})
     found = asked(path)
@@ -229,6 +266,7 @@ def test_open_questions_are_refused_answered_or_go_along(tmp_path):
     (run,) = (tmp_path / "open").iterdir()
     (entry,) = json.loads((run / "manifest.json").read_text())["imported"]["unresolved"]
     assert (entry["what"], entry["used"]) == ("columns.P [kPa].unit", "kPa")
+    assert "not answered columns.P [kPa].unit:" in call("runs", "show", run)
     told = call("process", run, code=6)
     assert "NOT ACCEPTED: isometric: not answered:" in told
     page = tmp_path / "page.html"

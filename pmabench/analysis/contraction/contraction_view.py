@@ -11,6 +11,7 @@ import numpy as np
 from pmabench.analysis.contraction import free_run
 from pmabench.analysis.contraction.bootstrap import bootstrap
 from pmabench.analysis.contraction.campaign import Campaign
+from pmabench.analysis.contraction.form import GAIN, ZERO
 from pmabench.analysis.contraction.free_run import FreeRun
 from pmabench.analysis.contraction.intervals import Pooled
 from pmabench.analysis.contraction.segments import UNTOLD_MASS
@@ -65,7 +66,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
         lines = [Finding("doubt", text)]
     else:
         lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
-    lines.append(_of_the_form(pooled))
+    lines += [_of_the_form(pooled), *_of_the_weights(pooled)]
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
@@ -105,6 +106,19 @@ def _of_the_form(pooled: Pooled) -> Finding:
     if form.found:
         return Finding("doubt", f"{text}; but it fits that {form.fits}. {form.moved}; it is a line of each interval")
     return Finding("note", f"{text}; no departure of {len(form.sizes)} moves a coefficient beyond its interval")
+
+
+def _of_the_weights(pooled: Pooled) -> list[Finding]:
+    """Where the force cell and the weights that hang on it contradict each other."""
+    seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.form.weighed
+    lines = []
+    for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
+        if name in seen and found is not None:
+            size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
+            way = "more" if found[0] > 0 else "less"
+            text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not allow"
+            lines.append(Finding("doubt", f"{text}: one of them is wrong, and the intervals hold both"))
+    return lines
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:

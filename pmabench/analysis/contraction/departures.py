@@ -91,9 +91,8 @@ def _drift(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:
 
 
 def _zero_known(campaign: Campaign) -> float:
-    """Drift of the zero of the cell [N] that checks at the end of the runs tell, the largest."""
-    told = [abs(drift) for run in campaign.runs for drift in zero_drifts(run, "force")]
-    return max(told, default=0.0)
+    """Largest drift of the zero of the cell [N] in the checks at the end of the runs."""
+    return max((abs(drift) for run in campaign.runs for drift in zero_drifts(run, "force")), default=0.0)
 
 
 def _slip(campaign: Campaign, segments: Segments, fit: Solved) -> Cause:

@@ -1,8 +1,8 @@
 """Whether the data have the form that the pooled fit assumes, and what departures from it could hide in the fit.
 
 Three tests: trials that are left out are predicted no worse than noise allows; residuals of neighbouring segments do
-not agree; no departure that is known by name (`departures`) is significant. What is not significant may still be there:
-its effect on each coefficient, at the size that could hide, is a line of the budget. Names no cause and corrects none.
+not agree; no known departure (`departures`) is significant. Where the first two fail nothing may be reported. The
+effect of each departure on each coefficient, at the size that could be there, is a line of the budget.
 """
 
 from __future__ import annotations
@@ -44,11 +44,13 @@ EVEN = 2.0
 two more coefficients cost by Akaike's criterion."""
 MOST_HIDDEN = 0.02
 """A significant departure that could change a coefficient by more than this share is not left to its interval."""
+GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
 FOLDS = 6
+"""Every sixth trial is left out at a time."""
 ENOUGH = 50
 """Fewest segments that a fit to other trials predicts well for a comparison with noise."""
 ALONE = 1e-6
-"""A column of which the coefficients leave a smaller share than this cannot be told from them."""
+"""A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 FEWEST_REPEATS = 10
 """Fewest repetitions in all that tell how much trials scatter by themselves."""
 MOST_NAMED = 3
@@ -210,14 +212,14 @@ def _cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> 
     """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
     cell = np.where(segments.mass > 0, 0.0, 1.0)
     kinds = (
-        ("gain of the force cell against the weights", weights.gain, scales.gains, segments.force * cell),
-        ("zero of the force cell against the weights", weights.offset, scales.offsets, cell),
+        (GAIN, weights.gain, scales.gains, segments.force * cell),
+        (ZERO, weights.offset, scales.offsets, cell),
     )
     lines = []
-    for name, found, told, column in kinds:
+    for name, found, known, column in kinds:
         if found is not None:
-            size = max(0.0, abs(found[0]) + HIDES * found[1] - told.get("force", 0.0))
-            seen = abs(found[0]) > told.get("force", 0.0) + SURE * found[1]
+            size = max(0.0, abs(found[0]) + HIDES * found[1] - known.get("force", 0.0))
+            seen = abs(found[0]) > known.get("force", 0.0) + SURE * found[1]
             lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1), seen))
     return lines
 

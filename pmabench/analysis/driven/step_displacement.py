@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -139,7 +140,8 @@ def _estimates(
             estimate(symbol, second, BACK, lambda one, name=name: getattr(one, name).tau, {}, 0.0)  # type: ignore[misc]
             last = told.pop()
             note = sentences(last.note, "no calibration part: a time has no scale")
-            tail = Parts(last.parts.repeats, TAIL * abs(last.value or 0.0))
+            apart = max(getattr(one, name).apart for steps in each for one in steps)
+            tail = Parts(last.parts.repeats, hypot(TAIL * abs(last.value or 0.0), apart))
             told.append(replace(last, parts=tail, note=note))
             continue
         note = "no recovery shows above the noise, or it is over within a few samples"

@@ -28,6 +28,9 @@ class Recovery:
 
     size: float
     tau: float
+    apart: float
+    """How far tau is from that of the later part of the way back, from half a time constant on [s]: what is no single
+    exponential shows in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,25 +159,34 @@ def _arrival(t: Array, x: Array, end: float, size: float, arrived: float) -> flo
 def recovery(t: Array, y: Array) -> Recovery | None:
     """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
     noise = noise_of(y)
-
-    def solve(tau: float) -> tuple[Array, float]:
-        design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
-        terms, *_ = np.linalg.lstsq(design, y, rcond=None)
-        return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
-
-    step = float(np.median(np.diff(t)))
-    grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
-    costs = [solve(float(np.exp(s)))[1] for s in grid]
-    best = int(np.argmin(costs))
-    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-    found = minimize_scalar(
-        lambda s: solve(float(np.exp(s)))[1], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
-    )
-    tau = float(np.exp(found.x))
-    terms, left = solve(tau)
+    tau, inside = _time_constant(t, y)
+    terms, left = _exponential(t, y, tau)
     size = float(terms[1])
-    if best in (0, len(grid) - 1) or np.count_nonzero(t < 3 * tau) < FEWEST:
+    if not inside or np.count_nonzero(t < 3 * tau) < FEWEST:
         return None
     if abs(size) < max(SEEN * noise, 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
         return None
-    return Recovery(size, tau)
+    late = t >= 0.5 * tau
+    later = _time_constant(t[late] - t[late][0], y[late])[0] if late.sum() > FEWEST else tau
+    return Recovery(size, tau, abs(later - tau))
+
+
+def _exponential(t: Array, y: Array, tau: float) -> tuple[Array, float]:
+    """Constant and size of an exponential through y, and the mean square of what is left."""
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+    return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
+
+
+def _time_constant(t: Array, y: Array) -> tuple[float, bool]:
+    """The time constant that leaves least [s], and whether it is within the range that is looked at."""
+    step = float(np.median(np.diff(t)))
+    grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
+    costs = [_exponential(t, y, float(np.exp(s)))[1] for s in grid]
+    best = int(np.argmin(costs))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        lambda s: _exponential(t, y, float(np.exp(s)))[1], bounds=(low, high), method="bounded",
+        options={"xatol": 1e-5},
+    )  # fmt: skip
+    return float(np.exp(found.x)), best not in (0, len(grid) - 1)

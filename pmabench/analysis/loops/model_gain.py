@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.loops.open_loop_gain import DAMPING
+from pmabench.analysis.loops.ultimate_gain import RESULTS
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.quantities import show
 from pmabench.model.curve import Curve
@@ -161,7 +162,7 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
     findings += [Finding("doubt", f"{reason}: left out") for reason in wrong]
     findings += _doubts(analysis, fitted, load)
     return replace(
-        analysis, kind="ultimate-gain", estimates=tuple(estimates), curves=(), dropped=(), traces=(),
+        analysis, kind="ultimate-gain", results=RESULTS, estimates=tuple(estimates), curves=(), dropped=(), traces=(),
         findings=tuple(findings), facts={"loops": loops},
     )  # fmt: skip
 

@@ -4,5 +4,6 @@
 - `samples` (noise, unusable ones, time), `onset` (when something begins)
 - `repeats` (trials of one operating point over each other), `motion` (whether anything moved)
 - `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths)
+- `sessions` (which tests are of one session)
 - `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do)
 """

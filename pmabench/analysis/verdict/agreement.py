@@ -213,7 +213,7 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
         return Finding("note", f"{begin}they measure different things: {two}")
     if worst.score <= 1.0:
         return Finding("note", f"{begin}they agree within their intervals")
-    return Finding("note", f"{begin}that is chance among {count} comparisons")
+    return Finding("note", f"{begin}beyond them, but no further than chance reaches in {count} comparisons")
 
 
 def _refusal(group: Sequence[Comparison], count: int) -> list[str]:

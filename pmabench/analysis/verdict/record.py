@@ -10,8 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from pmabench.analysis.results import Analysis, Finding
+from pmabench.base.text import printable
 from pmabench.store.records import RunData
 
+LONGEST = 1000
+"""Characters of a sentence from a record, which may be another's."""
 REMEDY = "write the answer into the map, import again and process the new run"
 
 
@@ -25,23 +28,24 @@ def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 def _unanswered(kind: str, runs: Sequence[RunData]) -> Iterator[str]:
     """One sentence for each question that was open when the runs were imported."""
-    told = [(run.id, _sentence(each)) for run in runs for each in _unresolved(run)]
+    told = [(run.id, _sentence(each)) for run in runs for each in unresolved_of(run)]
     for text in _counted(told):
         yield f"{kind}: not answered: {text}"
 
 
-def _unresolved(run: RunData) -> Iterator[Mapping[str, object]]:
+def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
+    """The questions that were open when a run was imported, as its manifest holds them."""
     imported = run.manifest.get("imported")
     entries = imported.get("unresolved") if isinstance(imported, Mapping) else None
     for entry in entries if isinstance(entries, list | tuple) else ():
-        if isinstance(entry, Mapping):
+        if isinstance(entry, Mapping) and {"what", "question"} <= set(entry):
             yield entry
 
 
 def _sentence(entry: Mapping[str, object]) -> str:
     used = f"; taken here: {entry['used']}" if entry.get("used") else ""
     where = f" ({entry['where']})" if entry.get("where") else ""
-    return f"{entry.get('what', '')}: {entry.get('question', '')}{used}{where}; {REMEDY}"
+    return f"{entry['what']}: {entry['question']}{used}{where}; {REMEDY}"
 
 
 def _altered(runs: Sequence[RunData]) -> Iterator[str]:
@@ -58,4 +62,5 @@ def _counted(told: Sequence[tuple[str, str]]) -> Iterator[str]:
         runs.setdefault(text, []).append(run)
     for text, names in runs.items():
         many = dict.fromkeys(names)
-        yield f"{names[0]}: {text}" if len(many) == 1 else f"{len(many)} runs: {text}"
+        shown = printable(text, LONGEST)
+        yield f"{names[0]}: {shown}" if len(many) == 1 else f"{len(many)} runs: {shown}"

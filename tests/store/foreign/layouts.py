@@ -15,7 +15,13 @@ def _two_tests() -> Case:
     """The second begins with the header again, and its clock at 0."""
     one, two = clean(100), clean(101)
     file = plain(one.t, one.P, one.F) + plain(two.t, two.P, two.F)
-    return Case("two tests in one file", "layouts", {NAME: file}, r"two|header|repeat|second|again", (one, two))
+    return Case(
+        "two tests in one file",
+        "layouts",
+        {NAME: file},
+        r"two|header|repeat|second|again|which contraction was",
+        (one, two),
+    )
 
 
 def _minus() -> Case:

@@ -105,6 +105,8 @@ class Proposal:
     """As pmabench spells it; empty where it is not known."""
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    mixed: str = ""
+    """Name of a file in which it holds whole numbers while it does not in others; empty where all are alike."""
     question: str = ""
     """What is asked about its role, where the choice is open."""
     written: str = "number"
@@ -225,6 +227,9 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(told)
 
 
+UNLIKE_TIME = "is named or measured like a time"
+
+
 def _time(proposals: Sequence[Proposal]) -> None:
     """The column that rises: a named one where it does, else any."""
 
@@ -238,7 +243,7 @@ def _time(proposals: Sequence[Proposal]) -> None:
     for proposal in named:
         if proposal not in good:
             proposal.role = "ignore"
-            proposal.doubts.append("is named or measured like a time, but does not rise")
+            proposal.doubts.append(f"{UNLIKE_TIME}, but does not rise")
     if not good:
         good = [
             p for p in proposals if p.role == "ignore" and p.unit == "" and rises(p.values) and len(set(p.values)) > 9
@@ -464,3 +469,8 @@ def lattice(values: Array) -> float:
     step = float(np.median(gaps))
     near = np.abs(gaps / step - np.round(gaps / step))
     return step if float(np.mean(near < 0.2)) > 0.95 and float(gaps.min()) > 1e-6 * step else 0.0
+
+
+def is_whole(values: Array) -> bool:
+    """Whole numbers throughout, and more than a few of them."""
+    return len(values) > 0 and bool(np.all(values == np.round(values))) and len(np.unique(values)) > 12

@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
 from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, owners
-from pmabench.store.importers.guess.columns import Proposal, choose, held, unit_in
+from pmabench.store.importers.guess.columns import Proposal, choose, held, is_whole, unit_in
 from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.names import frequency_of, told_by
@@ -254,6 +254,7 @@ def _call_by_role(guess: Guess) -> None:
 def _alike(guess: Guess, path: Path) -> None:
     """Another file of the same layout: a column at the end that not all files have is optional."""
     other = _look(path)
+    _mixed(guess, other)
     same = type(other.layout) is type(guess.layout)
     if same and isinstance(guess.layout, TextLayout) and isinstance(other.layout, TextLayout):
         keys = ("delimiter", "quoted", "decimal", "encoding", "header", "skip_lines", "comment")
@@ -277,6 +278,14 @@ def _alike(guess: Guess, path: Path) -> None:
         raise invalid(
             path, f"is laid out otherwise than {guess.files[0]}{f' ({told})' if told else ''}: guess them apart"
         )
+
+
+def _mixed(guess: Guess, other: Guess) -> None:
+    """Columns that hold whole numbers in one of two files only."""
+    there = {column.name: column for column in other.columns}
+    for column in guess.columns:
+        if column.name in there and (here := is_whole(column.good)) != is_whole(there[column.name].good):
+            column.mixed = (guess if here else other).files[0].name
 
 
 def _sampling(guess: Guess) -> None:

@@ -144,7 +144,7 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
             f"  {name}:",
             *(f"    {line}" for line in (f"is: {role}", f"unit: {column.unit}", *column.extra)),
         ]
-    body, why = _scale(column, spans.get(column.role))
+    body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
         body, why = body + lines, why + reasons
@@ -172,10 +172,10 @@ def _unit_of(head: str) -> str:
     return found[1] if found else ""
 
 
-def _scale(column: Proposal, span: Span | None) -> tuple[list[str], list[str]]:
+def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str], list[str]]:
     """Unit, calibration and range of a column, and why."""
     quantity, unit = quantity_of(column), column.unit
-    if (unit_asked := asked.unit_of(column)) is not None:
+    if (unit_asked := asked.unit_of(column, guess)) is not None:
         return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == ("length" if quantity == "length" else quantity):
         if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
