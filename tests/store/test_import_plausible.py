@@ -145,6 +145,7 @@ WITHHELD = {
     "columns exchanged for 100 rows": ("swap", lambda f: exchanged(f, rising(f), rising(f) + 100)),
     "bar called kPa": ("magnitude", lambda f: damaged(f, pressure=f.pressure / 100.0)),
     "Pa called kPa": ("magnitude", lambda f: damaged(f, pressure=f.pressure * 1000.0)),
+    "pulling read as negative": ("magnitude", lambda f: damaged(f, force=-f.force)),
     "kN called N": ("magnitude", lambda f: damaged(f, force=f.force / 1000.0)),
     "counts called newtons": ("counts", lambda f: damaged(f, force=np.round(f.force / f.force.max() * 900.0))),
 }
@@ -205,6 +206,13 @@ def test_mpa_called_bar_is_a_question():
     _, _, (question,) = look(damaged(file, pressure=file.pressure / 1000.0), columns=bar)
     assert "in MPa" in question.question
     assert look(damaged(file, pressure=file.pressure / 100.0), columns=bar)[2] == []
+
+
+def test_seconds_called_ms_are_a_question():
+    file = isometric(1, rate=500.0)
+    _, _, (question,) = look(damaged(file, t=file.t / 1000.0))
+    assert question.what == "time-unit"
+    assert look(damaged(file, t=file.t / 1000.0), confirmed=("time-unit",))[2] == []
 
 
 def test_whole_newtons_are_a_question_where_the_file_itself_names_the_unit():
