@@ -18,7 +18,7 @@ from pmabench.store.importers.map_rules import ImportMap
 from pmabench.store.importers.table import Table
 from pmabench.store.records import Array, Flags
 
-PART = 400_000
+PART = 300_000
 """Rows that are inspected together; a file that is not longer is inspected whole."""
 BEFORE = 10_000
 """Rows before a part that are looked at with it."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmabench.store.records import Array
 
-KEPT = 64_000_000
+KEPT = 16_000_000
 """Bytes of all columns up to which nothing is written to disk."""
 
 

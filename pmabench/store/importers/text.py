@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
+from pmabench.store.importers.fields import MINUS, NUMBER, Fields
 from pmabench.store.importers.map_file import TextLayout
 from pmabench.store.importers.times import seconds_of
 from pmabench.store.records import Array
@@ -30,11 +30,6 @@ SHOWN = 10
 MOST_HEAD = 60
 """Lines above the first row that are handed on, for what the file says in them."""
 MARKS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
-THOUSANDS = {"comma": ",", "point": ".", "blank": " \u00a0\u2009\u202f", "apostrophe": "'\u2019"}
-"""Signs between groups of three digits."""
-_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?\s*")
-MINUS = "\u2212"
-"""The minus sign of typesetting, which some programs write."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +118,7 @@ class TextReader:
         """A line was kept."""
         self._titles: list[tuple[int, str]] = []
         """Lines that are no rows, which may stand above a repeated header only."""
-        marks, point = self.layout.thousands, "," if self.layout.decimal == "comma" else "."
-        group = None if marks is None else rf"\s*[+-]?\d{{1,3}}(?:[{THOUSANDS[marks]}]\d{{3}})+(?:[{point}]\d*)?\s*"
-        self._grouped = None if group is None else re.compile(group)
+        self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
 
@@ -200,7 +193,7 @@ class TextReader:
         try:
             for name in self.taken:
                 if name != self._names[-1]:
-                    self._value(fields[self._names.index(name)], texts.get(name, ""))
+                    self._fields_of.value(fields[self._names.index(name)], texts.get(name, ""))
         except ValueError:
             return False
         return len(fields) == len(self._names)
@@ -387,7 +380,7 @@ class TextReader:
         if self.layout.repeated_header == "refuse":
             return False
         fields = self._split(line)
-        return len(fields) != len(self._names) or not any(_NUMBER.fullmatch(text) for text in fields)
+        return len(fields) != len(self._names) or not any(NUMBER.fullmatch(text) for text in fields)
 
     def _again(self, starts: list[int], row: int) -> None:
         """The header line once more: another test begins, where the map says so."""
@@ -443,7 +436,7 @@ class TextReader:
             values = np.empty(len(rows))
             for at, text in enumerate(fields):
                 try:
-                    values[at] = self._value(text, texts.get(name, ""))
+                    values[at] = self._fields_of.value(text, texts.get(name, ""))
                 except ValueError as error:
                     column = 1 + sum(len(f) + 1 for f in rows[at][:index])
                     shown = f'"{text.strip()[:40]}" {error}, in column "{name}"'
@@ -454,28 +447,6 @@ class TextReader:
         if problems:
             raise InvalidFile(sorted(problems, key=lambda problem: problem.line)[:SHOWN])
         return columns
-
-    def _value(self, text: str, kind: str) -> float:
-        """One field as a number, or as seconds where it is a time in words; raises ValueError with the reason."""
-        layout = self.layout
-        if text.strip() in layout.missing:
-            return np.nan
-        if kind:
-            try:
-                return float(seconds_of([text], kind, self.order)[0])
-            except ValueError as error:
-                raise ValueError(error.args[1]) from error
-        plain = text
-        if self._grouped is not None and self._grouped.fullmatch(plain):
-            plain = re.sub(f"[{THOUSANDS[layout.thousands or 'comma']}]", "", plain.strip())
-        if layout.decimal == "comma":
-            plain = "?" if "." in plain else plain.replace(",", ".")
-        if _NUMBER.fullmatch(plain) is None:
-            raise ValueError("is no number")
-        value = float(plain.replace("d", "e").replace("D", "e"))
-        if not np.isfinite(value):
-            raise ValueError("is no finite number")
-        return value
 
 
 def _plain(chunk: Any) -> Array:

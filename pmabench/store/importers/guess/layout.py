@@ -10,9 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
+from pmabench.store.importers.fields import MINUS
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
 from pmabench.store.importers.map_file import TextLayout
-from pmabench.store.importers.text import MINUS
 from pmabench.store.importers.times import Stamps, step_in
 
 TABLE = 0.5
