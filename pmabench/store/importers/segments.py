@@ -31,6 +31,8 @@ class Segment:
     commands: tuple[Mapping[str, Any], ...] = ()
     """As data of `command` events, with `t`."""
     phases: tuple[tuple[float, str], ...] = field(default=())
+    found: tuple[Mapping[str, Any], ...] = ()
+    """As data of `found` events, with `t`."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,8 @@ def _as_own(
             load = commanded.cell_load(t[rows], mine["force"], commands)
             if load is not None:
                 loads[number] = load
-        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands))
+        searched = commanded.lift_and_set_down(t[rows], mine) if rules.kind == "static-load" else []
+        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
             f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "

@@ -19,6 +19,8 @@ TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
 LOOKED_AT = 400
 """Lines from the beginning."""
+FURTHER = 4000
+"""Lines further down, evenly spread, that are looked at for signs of thousands and for texts that mean no value."""
 MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
 NO_VALUE = {
@@ -97,6 +99,9 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     reasons = [why, _told(delimiter, decimal, width, len(rows))]
     if quoted:
         reasons.append("numbers stand in quotation marks")
+    further = text.split("\n")[LOOKED_AT:-1]
+    further = further[:: 1 + len(further) // FURTHER]
+    thousands = thousands or _thousands([split(line, delimiter, quoted=quoted) for line in further], decimal)
     if thousands:
         reasons.append(f"digits are grouped by {thousands}")
 
@@ -115,11 +120,17 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     if blank:
         reasons.append("blank lines stand in it, and are skipped")
     texts, missing, other = _words(lines[first:], cut, decimal, width, grouped=bool(thousands))
+    later = {row[k].strip() for row in map(cut, further) if len(row) == width for k in range(width) if k not in texts}
+    missing = sorted({*missing, *(word for word in later if word.lower() in NO_VALUE)})[:MOST_MISSING]
     if missing:
         reasons.append(f"texts that stand for no value: {', '.join(repr(text) for text in missing)}")
     if other:
-        told = ", ".join(str(names[k] if names else k + 1) for k in other)[:200]
-        reasons.append(f"columns with the other decimal sign than the others are taken for words: {told}")
+        told = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
+        one, two = ("comma", "point") if decimal == "comma" else ("point", "comma")
+        problem = (
+            f"two decimal signs in one file: {told} have the {two}, the others the {one}; export it with one of them"
+        )
+        raise invalid(path, problem, first + 1, 1)
     called = names or [f"column {k + 1}" for k in range(width)]
     header_line = bool(names) and not units and skip is not None and not _twice(called)
     again = _again(text, lines, first, called) if names and not _twice(called) else 0
