@@ -138,13 +138,6 @@ def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
     assert asked(file(tmp_path / "held_7mm_Test1.csv", {"time (s)": 100 * T, "P [kPa]": P, "F [N]": F})) == {}
 
 
-def test_two_decimal_signs_in_one_file_are_the_reason(tmp_path):
-    lines = [f"{t:.2f}".replace(".", ",") + f";{p:.2f};{f:.2f}" for t, p, f in zip(T, P, F, strict=True)]
-    path = tmp_path / "held_8mm_Test1.csv"
-    path.write_text("\n".join(["time (s);P (kPa);F (N)", *lines]) + "\n")
-    assert '"time (s)" holds numbers with another decimal sign' in asked(path)["file.period"].question
-
-
 def test_sentinels_make_no_ramps(tmp_path):
     wrong = P.copy()
     wrong[::50] = -999.25
