@@ -218,6 +218,32 @@ def test_weights_stand_in_for_a_cell_where_their_moving_mass_is_known(own, tmp_p
     assert K.value == pytest.approx(7.552e3, rel=0.03)  # the plant's: 5.6 + 1.0e-3 P + 9.7e-6 P^2 N/mm, P in kPa
 
 
+@pytest.mark.study
+def test_one_file_for_each_trial_makes_the_same_study(own, tmp_path):
+    """The load is in the names, the moving mass nowhere; truth is the plant's (see above)."""
+    import pandas as pd
+
+    _, folder, _ = own("contraction-relaxation")
+    table = pd.read_csv(folder / "plant.csv")
+    files = []
+    for number, rows in table.groupby("trial"):
+        load = rows["trial load [N]"].iloc[0]
+        files.append(tmp_path / f"run{number}_{load:.2f}N.csv")
+        frame = pd.DataFrame(
+            {name: rows[FOREIGN[name][0]] * FOREIGN[name][1] for name in ("t", "p", "x", "F", "p_set")}
+        )
+        frame.to_csv(files[-1], index=False)
+    text = COLUMNS.format(kind="contraction-relaxation", more=f"{FORCE}\n{P_SET}", trials="{by: file}")
+    text += "name_tells: {of: file, forms: ['run{test}_{load}N'], units: {load: N}}\n"
+    (tmp_path / "map.yaml").write_text(text)
+    runs = [open_run(made.path) for made in import_files(files, tmp_path / "map.yaml", tmp_path / "runs")]
+    analysis = reduce_runs(runs)[0]
+    K = {
+        e.at["pressure"]: e for e in analysis.estimates if e.symbol == "K" and e.method == "measured-pressure" and e.at
+    }
+    assert K[400e3].value == pytest.approx(7.552e3, rel=0.01)
+
+
 STEPS = "{by: step, smallest: 50 kPa, lead: 200 ms, point: {load: 255.06 N, mass: 28 kg}}"
 
 

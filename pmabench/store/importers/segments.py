@@ -135,7 +135,7 @@ def _as_own(
             "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
         )
     for number, load in zip(loads, commanded.alike(list(loads.values())), strict=True):
-        parts[number] = replace(parts[number], point={**parts[number].point, "load": load})
+        parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
 
 
