@@ -118,6 +118,15 @@ def test_whole_newtons_far_from_zero_or_in_one_file_only_may_be_counts(tmp_path)
     assert "holds whole numbers in held_8mm_Test2.csv, but not in others" in question.question
 
 
+def test_a_force_that_falls_with_the_pressure_is_asked_for_its_sign(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": P, "F [N]": -F})
+    found = asked(path)
+    assert [(key, found[key].used) for key in found] == [("columns.F [N].line.slope", "-1 N/N")]
+    (tmp_path / "map.yaml").write_text(map_text(guess_files([path]), {}), encoding="utf-8")
+    rules = read_map(tmp_path / "map.yaml", [("columns.F [N].line.slope", "-1 N/N")])
+    assert rules.column("force").slope == -1.0
+
+
 def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
     path = file(tmp_path / "held_8mm_Test1.csv", {"time (ms)": T, "P [kPa]": P, "F [N]": F})
     question = asked(path)["columns.time (ms).unit"]
@@ -127,13 +136,6 @@ def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
     path = file(tmp_path / "held_9mm_Test1.csv", {"time (s)": 1e3 * T, "P [kPa]": P, "F [N]": F})
     assert "ms: 100 samples a second" in asked(path)["columns.time (s).unit"].question
     assert asked(file(tmp_path / "held_7mm_Test1.csv", {"time (s)": 100 * T, "P [kPa]": P, "F [N]": F})) == {}
-
-
-def test_two_decimal_signs_in_one_file_are_the_reason(tmp_path):
-    lines = [f"{t:.2f}".replace(".", ",") + f";{p:.2f};{f:.2f}" for t, p, f in zip(T, P, F, strict=True)]
-    path = tmp_path / "held_8mm_Test1.csv"
-    path.write_text("\n".join(["time (s);P (kPa);F (N)", *lines]) + "\n")
-    assert '"time (s)" holds numbers with another decimal sign' in asked(path)["file.period"].question
 
 
 def test_sentinels_make_no_ramps(tmp_path):

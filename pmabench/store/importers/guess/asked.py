@@ -136,6 +136,20 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
     return Asked(column.unit, f"{head}, holds whole numbers only, and {low:.4g} at the lowest pressure: {ask}")
 
 
+def pull_of(column: Proposal, guess: Guess) -> Asked | None:
+    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure."""
+    pressure = guess.role("pressure")
+    if column.role != "force" or guess.kind != "isometric" or pressure is None:
+        return None
+    P, F = _both(pressure.values, column.values)
+    low, high = _ends(P, F)
+    if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
+        return None
+    pulls, pushes = (f"{sign} {column.unit}/{column.unit}" for sign in ("-1", "1"))
+    text = f'"{column.name}" falls while the pressure rises: does it read pulling as negative?'
+    return Asked(pulls, f"{text} Then the slope is {pulls}; with {pushes} the muscle pushes")
+
+
 def _both(P: Array, F: Array) -> tuple[Array, Array]:
     """Samples in which both are numbers."""
     good = np.isfinite(P) & np.isfinite(F)
@@ -199,6 +213,8 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     if len(P) < 50:
         return None
     low, top = _ends(P, F)
+    if top < low:  # pulling is read as negative, which is asked for
+        F, low, top = -F, -low, -top
     near = np.abs(F - (low + top) / 2) < abs(top - low)  # what no muscle pulls is left to the checks of the import
     near &= ~lone(P) & ~lone(F)
     slopes = [slope for share in SHARES if (slope := _slope(P[near], F[near], low + share * (top - low)))]

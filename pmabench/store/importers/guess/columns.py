@@ -228,7 +228,6 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(told)
 
 
-OTHER_SIGN = "holds numbers with another decimal sign than the other columns, which no map can say: change the file"
 UNLIKE_TIME = "is named or measured like a time"
 
 

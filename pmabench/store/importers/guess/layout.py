@@ -71,8 +71,6 @@ class TextGuess:
     reasons: list[str] = field(default_factory=list)
     stamps: Stamps | None = None
     """The column whose texts are times, or that counts the steps of the header."""
-    other: list[str] = field(default_factory=list)
-    """Those of the columns of words that hold numbers with the other decimal sign."""
     open_order: bool = False
     """Day and month of its dates may be the other way round."""
     tests: int = 0
@@ -160,7 +158,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
         }
         layout = layout.model_copy(update=more)
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
-    guess.interval, guess.other = interval_in(lines[:first]), [called[k] for k in other]
+    guess.interval = interval_in(lines[:first])
     if decimal == "comma" and not thousands:
         guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
     guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0

@@ -192,6 +192,8 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str]
             return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (air := asked.gauge_of(column)) is not None:
             return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
+        if (pull := asked.pull_of(column, guess)) is not None:
+            return [f"unit: {unit}", question(pull), f"line: {{slope: {pull.scalar}, offset: 0 {unit}}}"], []
         return [f"unit: {unit}"], []
     if quantity == "force" and unit in {"g", "kg"}:
         factor = GRAM if unit == "g" else KILOGRAM
