@@ -163,7 +163,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         return out
     values = si[rows]
     most = max(1, int(MANY * len(rows)))
-    low, high = (float(end) for end in np.quantile(values[:: 1 + len(values) // ENOUGH], [MANY, 1.0 - MANY]))
+    low, high = (float(end) for end in np.quantile(_some(values), [MANY, 1.0 - MANY]))
     for sign, beyond in ((1.0, low - values.min()), (-1.0, values.max() - high)):
         if beyond <= high - low:
             continue  # what is not far beyond the inner readings is not far beyond all others
@@ -192,8 +192,7 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     if len(rows) < FEW:
         return out
     values = si[rows]
-    some = values[:: 1 + len(values) // ENOUGH]
-    least = max(BEYOND * float(np.ptp(np.quantile(some, ENDS))), SPIKE * _resolution(values))
+    least = max(BEYOND * float(np.ptp(np.quantile(_some(values), ENDS))), SPIKE * _resolution(values))
     steps = np.abs(np.diff(values))
     if np.count_nonzero(steps > least) < 2:
         return out
@@ -289,9 +288,9 @@ def spike_limit(values: Array, apart: Array) -> float:
     largest = np.zeros(most + 1)
     largest[: len(top)] = top
     count = max(6, int(SCATTERED * len(apart)))
-    some = values[:: 1 + len(values) // ENOUGH]
+    some = _some(values)
     resolution, few = _resolution(values), len(np.unique(some)) <= 20
-    low, high = (float(end) for end in np.quantile(some[apart[:: 1 + len(values) // ENOUGH] <= largest[-1]], ENDS))
+    low, high = (float(end) for end in np.quantile(some[_some(apart) <= largest[-1]], ENDS))
     noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
     least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
     least += 1e-9 * float(np.abs(values).max())
@@ -300,6 +299,11 @@ def spike_limit(values: Array, apart: Array) -> float:
     gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
     last = int(gaps[-1]) + 1 if len(gaps) else count - 1
     return max(SPIKE * float(largest[last]), least)
+
+
+def _some(values: Array) -> Array:
+    """Of many values so few, evenly spread, that their quantiles cost little."""
+    return values[:: 1 + len(values) // ENOUGH]
 
 
 def _resolution(values: Array) -> float:
