@@ -136,7 +136,7 @@ def test_without_an_uncertainty_on_both_sides_there_is_no_e_n():
     assert one_bare.differences[0].score is None
     assert any(f.level == "doubt" and "has no interval on one side" in f.text for f in one_bare.findings)
     assert not_accepted(one_bare.differences, "E_n", 1.0) == [
-        "K at 300 kPa: no E_n: one side has no interval, accepted 1"
+        "K at 300 kPa: no E_n: it needs an interval of both, accepted 1"
     ]
 
 
@@ -201,7 +201,7 @@ def test_what_is_beyond_the_limit_is_not_accepted():
     assert not_accepted([far], "E_n", 1.3) == []
     assert not_accepted([far], "difference", 0.02) == ["K at 300 kPa: difference +100 %, accepted 2 %"]
     bare = one(side(K(12.0, None)), side(K(6.0, None), name="B", run="r2"))
-    assert not_accepted([bare], "E_n", 1.0) == ["K at 300 kPa: no E_n: there is no interval, accepted 1"]
+    assert not_accepted([bare], "E_n", 1.0) == ["K at 300 kPa: no E_n: it needs an interval of both, accepted 1"]
 
 
 def test_the_simulated_muscle_of_serres_lies_on_the_published_lines():

@@ -129,7 +129,9 @@ def not_accepted(differences: Iterable[Difference], measure: str, limit: float) 
         asked = f"accepted {limit:g}" if measure == "E_n" else f"accepted {100 * limit:g} %"
         if size is None:
             lack = (
-                "no E_n: one side has no interval" if measure == "E_n" else "no relative difference: the reference is 0"
+                "no E_n: it needs an interval of both"
+                if measure == "E_n"
+                else "no relative difference: the reference is 0"
             )
             failed.append(f"{named(d)}: {lack}, {asked}")
         elif abs(size) > limit:
