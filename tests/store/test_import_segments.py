@@ -162,7 +162,10 @@ def test_a_guess_cuts_files_without_command_as_they_are(tmp_path, kind):
     guess = guess_files([tmp_path / "old.csv"])
     assert guess.trials["by"] == kind
     (tmp_path / "map.yaml").write_text(map_text(guess, {}), encoding="utf-8")
-    (run,) = import_files([tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs")
+    answers = {"step": [("columns.p (kPa).line.offset", "0 kPa")], "ramp": [("trials.point.contraction", "4 mm")]}
+    (run,) = import_files(
+        [tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs", answers.get(kind, ()), unresolved=True
+    )
     assert run.trials == {"step": 3, "ramp": 3, "sine": 2}[kind]
 
 
