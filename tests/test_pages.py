@@ -31,6 +31,7 @@ def demo(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", TO_RUN, ids=name)
 def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch, request):
     write_files(page, tmp_path)

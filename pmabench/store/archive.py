@@ -65,7 +65,7 @@ def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
     """The digest of each row group written; what was read of `source` does not stay in memory."""
     schema = reader.schema
     integers = [field.name for field in schema if pa.types.is_signed_integer(field.type)]
-    others = [field.name for field in schema if field.name not in integers]
+    others = [field.name for field in schema if pa.types.is_unsigned_integer(field.type)]  # flags: few different ones
     digests = []
     with pq.ParquetWriter(
         part,

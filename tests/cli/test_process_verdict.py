@@ -25,5 +25,9 @@ def test_a_file_of_which_nothing_enters_a_fit_exits_6(tmp_path):
     (line,) = [line for line in result.output.splitlines() if line.startswith("NOT ACCEPTED")]
     assert "isometric: nothing came out" in line
     assert "no whole counts" in line
+    verdict, last = result.output.splitlines()[-2:]
+    assert last == line
+    assert verdict.startswith("No result: no coefficient came out; 1 reason")
     assert (tmp_path / "a" / "isometric" / "analysis.json").exists()
-    call("process", good, "--out", tmp_path / "b")
+    last = call("process", good, "--out", tmp_path / "b").output.splitlines()[-1]
+    assert last.partition(":")[0] in ("No doubt", "Usable with care")

@@ -5,6 +5,7 @@ process and of the one that reads the text [bytes].
 """
 
 import json
+import os
 import re
 import resource
 import sys
@@ -57,7 +58,8 @@ def write_map(path: Path) -> None:
     )
 
 
-def _of_child(pid: int) -> int:
+def _largest(pid: int) -> int:
+    """The largest resident memory of a process [bytes]; `getrusage` would count that of the process it came from."""
     text = Path(f"/proc/{pid}/status").read_text()
     return 1024 * int(re.search(r"VmHWM:\s+(\d+)", text)[1])
 
@@ -67,7 +69,7 @@ def main() -> None:
     begin, wall = time.process_time(), time.perf_counter()
     (run,) = import_files([path], path.with_suffix(".yaml"), out)
     child = warm._children["text"].process.pid
-    memory, of_child = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, _of_child(child)
+    memory, of_child = _largest(os.getpid()), _largest(child)
     wall = time.perf_counter() - wall
     warm.close_readers()
     reader = resource.getrusage(resource.RUSAGE_CHILDREN)

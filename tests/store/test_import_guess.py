@@ -205,11 +205,11 @@ def test_numbers_in_quotation_marks_are_those_numbers(tmp_path):
         imported([tmp_path / "cut.csv"], tmp_path / "point.csv.yaml", tmp_path / "runs")
 
 
-def test_columns_with_different_decimal_signs_are_told(tmp_path):
+def test_columns_with_different_decimal_signs_are_refused(tmp_path):
     rows = "".join(f'"{0.1 * k:.2f}";"{1 + k},5";"{k}.25"\n' for k in range(9))
     (tmp_path / "mixed.csv").write_text('"t_s";"p_bar";"F_N"\n' + rows, encoding="utf-8")
-    guess = guess_files([tmp_path / "mixed.csv"])
-    assert any("the other decimal sign than the others are taken for words: p_bar" in r for r in guess.reasons["file"])
+    with pytest.raises(InvalidFile, match='two decimal signs in one file: "p_bar" have the comma'):
+        guess_files([tmp_path / "mixed.csv"])
 
 
 def matrix():

@@ -178,6 +178,16 @@ def test_words_for_no_value_are_dropouts_and_zeros_at_the_end_are_said(tmp_path)
         imported(tmp_path, (HEAD + rows(plain)).encode() + bytes(7) + b"1,2,3\n")
 
 
+def test_what_comes_late_in_a_file_is_seen(tmp_path):
+    lines = [f'{t:.2f},{p:.3f},"{f + 700:,.2f}"\n' for t, p, f in zip(T, P, F, strict=True)]
+    early = [f'{t - 20:.2f},0.5,"1.00"\n' for t in 0.02 * np.arange(1000)]
+    lines[450] = lines[450][: lines[450].index('"')] + "OL\n"
+    (found,) = imported(tmp_path, HEAD + "".join([*early, *lines]))
+    force = found.checked[1].si[1000:]
+    assert np.flatnonzero(np.isnan(force)).tolist() == [450]
+    np.testing.assert_allclose(np.delete(force, 450), np.delete(F + 700, 450), atol=6e-3)
+
+
 def test_two_tests_under_repeated_headers_are_guessed_and_become_two(tmp_path):
     second = rows(lambda t, p, f: f"{t:.2f},{p:.3f},{1.5 * f:.3f}")
     content = f"Test 1\nt,P,F\ns,kPa,N\n{rows(plain)}\nTest 2\nt,P,F\ns,kPa,N\n{second}"

@@ -118,6 +118,31 @@ def test_whole_newtons_far_from_zero_or_in_one_file_only_may_be_counts(tmp_path)
     assert "holds whole numbers in held_8mm_Test2.csv, but not in others" in question.question
 
 
+def test_a_unit_of_time_that_no_test_has_is_asked_for(tmp_path):
+    path = file(tmp_path / "held_8mm_Test1.csv", {"time (ms)": T, "P [kPa]": P, "F [N]": F})
+    question = asked(path)["columns.time (ms).unit"]
+    assert question.used == "ms"
+    assert "1e+05 samples a second, 0.02 s in all" in question.question
+    assert "s: 100 samples a second, 20 s" in question.question
+    path = file(tmp_path / "held_9mm_Test1.csv", {"time (s)": 1e3 * T, "P [kPa]": P, "F [N]": F})
+    assert "ms: 100 samples a second" in asked(path)["columns.time (s).unit"].question
+    assert asked(file(tmp_path / "held_7mm_Test1.csv", {"time (s)": 100 * T, "P [kPa]": P, "F [N]": F})) == {}
+
+
+def test_two_decimal_signs_in_one_file_are_the_reason(tmp_path):
+    lines = [f"{t:.2f}".replace(".", ",") + f";{p:.2f};{f:.2f}" for t, p, f in zip(T, P, F, strict=True)]
+    path = tmp_path / "held_8mm_Test1.csv"
+    path.write_text("\n".join(["time (s);P (kPa);F (N)", *lines]) + "\n")
+    assert '"time (s)" holds numbers with another decimal sign' in asked(path)["file.period"].question
+
+
+def test_sentinels_make_no_ramps(tmp_path):
+    wrong = P.copy()
+    wrong[::50] = -999.25
+    path = file(tmp_path / "held_8mm_Test1.csv", {"t [s]": T, "P [kPa]": wrong, "F [N]": F})
+    assert guess_files([path]).trials == {"by": "file"}
+
+
 def test_wrong_samples_do_not_move_what_is_asked(tmp_path):
     wrong = F.copy()
     wrong[::50] = 99999.0

@@ -1,8 +1,8 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
 - `contraction` reduces, made of `campaign`, `segments`, `segment_noise`, `pooled`, `replay`, `intervals`, `drift`,
-  `contraction_values`, `curves` (regressions on pressure); tests of the form before anything is reported: `form`,
-  `departures` (what is looked for), `weights` (the force cell against the weights)
+  `contraction_values`, `curves` (regressions on pressure)
+- whether the data have the form of the fit, and what could hide in it: `form`, with `departures` and `weights`
 - the papers' way, dead times and bandwidth: `contraction_steps`, `steps`, `bandwidth`; words and figures:
   `contraction_view`; whole trials run freely: `free_run`
 - where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; output error in

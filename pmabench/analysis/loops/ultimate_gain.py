@@ -36,6 +36,7 @@ RESULTS = (
     Result("T_u", "ultimate period", "time", headline=True),
 )
 """What it can give; columns and figures have this order."""
+NO_LEVELS = "no levels of gain are recorded: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
 CHANNELS = ("pressure", "displacement")
 LONGEST_TRACE = 1500
@@ -161,7 +162,7 @@ def _cells(
             if trial.status not in USED:
                 dropped.append(Dropped(name_of(trial), trial.point, f"the trial is {trial.status}"))
             elif _search(trial) is None and search_of(trial) is None and not steps_of(trial):
-                dropped.append(Dropped(name_of(trial), trial.point, "no levels of gain are recorded"))
+                dropped.append(Dropped(name_of(trial), trial.point, NO_LEVELS))
             elif "displacement" not in trial.channels:
                 dropped.append(Dropped(name_of(trial), trial.point, "the displacement is not recorded"))
             elif steps_of(trial) and "pressure" not in trial.channels:

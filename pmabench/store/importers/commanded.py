@@ -29,6 +29,11 @@ STILL = 1e-3
 NOISY = 0.01
 AT_ONCE = 0.06
 """A change that is over in this time [s] is a step."""
+LIFTED = 0.02e-3
+"""A load is off its support where the displacement exceeds its rest by this [m]."""
+AROUND = 0.05
+"""Samples so far from that moment [s] are averaged."""
+FEWEST = 20
 LIKE = 0.02
 """Loads measured by the cell that differ by less than this share are one."""
 
@@ -70,7 +75,10 @@ def read(kind: str, t: Array, channels: Mapping[str, Array], smallest: float | N
         return _sine(t, channels, channel, least)
     found = changes(t, channels[channel], least, measured=channel == output)
     if not found:
-        return [], {}
+        return [], {**_held(channels), "side": -1.0} if kind == "free-contraction" else {}
+    if channel == output:  # ends that were measured lie within noise of each other from cycle to cycle
+        grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
+        found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
     commands, point = name(found, t, channels)
     if channel == output:
         commands = [{**command, "found": 1.0} for command in commands]
@@ -182,13 +190,53 @@ def _fill(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named
 def _free(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
     """Up to the pressure, or beyond it and down to it; then at rest, and away."""
     last = found[-1] if len(found) > 1 else None
+    if last is not None and t[-1] - last.end > last.t - found[-2].end:
+        last = None  # it rests longer after it than before: it was not vented but brought there
     commands = []
     for c in found:
         phase = "vent" if c is last else "fill" if c.value > c.before else "empty"
         commands.append({**c.command("pressure", phase), "type": "ramp"})
         commands[-1].setdefault("rate", abs(c.value - c.before) / max(c.end - c.t, 1e-3))
     pressure = last.before if last is not None else found[-1].value
-    return commands, {"pressure": pressure, "side": 1.0 if len(found) > 2 else -1.0}
+    before = found if last is None else found[:-1]
+    return commands, {"pressure": pressure, "side": 1.0 if len(before) > 1 else -1.0}
+
+
+def _lifts(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
+    return [c.command("pressure", "lift" if c.value > c.before else "set-down") for c in found], {}
+
+
+def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str, Any]]:
+    """Where a load leaves its support for the last time, and where it comes back: data of `found` events, with `t`.
+
+    The displacement passes `LIFTED` (five times its noise where that is more); pressure, displacement and force are
+    those of a straight line through the samples `AROUND` it, so that their noise averages out. Of several approaches
+    the last counts. `t` [s] rises, `channels` [SI] have shape (n,).
+    """
+    if "displacement" not in channels or len(t) < FEWEST:
+        return []
+    x = channels["displacement"]
+    rest = x[: max(FEWEST, len(x) // 100)]
+    level = float(np.median(rest)) + max(LIFTED, 5.0 * float(np.std(rest)))
+    up = x > level
+    rises, falls = np.flatnonzero(~up[:-1] & up[1:]), np.flatnonzero(up[:-1] & ~up[1:])
+    if not len(rises):
+        return []
+    top = int(np.argmax(np.where(t >= t[rises[0]], x, -np.inf)))
+    ways = [("lift", rises[rises <= top]), ("set-down", falls[falls >= top])]
+    told = []
+    for phase, rows in ways:
+        if not len(rows):
+            continue
+        at = float(t[rows[-1]])
+        near = np.abs(t - at) <= AROUND
+        result: dict[str, Any] = {"found": True, "t": at}
+        for name in ("pressure", "displacement", "force"):
+            if name in channels and near.sum() >= 3:
+                result[name] = float(np.polyfit(t[near] - at, channels[name][near], 1)[1])
+        if "pressure" in result:
+            told.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
+    return told
 
 
 def _sine(t: Array, channels: Mapping[str, Array], channel: str, smallest: float) -> Named:
@@ -225,6 +273,7 @@ _READ: dict[str, tuple[str, Callable[[list[Change], Array, Mapping[str, Array]],
     "isometric-pressurisation": ("pressure", _fill),
     "free-contraction": ("pressure", _free),
     "sinusoidal-displacement": ("displacement", _ramps),
+    "static-load": ("pressure", _lifts),
 }
 """Kind -> what is commanded in it, and how its changes are named. Searches and loops leave no such trace."""
 

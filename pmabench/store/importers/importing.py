@@ -222,7 +222,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     questions: list[Question] = []
     if record is None:
         more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.confirmed)
-        found += more
+        found += looked.placed(more)
         parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
         found += [Found("doubt", "trial", text) for text in doubts]
     else:
@@ -509,6 +509,7 @@ def _events(writer: RunWriter, prepared: _Prepared) -> None:
         writer.event("trial-begin", part.begin, trial=index, **told)
         lines = [(command["t"], "command", {k: v for k, v in command.items() if k != "t"}) for command in part.commands]
         lines += [(at, "phase", {"name": name}) for at, name in part.phases]
+        lines += [(found["t"], "found", {k: v for k, v in found.items() if k != "t"}) for found in part.found]
         for at, kind, data in sorted(lines, key=lambda line: line[0]):
             writer.event(kind, at, trial=index, **data)
         writer.event("trial-end", part.end, trial=index, status="finished")

@@ -57,6 +57,30 @@ class Inspected:
     """Role -> highest value [SI] of the samples in which nothing is wrong, and highest number in the file."""
     period: float
     """Median distance of the samples [s]."""
+    rows: np.ndarray | None = None
+    """Row in the file of each row on which trials are cut; None where these are all."""
+
+    def placed(self, found: list[Found]) -> list[Found]:
+        """Findings in the rows on which trials are cut, with rows of the file in their place."""
+        rows = self.rows
+        if rows is None:
+            return found
+        last = len(rows) - 1
+
+        def at(row: str) -> int:
+            return int(rows[min(int(row) - 1, last)]) + 1
+
+        def named(match: re.Match[str]) -> str:
+            return f"{match[1]} {at(match[2])}" + (f" to {at(match[3])}" if match[3] else "")
+
+        return [
+            replace(
+                each,
+                text=_ROW.sub(named, each.text),
+                index=None if each.index is None else int(rows[min(each.index, last)]),
+            )
+            for each in found
+        ]
 
 
 def parts(rows: int) -> Iterator[tuple[int, int]]:
@@ -80,6 +104,7 @@ def inspected(
     flags = np.zeros(rows, dtype=np.uint16)
     merged = _Findings()
     kept: list[Seen] = []
+    where: list[np.ndarray] = []
     periods: list[float] = []
     whole: frozenset[str] | None = None
     peaks: dict[str, tuple[float, float]] = {}
@@ -97,9 +122,11 @@ def inspected(
             peak = peaks.get(role, (value, number))
             peaks[role] = (max(value, peak[0]), max(number, peak[1]))
         periods.append(_period(core.t))
-        kept.append(_slice(core, _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))))
+        thinned = _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))
+        where.append(begin + thinned)
+        kept.append(_slice(core, thinned))
     seen = replace(_joined(kept), found=merged.told())
-    return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)))
+    return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)), np.concatenate(where))
 
 
 def _period(t: Array) -> float:

@@ -159,6 +159,9 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         return out
     values = si[rows]
     most = max(1, int(MANY * len(rows)))
+    low, high = np.quantile(_some(values), [1.5 * MANY, 1.0 - 1.5 * MANY])
+    if float(np.ptp(values)) < 2.0 * float(high - low):
+        return out  # the gap would have to be wider than what the others span, and these span more than half
     for sign in (1.0, -1.0):
         tail = np.sort(np.partition(sign * values, most)[: most + 1])
         gaps = np.diff(tail)
@@ -185,7 +188,7 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     if len(rows) < FEW:
         return out
     values = si[rows]
-    span = float(np.ptp(np.quantile(values, ENDS)))
+    span = float(np.ptp(np.quantile(_some(values), ENDS)))
     steps = np.abs(np.diff(values))
     changes = np.flatnonzero(steps > 0) + 1
     begins, ends = changes[:-1], changes[1:]
@@ -279,9 +282,9 @@ def spike_limit(values: Array, apart: Array) -> float:
     largest = np.zeros(most + 1)
     largest[: len(top)] = top
     count = max(6, int(SCATTERED * len(apart)))
-    some = values[:: 1 + len(values) // ENOUGH]
+    some = _some(values)
     resolution, few = _resolution(values), len(np.unique(some)) <= 20
-    low, high = (float(end) for end in np.quantile(some[apart[:: 1 + len(values) // ENOUGH] <= largest[-1]], ENDS))
+    low, high = (float(end) for end in np.quantile(some[_some(apart) <= largest[-1]], ENDS))
     noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
     least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
     least += 1e-9 * float(np.abs(values).max())
@@ -290,6 +293,11 @@ def spike_limit(values: Array, apart: Array) -> float:
     gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
     last = int(gaps[-1]) + 1 if len(gaps) else count - 1
     return max(SPIKE * float(largest[last]), least)
+
+
+def _some(values: Array) -> Array:
+    """Of many values so few, evenly spread, that their quantiles cost little."""
+    return values[:: 1 + len(values) // ENOUGH]
 
 
 def _resolution(values: Array) -> float:

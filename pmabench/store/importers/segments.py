@@ -31,6 +31,8 @@ class Segment:
     commands: tuple[Mapping[str, Any], ...] = ()
     """As data of `command` events, with `t`."""
     phases: tuple[tuple[float, str], ...] = field(default=())
+    found: tuple[Mapping[str, Any], ...] = ()
+    """As data of `found` events, with `t`."""
 
 
 @dataclass(frozen=True)
@@ -125,14 +127,15 @@ def _as_own(
             load = commanded.cell_load(t[rows], mine["force"], commands)
             if load is not None:
                 loads[number] = load
-        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands))
+        searched = commanded.lift_and_set_down(t[rows], mine) if rules.kind == "static-load" else []
+        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
             f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
             "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
         )
     for number, load in zip(loads, commanded.alike(list(loads.values())), strict=True):
-        parts[number] = replace(parts[number], point={**parts[number].point, "load": load})
+        parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
 
 

@@ -90,6 +90,15 @@ def _wrapped() -> Case:
                  words=r"time.?jump|wrap|overflow|back|clock|2\^32|rising", damaged=True)  # fmt: skip
 
 
+def _parts() -> Case:
+    """Whole seconds in one column, milliseconds in the next."""
+    test = clean(86)
+    stamps, rest = _stamps(test, "%Y-%m-%d %H:%M:%S"), (f"{round(1e3 * (at % 1.0)) % 1000:03d}" for at in test.t)
+    rows = lines([stamps, rest, fixed(test.P), fixed(test.F)])
+    file = text(["timestamp,ms,pressure (kPa),force (N)"], rows)
+    return Case("seconds and milliseconds in two columns", "clocks", {NAME: file}, CLOCK, (test,))
+
+
 def cases() -> list[Case]:
     """One of each way to write time."""
     test = clean(90)
@@ -126,6 +135,17 @@ def cases() -> list[Case]:
         _case("minutes and seconds", [f"elapsed{units}"], minutes, test),
         _case("numbers of rows, rate in the head", [known, f"sample{units}"], counted, test, must=True),
         _case("numbers of rows, no rate", [f"sample{units}"], counted, test, words=r"rate|period|\?\?|time"),
+        _case(
+            "clock of 12 hours past 12:59:59",
+            [f"time{units}"],
+            _stamps(test, "%I:%M:%S.%f", datetime(2026, 3, 4, 12, 59, 50)),
+            test,
+        ),
+        _case("minutes", [f"time (min){units}"], fixed(test.t / 60, 6), test),
+        _case(
+            "seconds labelled ms", [f"time (ms){units}"], fixed(test.t), test, words=CLOCK + r"|ms|unit", damaged=True
+        ),
+        _parts(),
         _german(),
         _scope(),
         _commas_only(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from tests.store.foreign.case import HEADER, NAME, SLOPE, Case, Measured, clean, commas, fixed, lines, plain, text
 
 ROWS_SAID = r"row|line|column|number|header|text"
@@ -31,6 +33,16 @@ def _minus() -> Case:
     P, F = ([value.replace("-", "\u2212") for value in fixed(values)] for values in (test.P, test.F))
     file = text([HEADER], lines([fixed(test.t), P, F]))
     return Case("true minus signs", "layouts", {NAME: file}, r"minus|number|\u2212", (test,))
+
+
+def _whole_thousands() -> Case:
+    """Whole newtons with a comma between thousands look like decimal commas: 1,380 is no 1.38."""
+    whole = clean(103)
+    test = Measured(whole.t, whole.P, np.rint(whole.F))
+    rows = lines([fixed(test.t), fixed(test.P), [f"{value:,.0f}" for value in test.F]], ";")
+    file = text(["time (s);pressure (kPa);force (N)"], rows)
+    words = r"thousand|comma|decimal|number|leap|jump|count"
+    return Case("whole newtons with thousands commas", "layouts", {NAME: file}, words, (test,))
 
 
 def cases() -> list[Case]:
@@ -123,6 +135,41 @@ def cases() -> list[Case]:
             damaged=True,
         ),
         _minus(),
+        _whole_thousands(),
+        _file(
+            "apostrophes between thousands",
+            text([HEADER], lines([t, P, [f"{c:,.2f}".replace(",", "'") for c in test.F]])),
+            r"number|thousand|'",
+            110,
+        ),
+        _file(
+            "time with a comma, numbers with a point",
+            text([HEADER.replace(",", ";")], lines([commas(test.t), P, F], ";")),
+            r"decimal|comma|number|mixed",
+            110,
+        ),
+        _file(
+            "fields left empty",
+            text([HEADER], lines([t, P, ["" if n % 100 == 50 else value for n, value in enumerate(F)]])),
+            r"empty|missing|gap|no value|dropout|number",
+            110,
+            damaged=True,
+        ),
+        _file(
+            "errors of a spreadsheet",
+            text([HEADER], lines([t, P, ["#DIV/0!" if n % 700 == 350 else value for n, value in enumerate(F)]])),
+            r"#div|missing|no value|dropout|number",
+            110,
+            damaged=True,
+        ),
+        _file(
+            "everything in quotation marks",
+            text(
+                ['"time (s)","pressure (kPa)","force (N)"'], lines([[f'"{v}"' for v in column] for column in (t, P, F)])
+            ),
+            ROWS_SAID + "|quot",
+            110,
+        ),
         _file("exponents with D", text([HEADER], lines([t, P, exponents])), r"number|\dD|exponent", 110),
         _file("remarks between rows", text([HEADER], logged), r"\[info\]|line 100|1002|row|number", 110),
         _file("a remark at the end of a row", text([HEADER], remarked), r"1502|column|field|remark|operator", 110),

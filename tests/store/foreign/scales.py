@@ -79,6 +79,23 @@ def _no_contraction() -> Case:
     return Case("no contraction in the name", "scales", {"log_0042.csv": file}, r"contraction", (test,))
 
 
+def _commanded() -> Case:
+    """The commanded pressure comes first and is smoother and cleaner than the measured one."""
+    test = clean(69)
+    asked = np.round(np.interp(test.t - 0.4, test.t, test.P), -1)
+    rows = lines([fixed(test.t), fixed(asked, 0), fixed(test.P), fixed(test.F)])
+    file = text(["time (s),Pset [kPa],Pact [kPa],F [N]"], rows)
+    return Case("commanded and measured pressure", "scales", {NAME: file}, r"pset|which|command", (test,))
+
+
+def _pushes() -> Case:
+    """The cell reads pulling as negative."""
+    test = clean(70)
+    file = plain(test.t, test.P, -test.F)
+    words = r"sign|negative|push|falls|direction|polarity"
+    return Case("pulling is negative", "scales", {NAME: file}, words, (test,), damaged=True)
+
+
 def cases() -> list[Case]:
     """Right where the label says it, asked or refused where nothing does."""
     return [
@@ -101,4 +118,8 @@ def cases() -> list[Case]:
         _no_units(),
         _diameter(),
         _no_contraction(),
+        _labelled("pressure in mbar", "time (s),pressure (mbar),force (N)", 10, 1, r"mbar|unit"),
+        _labelled("force in kN, three digits", "time (s),pressure (kPa),force (kN)", 1, 1e-3, r"kn|unit|step", 6),
+        _commanded(),
+        _pushes(),
     ]

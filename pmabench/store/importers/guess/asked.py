@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, words
+from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
 from pmabench.store.importers.guess.guess import Guess
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
@@ -200,6 +200,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
         return None
     low, top = _ends(P, F)
     near = np.abs(F - (low + top) / 2) < abs(top - low)  # what no muscle pulls is left to the checks of the import
+    near &= ~lone(P) & ~lone(F)
     slopes = [slope for share in SHARES if (slope := _slope(P[near], F[near], low + share * (top - low)))]
     if len(slopes) < len(SHARES):
         return None

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.store.importers.guess.clock import counted
 from pmabench.store.importers.map_file import PointName
@@ -227,6 +228,7 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(told)
 
 
+OTHER_SIGN = "holds numbers with another decimal sign than the other columns, which no map can say: change the file"
 UNLIKE_TIME = "is named or measured like a time"
 
 
@@ -264,6 +266,8 @@ def _time(proposals: Sequence[Proposal]) -> None:
         good[0].reasons.append("rises by exactly 1 from row to row: it counts the samples")
     elif good and not good[0].unit:
         _time_unit(good[0])
+    elif good and good[0].unit in TIMES and good[0].written == "number":
+        _said_time(good[0])
 
 
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -271,6 +275,8 @@ FASTEST, SLOWEST = 2e4, 2.0
 """Usual samples a second."""
 SHORTEST = 2.0
 """A test of a muscle lasts at least so long [s]."""
+BRIEF, RARE = 0.5, 0.5
+"""A file that lasts less than this [s], or has fewer samples a second, is doubted: a muscle takes 0.1 s to fill."""
 
 
 def _time_unit(time: Proposal) -> None:
@@ -287,6 +293,23 @@ def _time_unit(time: Proposal) -> None:
     time.unit = "s"
     time.doubts.append(f"steps of {step:.4g}: the unit of time is not told; s is taken")
     time.question = f'in which unit is "{time.name[:40]}"? Its steps of {step:.4g} are no usual sampling in s, ms or us'
+
+
+def _said_time(time: Proposal) -> None:
+    """A time whose unit makes of the file what no test is, while another unit makes a usual one of it."""
+    steps = np.diff(time.values)
+    step, many = float(np.median(steps[steps > 0])), len(time.values)
+    rate, lasts = 1.0 / (step * TIMES[time.unit]), step * many * TIMES[time.unit]
+    usual = [
+        unit for unit, s in TIMES.items() if FASTEST >= 1.0 / (step * s) >= 10 * SLOWEST and step * many * s >= SHORTEST
+    ]
+    if usual and (lasts < BRIEF or rate < RARE):
+        head = f'"{time.name[:40]}" is in {time.unit} by its name: {rate:.4g} samples a second, {lasts:.4g} s in all'
+        others = "; ".join(
+            f"{unit}: {1.0 / (step * TIMES[unit]):.4g} samples a second, {step * many * TIMES[unit]:.4g} s"
+            for unit in usual
+        )
+        time.question = f"{head}, which no test of a muscle has: which unit is it? {others}"
 
 
 def _which_time(time: Proposal, step: float) -> None:
@@ -458,6 +481,14 @@ def _like_pressure(values: Array) -> float:
     below = min(1.0, max(0.0, -low / span) * 20)
     rest = float(np.mean(values < low + 0.1 * span))
     return size - below - rest
+
+
+def lone(values: Array) -> NDArray[np.bool_]:
+    """Which samples leap away from those around them, as sentinels and spikes do: shape (n,), finite values only."""
+    if len(values) < 9:
+        return np.zeros(len(values), dtype=bool)
+    around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    return np.asarray(np.abs(values - around) > 0.25 * float(np.ptp(around)))
 
 
 def lattice(values: Array) -> float:

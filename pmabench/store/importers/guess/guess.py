@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.files.shipped import shipped_folder
 from pmabench.store.importers import motion
 from pmabench.store.importers.guess.clocks import alike, is_clock, matrix_of, owners
-from pmabench.store.importers.guess.columns import Proposal, choose, held, is_whole, unit_in
+from pmabench.store.importers.guess.columns import OTHER_SIGN, Proposal, choose, held, is_whole, lone, unit_in
 from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.names import frequency_of, told_by
@@ -209,7 +209,10 @@ def _look_at_text(path: Path, told: TextGuess) -> Guess:
             column.unit, column.written, column.bare = "s", stamps.written, False
             column.order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
     choose(columns)
-    words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in told.texts]
+    words = [
+        Proposal(name, np.empty(0), reasons=[OTHER_SIGN if name in told.other else "holds words, not numbers"])
+        for name in told.texts
+    ]
     if stamps is not None and stamps.date:
         order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
@@ -375,7 +378,7 @@ def _share(guess: Guess, role: str) -> float:
     column = guess.role(role)
     if column is None or not len(column.good):
         return 0.0
-    return 0.1 * float(np.ptp(np.quantile(column.good, [0.005, 0.995])))
+    return 0.1 * float(np.ptp(np.quantile(column.good[~lone(column.good)], [0.005, 0.995])))
 
 
 def _found(guess: Guess, what: str) -> int:
@@ -390,6 +393,7 @@ def _found(guess: Guess, what: str) -> int:
     if smallest <= 0 or good.sum() < 50:
         return 0
     t, values = t[good], column.values[good]
+    t, values = t[~lone(values)], values[~lone(values)]
     if what == "ramp":
         return len(motion.cycles(t, values, 5 * smallest))
     return len(motion.waves(t, values, smallest) if what == "sine" else motion.levels(t, values, smallest))
@@ -463,7 +467,8 @@ def _lacking(guess: Guess) -> None:
         spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
     elif guess.lacks and ignored:
         ignored.sort(key=lambda column: len(column.values) == 0)
-        names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
+        odd = {column.name: f" ({OTHER_SIGN})" for column in ignored if OTHER_SIGN in column.reasons}
+        names = ", ".join(f'"{column.name[:40]}"{odd.get(column.name, "")}' for column in ignored[:8])
         form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
         text = f"which column is the {guess.lacks}? No name says it; there is {names}"
         ignored[0].question = f"{text}: write what it is and its unit, {form}"

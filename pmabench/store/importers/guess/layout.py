@@ -19,6 +19,8 @@ TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
 LOOKED_AT = 400
 """Lines from the beginning."""
+FURTHER = 4000
+"""Lines further down, evenly spread, that are looked at for signs of thousands and for texts that mean no value."""
 MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
 NO_VALUE = {
@@ -69,6 +71,8 @@ class TextGuess:
     reasons: list[str] = field(default_factory=list)
     stamps: Stamps | None = None
     """The column whose texts are times, or that counts the steps of the header."""
+    other: list[str] = field(default_factory=list)
+    """Those of the columns of words that hold numbers with the other decimal sign."""
     open_order: bool = False
     """Day and month of its dates may be the other way round."""
     tests: int = 0
@@ -95,6 +99,9 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     reasons = [why, _told(delimiter, decimal, width, len(rows))]
     if quoted:
         reasons.append("numbers stand in quotation marks")
+    further = text.split("\n")[LOOKED_AT:-1]
+    further = further[:: 1 + len(further) // FURTHER]
+    thousands = thousands or _thousands([split(line, delimiter, quoted=quoted) for line in further], decimal)
     if thousands:
         reasons.append(f"digits are grouped by {thousands}")
 
@@ -113,11 +120,17 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     if blank:
         reasons.append("blank lines stand in it, and are skipped")
     texts, missing, other = _words(lines[first:], cut, decimal, width, grouped=bool(thousands))
+    later = {row[k].strip() for row in map(cut, further) if len(row) == width for k in range(width) if k not in texts}
+    missing = sorted({*missing, *(word for word in later if word.lower() in NO_VALUE)})[:MOST_MISSING]
     if missing:
         reasons.append(f"texts that stand for no value: {', '.join(repr(text) for text in missing)}")
     if other:
-        told = ", ".join(str(names[k] if names else k + 1) for k in other)[:200]
-        reasons.append(f"columns with the other decimal sign than the others are taken for words: {told}")
+        told = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
+        one, two = ("comma", "point") if decimal == "comma" else ("point", "comma")
+        problem = (
+            f"two decimal signs in one file: {told} have the {two}, the others the {one}; export it with one of them"
+        )
+        raise invalid(path, problem, first + 1, 1)
     called = names or [f"column {k + 1}" for k in range(width)]
     header_line = bool(names) and not units and skip is not None and not _twice(called)
     again = _again(text, lines, first, called) if names and not _twice(called) else 0
@@ -147,7 +160,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
         }
         layout = layout.model_copy(update=more)
     guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
-    guess.interval = interval_in(lines[:first])
+    guess.interval, guess.other = interval_in(lines[:first]), [called[k] for k in other]
     if decimal == "comma" and not thousands:
         guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
     guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked
-from pmabench.store.importers.guess.columns import UNLIKE_TIME, Proposal
+from pmabench.store.importers.guess.columns import OTHER_SIGN, UNLIKE_TIME, WORDS, Proposal, words
 from pmabench.store.importers.guess.guess import Guess
 from pmabench.store.importers.guess.spell import question, scalar
 from pmabench.store.importers.questions import OPEN
@@ -58,8 +58,10 @@ def period_lines(guess: Guess) -> list[str]:
         return []
     if guess.period:
         return [f"  period: {guess.period:.9g} s"]
-    doubts = [(each.name, doubt) for each in guess.columns for doubt in each.doubts if doubt.startswith(UNLIKE_TIME)]
-    told = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
+    said = [(each, text) for each in guess.columns for text in (*each.doubts, *each.reasons)]
+    odd = [(c.name, text) for c, text in said if text == OTHER_SIGN and words(c.name) & WORDS["time"]]
+    odd += [(c.name, text) for c, text in said if text.startswith(UNLIKE_TIME)]
+    told = "".join(f' ("{name}" {text})' for name, text in odd)
     text = f"no column is a time{told}: were the samples taken at even distances, and at which? For instance 2 ms."
     which = Asked("", f"{text} A table of points is no recording: report --overlay draws it")
     return [f"  {question(which)}", f"  period: {which.scalar}"]
