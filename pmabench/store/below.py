@@ -16,8 +16,8 @@ from pmabench.store import folder as files
 from pmabench.store.folder import read_file, read_manifest
 from pmabench.store.naming import is_run_name
 
-ANALYSES = "analyses"
-"""What lies in folders of this name was made of runs and is none."""
+ANALYSES, ANALYSIS = "analyses", "analysis.json"
+"""What lies in folders of the first name was made of runs and is none; the second is in each analysis folder."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,11 @@ def _found(folder: Path) -> Iterator[Path]:
                 inside = list(entries)
         except OSError as error:
             raise invalid(place, f"cannot be read: {error.strerror or error}") from error
-        if is_run_name(place.name) or any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
+        if any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
             yield place
+            continue
+        if is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
+            yield place  # an emptied run folder; analyses of a run are in a folder of the same name
             continue
         waiting += [
             place / entry.name

@@ -67,6 +67,37 @@ def isometric(seed, rate=100.0, cycles=1, counts=None):
     return File(t, np.round(pressure, 3), np.round(force, 4), truth={"slope": slope, "bore": bore})
 
 
+def stairs(seed, rate=100.0):
+    """A held muscle whose pressure is set in steps, up and down, fast or slowly; friction, creep and coarse force."""
+    rng = np.random.default_rng(seed)
+    up = np.linspace(0.0, 600.0, rng.integers(6, 14))
+    levels, dwell = np.concatenate([up, up[::-1]]), rng.uniform(1.0, 5.0)
+    t = np.arange(0.0, dwell * len(levels), 1.0 / rate)
+    pressure = levels[np.minimum((t / dwell).astype(int), len(levels) - 1)]
+    pressure = first_order(t, pressure, rng.uniform(0.005, 0.3))
+    slope = rng.uniform(0.5, 4.0)
+    force = np.maximum(slope * (play(pressure, rng.uniform(0.0, 0.06) * 600.0) - rng.uniform(0.0, 100.0)), 0.0)
+    force = first_order(t, force * (1.0 + 0.003 * np.log1p(t)), rng.uniform(0.005, 0.1))
+    force = force + rng.normal(0.0, 0.6 * slope, len(t))
+    if seed % 2:
+        force = np.round(force / (1.2 * slope)) * 1.2 * slope
+    return File(t, pressure + rng.normal(0.0, 0.3, len(t)), force, truth={"slope": slope})
+
+
+def squares(seed, rate=10.0):
+    """A held muscle that is filled and vented again and again, logged slowly or fast, without noise or with it."""
+    rng = np.random.default_rng(seed)
+    period = rng.uniform(4.0, 80.0)
+    t = np.arange(0.0, period * rng.integers(3, 9), 1.0 / rate)
+    pressure = np.where((t / period) % 1.0 < 0.5, 0.0, rng.uniform(200.0, 600.0))
+    pressure = first_order(t, pressure, rng.uniform(0.01, 0.2))
+    slope = rng.uniform(0.5, 4.0)
+    force = first_order(t, np.maximum(slope * (pressure - 50.0), 0.0), 0.03)
+    if seed % 3:
+        return File(t, pressure + rng.normal(0.0, 0.3, len(t)), force + rng.normal(0.0, 0.3, len(t)))
+    return File(t, np.round(pressure, 1), np.round(force, 1))
+
+
 def steps(seed, rate=200.0, counts=False):
     """A hanging load, lifted and lowered by steps of pressure: dead time, lag of the regulator, slow muscle."""
     rng = np.random.default_rng(seed)

@@ -9,7 +9,7 @@ from pmabench.store.importers.map_rules import ColumnRule
 from pmabench.store.importers.plausible import judge, stopped
 from pmabench.store.importers.quality import inspect
 from pmabench.store.records import UNUSABLE
-from tests.store.plausible_files import damaged, isometric, sines, steps
+from tests.store.plausible_files import damaged, isometric, sines, squares, stairs, steps
 
 COLUMNS = (
     ("pressure", "P (kPa)", "kPa", 1e3),
@@ -41,13 +41,15 @@ CLEAN = (
     lambda seed: isometric(seed, rate=100.0, counts=(200, 1000)[seed % 2]),
     lambda seed: steps(seed, rate=100.0, counts=bool(seed % 8 < 4)),
     lambda seed: sines(seed, rate=100.0),
+    lambda seed: stairs(seed, rate=(10.0, 50.0, 100.0)[seed % 3]),
+    lambda seed: squares(seed, rate=(1.0, 10.0, 100.0)[seed % 4 % 3]),
 )
 
 
 @pytest.mark.parametrize("begin", [0, 25, 50, 75])
 def test_of_100_clean_recordings_none_raises_a_finding(begin):
     for seed in range(begin, begin + 25):
-        file = CLEAN[seed % 4](seed)
+        file = CLEAN[seed % len(CLEAN)](seed)
         bore = file.truth.get("bore") if seed % 3 else None
         flags, found, questions = look(file, bore, 0.0)
         assert not flags.any(), (seed, found)
@@ -143,6 +145,7 @@ WITHHELD = {
     "columns exchanged for 100 rows": ("swap", lambda f: exchanged(f, rising(f), rising(f) + 100)),
     "bar called kPa": ("magnitude", lambda f: damaged(f, pressure=f.pressure / 100.0)),
     "Pa called kPa": ("magnitude", lambda f: damaged(f, pressure=f.pressure * 1000.0)),
+    "pulling read as negative": ("magnitude", lambda f: damaged(f, force=-f.force)),
     "kN called N": ("magnitude", lambda f: damaged(f, force=f.force / 1000.0)),
     "counts called newtons": ("counts", lambda f: damaged(f, force=np.round(f.force / f.force.max() * 900.0))),
 }
@@ -159,6 +162,13 @@ def test_what_no_rule_can_set_right_withholds_and_can_be_confirmed(name):
     assert found[kind].level == "note"
     assert not found[kind].withholds
     assert "confirmed in the map" in found[kind].text
+
+
+def test_columns_that_cross_where_they_exchange_turn_their_slope():
+    file = isometric(35)
+    assert abs(file.pressure - file.force)[rising(file)] < 0.02 * file.force.max(), "nothing leaps"
+    _, found, _ = look(exchanged(file, rising(file), len(file.t)))
+    assert found["swap"].withholds
 
 
 def test_a_gain_that_changes_between_cycles_is_found_by_their_slopes():
@@ -196,6 +206,13 @@ def test_mpa_called_bar_is_a_question():
     _, _, (question,) = look(damaged(file, pressure=file.pressure / 1000.0), columns=bar)
     assert "in MPa" in question.question
     assert look(damaged(file, pressure=file.pressure / 100.0), columns=bar)[2] == []
+
+
+def test_seconds_called_ms_are_a_question():
+    file = isometric(1, rate=500.0)
+    _, _, (question,) = look(damaged(file, t=file.t / 1000.0))
+    assert question.what == "time-unit"
+    assert look(damaged(file, t=file.t / 1000.0), confirmed=("time-unit",))[2] == []
 
 
 def test_whole_newtons_are_a_question_where_the_file_itself_names_the_unit():

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import cos, pi, radians, sin, sqrt
+from math import cos, inf, pi, radians, sin, sqrt
 from typing import Any
 
 import numpy as np
 
 from pmabench.base.quantities import show
+from pmabench.store.importers import motion
 from pmabench.store.importers.effect import in_words, slope
 from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.importers.questions import Question
@@ -39,6 +40,8 @@ PSI = 6894.757
 UNITS_OF_PRESSURE = {"kPa": 1e3, "bar": 1e5, "psi": PSI, "MPa": 1e6}
 LOW, USUAL_PEAKS = (15e3, 180e3), (100e3, 1.25e6)
 """Peaks [Pa] that are low for muscles, and what they would be in another unit for it to be asked."""
+FILLED, RESOLVED = 0.015, 10
+"""No valve fills a muscle in less time [s]; a rise is seen in so many samples at least."""
 PULLS = 0.1
 """Share of its span above its least from which on a force is one."""
 ATMOSPHERE = (97.5e3, 104e3)
@@ -109,6 +112,8 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
     for channel in channels.values():
         if channel.rule.role in {"pressure", "force", "displacement"}:
             questions += _converter(report, channel, good)
+    if (fastest := _fastest(report.t[good], P)) < FILLED:
+        questions.append(_pace(fastest))
     peak = float(np.quantile(P, 0.999))
     if not PEAKS[0] <= peak <= PEAKS[1]:
         text = f"its peak is {show(peak, 'pressure', 4)}, and muscles need {show(PEAKS[0], 'pressure')} at least and "
@@ -127,9 +132,11 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
 
 
 def slope_of(P: Array, F: Array) -> float | None:
-    """Slope of force over pressure where there is force."""
+    """Slope of force over pressure where there is force, or over all where that is at one pressure only."""
     low = float(np.quantile(F, 0.02))
     pulls = low + PULLS * float(np.quantile(F, 0.998) - low) < F
+    if not pulls.any() or np.ptp(np.quantile(P[pulls], [0.05, 0.95])) < 0.2 * np.ptp(P):
+        return slope(P, F)
     return slope(P[pulls], F[pulls])
 
 
@@ -143,6 +150,11 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     """Hold the force per pressure [N/Pa] against what diameters give."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
+    if muscle.held and m < 0:
+        text = f"{word} is {in_words(m, 'force')}: a muscle pulls harder at more pressure, and pulling is positive; "
+        text += "where the cell reads it as negative say line: {slope: -1 N/N, offset: 0 N}"
+        report.withhold("magnitude", text, "force")
+        return []
     if muscle.diameter is None:
         size = sqrt(4.0 * abs(m) / (pi * area_factor(25.0)))
         limit = most * pi * DIAMETERS[1] ** 2 / 4.0
@@ -222,6 +234,30 @@ def _low(pressure: Checked, peak: float) -> list[Question]:
         "specimen inner_diameter, by which the force may decide it, or confirmed: [pressure-unit]"
     )
     return [Question("pressure-unit", pressure.rule.column, question, unit)]
+
+
+def _fastest(t: Array, P: Array) -> float:
+    """The shortest time [s] in which pressure goes through four fifths of a rise, of rises that the samples resolve."""
+    stride = 1 + len(t) // 50_000
+    forward = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    times, values = t[forward][::stride], P[forward][::stride]
+    shortest = inf
+    for cycle in motion.cycles(times, values, 0.5 * float(np.ptp(values))):
+        rise = values[(times >= cycle.begin) & (times <= cycle.turn)]
+        low, high = float(rise[0]), float(rise[-1])
+        between = int(np.count_nonzero((rise > 0.9 * low + 0.1 * high) & (rise < 0.1 * low + 0.9 * high)))
+        if between * stride >= RESOLVED:
+            shortest = min(shortest, between * float(np.median(np.diff(times))))
+    return shortest
+
+
+def _pace(seconds: float) -> Question:
+    """The question whether the time has another unit."""
+    question = (
+        f"what is the unit of time? As the map says it the pressure rises within {1e3 * seconds:.3g} ms, and no valve "
+        f"fills a muscle in less than {1e3 * FILLED:g} ms; correct the unit, or say confirmed: [time-unit]"
+    )
+    return Question("time-unit", "time", question, "the unit of the map")
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:

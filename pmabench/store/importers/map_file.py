@@ -43,7 +43,7 @@ Role = Literal[
     "simulated",
     "ignore",
 ]
-Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap"]
+Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap", "time-unit"]
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that measure nothing: they have no unit and no scale."""
 PointName = Literal[

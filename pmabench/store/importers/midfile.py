@@ -47,6 +47,8 @@ SAME = 0.25
 """Two columns exchange their numbers where each goes on with the other's, within this share of the leap."""
 FAR, STRAIGHT = 60, 0.97
 """Where two columns cross, so many samples on either side show their slope, if they lie on lines so well."""
+CROSSINGS = 200
+"""Places where two columns cross that are looked at."""
 LEVER = 0.4
 """Change of the logarithm of the slope from which on it is one."""
 CYCLES = 4
@@ -104,12 +106,9 @@ def _crossings(a: Array, b: Array) -> list[int]:
     """Rows at which `a` and `b` cross, so that nothing leaps, and the slope of one over the other is turned over."""
     below = a < b
     near = np.flatnonzero(below[1:] != below[:-1]) + 1
+    near = near[np.diff(near, prepend=-SIDE) >= SIDE][:CROSSINGS]
     found: list[int] = []
-    last = -SIDE
-    for at in near.tolist():
-        if at - last < SIDE or at < FAR or at + FAR > len(a):
-            continue
-        last = at
+    for at in near[(near >= FAR) & (near + FAR <= len(a))].tolist():
         sides = [(a[part], b[part]) for part in (slice(at - FAR, at - 2), slice(at + 2, at + FAR))]
         if any(np.ptp(x) == 0 or np.ptp(y) == 0 for x, y in sides):
             continue
@@ -238,7 +237,12 @@ def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -
     gains, begins = [], []
     for cycle in cycles:
         inside = (t >= cycle.begin) & (t <= cycle.turn)
-        inside &= y > y.min() + 0.2 * float(np.ptp(y[inside])) if inside.any() else inside
+        if inside.sum() < SIDE:
+            continue
+        low, size = float(p[inside].min()), float(np.ptp(p[inside]))
+        inside &= (np.abs(p - low - 0.5 * size) < 0.4 * size) & (y > y.min() + 0.2 * float(np.ptp(y[inside])))
+        if inside.sum() < SIDE or np.corrcoef(p[inside], y[inside])[0, 1] < STRAIGHT:
+            continue
         gain = slope(p[inside], y[inside])
         if gain is not None and gain > 0:
             gains.append(gain)

@@ -88,7 +88,7 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
     """Each code that the file holds, and where it stands apart from what else the channel reads."""
     back = channel.rule.back
     numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
-    hits = {value: here for value in _present(numbers) if (here := looked_at & _is(numbers, value)).any()}
+    hits = _hits(numbers, looked_at)
     if not hits:
         return
     others = looked_at & ~np.logical_or.reduce(list(hits.values()))
@@ -109,16 +109,16 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
             yield value, where
 
 
-def _present(numbers: Array) -> list[float]:
-    """Codes between the least and the largest of the numbers."""
-    low, high = float(np.nanmin(numbers)), float(np.nanmax(numbers))
-    every = {sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}
-    return sorted(code for code in every if low - 1e-7 * abs(code) <= code <= high + 1e-7 * abs(code))
-
-
-def _is(numbers: Array, value: float) -> Bools:
-    """Where a number is a code, to seven digits as others may have stored it."""
-    return np.asarray((numbers >= value - 1e-7 * abs(value)) & (numbers <= value + 1e-7 * abs(value)))
+def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
+    """Where each code is read, to seven digits as others may have stored it."""
+    every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
+    place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
+    rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
+    found: dict[float, Bools] = {}
+    for code in np.unique(every[place[rows]]).tolist():
+        found[code] = np.zeros(len(numbers), dtype=bool)
+        found[code][rows[every[place[rows]] == code]] = True
+    return found
 
 
 def _runs(where: Bools) -> list[tuple[int, int]]:
@@ -129,17 +129,21 @@ def _runs(where: Bools) -> list[tuple[int, int]]:
 
 def _longer(where: Bools, most: int) -> Bools:
     """The runs of True that are longer than so many samples."""
-    out = np.zeros(len(where), dtype=bool)
-    for begin, end in _runs(where):
-        out[begin:end] = end - begin > most
-    return out
+    edges = np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    longer = ends - begins > most
+    steps = np.zeros(len(where) + 1, dtype=np.int8)
+    steps[begins[longer]], steps[ends[longer]] = 1, -1
+    return np.asarray(np.cumsum(steps[:-1]) > 0)
 
 
 def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools:
     """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
-    for begin, end in _runs(here)[:10_000]:
+    for begin, end in _runs(here):
+        if begin and abs(numbers[begin] - numbers[begin - 1]) <= least:
+            continue
         at = int(np.searchsorted(rows, begin))
         before, after = rows[max(0, at - NEARBY) : at], rows[at : at + NEARBY]
         if len(before) < 3 or len(after) < 3:
@@ -159,10 +163,10 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         return out
     values = si[rows]
     most = max(1, int(MANY * len(rows)))
-    low, high = np.quantile(_some(values), [1.5 * MANY, 1.0 - 1.5 * MANY])
-    if float(np.ptp(values)) < 2.0 * float(high - low):
-        return out  # the gap would have to be wider than what the others span, and these span more than half
-    for sign in (1.0, -1.0):
+    low, high = (float(end) for end in np.quantile(values[:: 1 + len(values) // ENOUGH], [MANY, 1.0 - MANY]))
+    for sign, beyond in ((1.0, low - values.min()), (-1.0, values.max() - high)):
+        if beyond <= high - low:
+            continue  # what is not far beyond the inner readings is not far beyond all others
         tail = np.sort(np.partition(sign * values, most)[: most + 1])
         gaps = np.diff(tail)
         widest = int(np.argmax(gaps))
@@ -188,15 +192,18 @@ def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
     if len(rows) < FEW:
         return out
     values = si[rows]
-    span = float(np.ptp(np.quantile(_some(values), ENDS)))
+    some = values[:: 1 + len(values) // ENOUGH]
+    least = max(BEYOND * float(np.ptp(np.quantile(some, ENDS))), SPIKE * _resolution(values))
     steps = np.abs(np.diff(values))
+    if np.count_nonzero(steps > least) < 2:
+        return out
     changes = np.flatnonzero(steps > 0) + 1
     begins, ends = changes[:-1], changes[1:]
     leap = np.minimum(steps[begins - 1], steps[np.minimum(ends, len(values) - 1) - 1])
     lengths = ends - begins
     brief = t[rows[np.minimum(ends, len(rows) - 1)]] - t[rows[begins]] <= BRIEF
-    likely = brief & (lengths >= 2) & (lengths <= HELD) & (leap > max(BEYOND * span, SPIKE * _resolution(values)))
-    for begin, end in list(zip(begins[likely].tolist(), ends[likely].tolist(), strict=True))[:10_000]:
+    likely = brief & (lengths >= 2) & (lengths <= HELD) & (leap > least)
+    for begin, end in list(zip(begins[likely].tolist(), ends[likely].tolist(), strict=True)):
         before, after = values[max(0, begin - NEARBY) : begin], values[end : end + NEARBY]
         if len(before) < BURST or len(after) < BURST:
             continue
@@ -282,9 +289,9 @@ def spike_limit(values: Array, apart: Array) -> float:
     largest = np.zeros(most + 1)
     largest[: len(top)] = top
     count = max(6, int(SCATTERED * len(apart)))
-    some = _some(values)
+    some = values[:: 1 + len(values) // ENOUGH]
     resolution, few = _resolution(values), len(np.unique(some)) <= 20
-    low, high = (float(end) for end in np.quantile(some[_some(apart) <= largest[-1]], ENDS))
+    low, high = (float(end) for end in np.quantile(some[apart[:: 1 + len(values) // ENOUGH] <= largest[-1]], ENDS))
     noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
     least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
     least += 1e-9 * float(np.abs(values).max())
@@ -293,11 +300,6 @@ def spike_limit(values: Array, apart: Array) -> float:
     gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
     last = int(gaps[-1]) + 1 if len(gaps) else count - 1
     return max(SPIKE * float(largest[last]), least)
-
-
-def _some(values: Array) -> Array:
-    """Of many values so few, evenly spread, that their quantiles cost little."""
-    return values[:: 1 + len(values) // ENOUGH]
 
 
 def _resolution(values: Array) -> float:
