@@ -51,6 +51,9 @@ ENOUGH = 50
 """Fewest segments that a fit to other trials predicts well for a comparison with noise."""
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
+HARDLY = 0.01
+"""A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
+the columns' noise, and of bends between the knots."""
 FEWEST_REPEATS = 10
 """Fewest repetitions in all that tell how much trials scatter by themselves."""
 MOST_NAMED = 3
@@ -69,6 +72,8 @@ class Size:
     """Standard deviation [SI of the way]."""
     other: float
     """What departures of known size may make of it [SI of the way]."""
+    share: float
+    """Share of its column that the coefficients do not explain [1]."""
 
     @property
     def beyond(self) -> float:
@@ -141,6 +146,12 @@ class Form:
         one = next(one for one in self.found if one.cause.name == worst.name)
         share = f"{100 * (worst.half or 0.0) / abs(estimate.value):.2g} %"
         limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
+        if one.share < HARDLY:
+            most = one.way.text.format(size=_show(one.hidden, one.way))
+            effect = (
+                f"these trials hardly distinguish it from the coefficients, and it would change this one by {share}"
+            )
+            return f"it cannot be excluded that {most}: {effect} ({limit}). Test at more loads, which differ more"
         return f"it fits that {one.text}, which could change this value by {share} ({limit}). {REMEDY}"
 
     @property
@@ -272,7 +283,8 @@ def _sizes(
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
     other = np.sqrt(np.sum((may.T @ alone) ** 2, axis=0)) / left
     kept = [member for member, one in zip(members, seen, strict=True) if one]
-    return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, strict=True)]
+    share = left / power[seen]
+    return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, share, strict=True)]
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
