@@ -12,8 +12,8 @@ MASS, STROKE_PER_PRESSURE = 7.85, 2.0e-7
 """Moving mass [kg] and stroke per pressure [m/Pa]."""
 DEAD, LAG = 0.020, 0.050
 """Dead time and time constant of the regulator [s]."""
-LATE = [0.0, 0.030]
-"""How much older the pressure may be than its stamps [s], as in the shipped map for steps."""
+LATE = [0.0, 0.005]
+"""How much older the pressure may be than its stamps [s]; little enough for K and B from its ringing."""
 FROM, TO = 100e3, 300e3
 SCALES = {
     "pressure": ("pressure", Scale(25.0, 0.0)),

@@ -131,10 +131,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
     """The estimates without the values whose form the data contradict; other methods follow the first one."""
     reasons: dict[tuple[str, float | None], str] = {}
+    hidden = found.hides(estimates)
     result = []
-    for e in estimates:
+    for place, e in enumerate(estimates):
         key = (e.symbol, e.at.get("pressure"))
-        why = found.reason or reasons.get(key) or found.hides(e)
+        why = found.reason or reasons.get(key) or hidden.get(place, "")
         if e.symbol not in OF_THE_FORM or e.value is None or not why:
             result.append(e)
             continue

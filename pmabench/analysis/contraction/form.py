@@ -136,23 +136,20 @@ class Form:
         fits = f"it fits that {self.fits}" if self.found else "no departure that is looked for fits it"
         return f"the data do not have the form of the model: {'; '.join([*parts, fits])}. {REMEDY}"
 
-    def hides(self, estimate: Estimate) -> str:
-        """Why this value may not be reported although the form holds as a whole; empty where it may."""
-        names = {one.cause.name for one in self.found}
-        lines = [s for s in estimate.budget if s.name in names and s.half]
-        worst = max(lines, key=lambda s: s.half or 0.0, default=None)
-        if worst is None or estimate.value is None or (worst.half or 0.0) <= MOST_HIDDEN * abs(estimate.value):
-            return ""
-        one = next(one for one in self.found if one.cause.name == worst.name)
-        share = f"{100 * (worst.half or 0.0) / abs(estimate.value):.2g} %"
-        limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
-        if one.share < HARDLY:
-            most = one.way.text.format(size=_show(one.hidden, one.way))
-            effect = (
-                f"these trials hardly distinguish it from the coefficients, and it would change this one by {share}"
-            )
-            return f"it cannot be excluded that {most}: {effect} ({limit}). Test at more loads, which differ more"
-        return f"it fits that {one.text}, which could change this value by {share} ({limit}). {REMEDY}"
+    def hides(self, estimates: Sequence[Estimate]) -> dict[int, str]:
+        """Place of each value that may not be reported although the form holds as a whole -> why.
+
+        Values that one departure concerns have one reason, with the largest share that it could change one of them by.
+        """
+        found: dict[int, tuple[Size, float]] = {}
+        for place, estimate in enumerate(estimates):
+            lines = {s.name: s.half or 0.0 for s in estimate.budget}
+            mine = [(one, lines.get(one.cause.name, 0.0)) for one in self.found]
+            one, half = max(mine, key=lambda pair: pair[1], default=(None, 0.0))
+            if one is not None and estimate.value is not None and half > MOST_HIDDEN * abs(estimate.value):
+                found[place] = (one, half / abs(estimate.value))
+        most = {id(one): max(share for other, share in found.values() if other is one) for one, _ in found.values()}
+        return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -166,6 +163,19 @@ class Form:
                 for s in self.sizes
             ],
         }
+
+
+def _why_hidden(one: Size, share: float) -> str:
+    """Why values may not be reported that a departure could change by up to this share."""
+    effect = f"could change these values by up to {100 * share:.2g} %"
+    limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
+    if one.share < HARDLY:
+        most = one.way.text.format(size=_show(one.hidden, one.way))
+        return (
+            f"it cannot be excluded that {most}: these trials hardly distinguish that from the coefficients, and it"
+            f" {effect} ({limit}). Test at more loads, which differ more"
+        )
+    return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
 
 
 def _show(value: float, way: Way) -> str:

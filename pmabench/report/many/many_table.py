@@ -71,7 +71,7 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
     symbols: set[tuple[str, str, str, str]] = set()
     orders: dict[str, list[str]] = {}
     for entry in entries:
-        orders[entry["kind"]] = entry["symbols"]
+        orders[entry["kind"]] = entry.get("symbols") or [e["symbol"] for e in entry["estimates"]]
         about = {name: entry[name] for name in ("run", "started", "specimen", "kind", "simulated")}
         about |= {"not accepted": "; ".join(entry["verdicts"]), "analysis": entry["folder"]}
         found: dict[tuple[Any, ...], dict[str, Any]] = {}
