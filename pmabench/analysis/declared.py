@@ -1,4 +1,4 @@
-"""What the results of a kind of test are called: each reduction declares symbol, title, unit and headline of its own.
+"""What the results of a kind of test are called: each reduction declares symbol, title, unit and headline.
 
 A reduction has them in a table `RESULTS` next to its `reduce`; an analysis carries them, and a result that is not
 declared is an error there. Knows no kind of test.
@@ -39,7 +39,7 @@ def check_declared(
 ) -> None:
     """Raise ValueError where a result of an analysis of `kind` is not declared, or is in another quantity or unit.
 
-    An estimate with a coordinate (a slope, a term) has a quantity of its own, in the unit of that.
+    An estimate with a coordinate (a slope, a term) may have another quantity, in the unit of that.
     """
     known = {result.symbol: result for result in declared}
     if len(known) < len(declared):
@@ -59,8 +59,10 @@ def check_declared(
             raise ValueError(f"{kind}: {e.symbol} is given in {e.unit}; a {e.quantity} is in {right}")
         wanted = known[e.symbol]
         if not e.coordinate and (e.quantity, e.unit if wanted.unit else "") != (wanted.quantity, wanted.unit):
-            told = wanted.quantity or wanted.unit
-            raise ValueError(f"{kind}: {e.symbol} is declared as {told}, and was given as {e.quantity or e.unit}")
+            declaration = wanted.quantity or wanted.unit
+            raise ValueError(
+                f"{kind}: {e.symbol} is declared as {declaration}, and was given as {e.quantity or e.unit}"
+            )
 
 
 def in_common(orders: Iterable[Iterable[str]]) -> list[str]:

@@ -92,9 +92,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             else:
                 steps.append(step)
     if campaign is None or not any(step.way > 0 for step in steps):
-        told = Finding("fault", "no contraction can be read: there is no S, and no D without it")
+        fault = Finding("fault", "no contraction can be read: there is no S, and no D without it")
         return Analysis.of(
-            KIND, runs, results=RESULTS, dropped=dropped, findings=[told], facts={"options": settings, "trials_used": 0}
+            KIND,
+            runs,
+            results=RESULTS,
+            dropped=dropped,
+            findings=[fault],
+            facts={"options": settings, "trials_used": 0},
         )
     up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
     driven = _driven(campaign, up, braid)
