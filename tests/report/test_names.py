@@ -157,3 +157,8 @@ def test_what_is_no_finite_number_is_no_value(value):
     e = Estimate("K", 1.0, "N/m", "stiffness", "m", parts=Parts(1.0, method=value))
     assert (e.value, e.ci95) == (1.0, None)
     assert e.note == "no interval: one of its parts has no bound"
+
+
+def test_the_difference_of_two_tests_is_no_key_number():
+    difference = replace(estimate("F", 0.015, "N", "force", {"pressure": 3e5}), coordinate="difference")
+    assert tiles_of([Analysis("agreement", ("a", "b"), True, (difference,))]) == []

@@ -47,6 +47,7 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
     What is withheld is there without a value.
     """
     found = []
+    analyses = [analysis for analysis in analyses if analysis.kind != wording.AGREEMENT]  # differences, no values
     for symbol, result in declared(analyses).items():
         for analysis in (a for a in analyses if is_headline(a, symbol)):
             told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
