@@ -125,6 +125,8 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    options=("forms", "bootstrap", "regulator", "polish"),
+    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
     also=(PAPER_1,),
     figures={
         "overlay": "pmabench.plotting.motion:motions",
