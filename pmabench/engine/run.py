@@ -16,7 +16,7 @@ from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.bench.compile import Mounted
-from pmabench.bench.interface import CompiledBench
+from pmabench.bench.interface import CompiledBench, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
 from pmabench.engine.ending import exit_code, sentence, status_of
 from pmabench.engine.executor import Executor, Progress
@@ -51,6 +51,8 @@ class Outcome:
     trials_failed: tuple[int, ...]
     extremes: Mapping[str, tuple[float, float]]
     """Lowest and highest value [SI] measured on each channel."""
+    tripped: TripRecord | None = None
+    """The limit on a measured channel that ended it."""
     events: tuple[tuple[str, float, dict[str, Any]], ...] = ()
     """Events of a run that was only tried."""
 
@@ -350,6 +352,7 @@ class _Run:
             acquisition.counts["rows"],
             tuple(executor.failed),
             dict(acquisition.extremes),
+            cause.trip.limit if isinstance(cause, Tripped) else None,
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
         )
 

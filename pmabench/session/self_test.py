@@ -96,7 +96,9 @@ class SelfTesting:
         """Report what the channels read where a limit has ended the run before anything was looked at."""
         if outcome.exit_code and self._stepping is None and outcome.extremes:
             means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
-            self._others = table(Wiring(self._mounted), [Stage(means)])
+            limit = outcome.tripped
+            tripped = limit.channel if limit is not None and limit.kind in VALUES else ""
+            self._others = table(Wiring(self._mounted), [Stage(means, tripped=tripped)])
             self._told(self.checks)
 
     def _tell(self, executor: Executor) -> None:
