@@ -11,6 +11,7 @@ from pmabench.analysis.declared import Result
 from pmabench.analysis.recorded.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
+from pmabench.analysis.shared.motion import with_motion
 from pmabench.analysis.statics.break_away import option_of
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
@@ -101,7 +102,7 @@ def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, M
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
-    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
+    checked = with_record(without_doubtful(with_motion(with_checks(analysis, runs), runs), runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
 
