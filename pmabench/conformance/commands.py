@@ -187,7 +187,7 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
 
 
 def valves(rig: Rig) -> str:
-    """A valve is energised or not in the plant as it was commanded, others stay, and the device tells which."""
+    """A valve is energised or not in the plant as it was commanded, others stay, and the device reports which."""
     if not rig.record.valves:
         raise NotApplicable("the bench names no valve of it")
     truth = rig.truth()

@@ -23,14 +23,14 @@ def life(rig: Rig) -> str:
         rig.call("close()", device.close).good(COLLECTS_WITHIN)
         rig.call("close() again", device.close).good(COLLECTS_WITHIN)
         for what, act in _questions(rig, device):
-            told = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
-            if not isinstance(told, DeviceError):
-                raise Failed(f"{what} after close() gave {told!r}; a DeviceError is expected")
+            answer = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
+            if not isinstance(answer, DeviceError):
+                raise Failed(f"{what} after close() gave {answer!r}; a DeviceError is expected")
         again = rig.call("open() again", device.open).good(rig.opens_within)
         if not isinstance(again, Identity):
             raise Failed("a driver that was closed cannot be opened again")
     who = f"{again.maker} {again.model}".strip()
-    return who if again.simulated else f"{who}; its wire cannot tell that it is emulated"
+    return who if again.simulated else f"{who}; its wire does not show that it is emulated"
 
 
 def _says_emulated(relay: Relay) -> bool:

@@ -27,7 +27,7 @@ from pmabench.guard.owner import PATIENCE, Call, Owner
 OPENS_WITHIN = 2.0
 """Longest time that `open` may take [s]."""
 STARTS_WITHIN = 8.0
-"""And that of a simulation without a wire, which may start a process of its own [s]: so long the guard waits."""
+"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
 COLLECTS_WITHIN = 0.5
 """Longest time that `start`, `collect` and `stop` may take [s]."""
 HUNG = 10.0
@@ -96,7 +96,7 @@ class _Lag:
 class Rig:
     """The device of one record; `wiring` is what its rig's truth file says, where it has one.
 
-    `emulated`: whether an emulator stands behind it; `relays`: where bytes can be damaged.
+    `emulated`: whether an emulator is behind it; `relays`: where bytes can be damaged.
     Without an emulator a driver is tried only where it is a simulation itself.
     """
 
@@ -313,7 +313,7 @@ def free_port() -> int:
 
 @lru_cache
 def _kept_port(_place: str, _driver: str) -> int:
-    """A free port for a simulation that starts a process of its own: one process for all checks."""
+    """A free port for a simulation that starts another process: one process for all checks."""
     return free_port()
 
 

@@ -83,9 +83,9 @@ def held(rig: Rig) -> str:
         rig.pass_time(0.3)
         if reason := _difference(before, _held(rig, device)):
             raise Failed(f"held(): {reason}, and nothing happened")
-        told = _entries(before)
+        reported = _entries(before)
         if not rig.restart():
-            raise NotChecked(f"{told}; a restart: there is no emulator that could be switched off and on")
+            raise NotChecked(f"{reported}; a restart: there is no emulator that could be switched off and on")
         rig.bench_clock.wait_until(rig.bench_clock.now() + 0.1)
         after = rig.call("held()", device.held).judged(CALLS_WITHIN)
         if not isinstance(after, DeviceError):
@@ -96,7 +96,7 @@ def held(rig: Rig) -> str:
             )
     if rig.relays:
         _silent(rig)
-    return f"{told}; a fired or disarmed watchdog, a restart and silence are seen"
+    return f"{reported}; a fired or disarmed watchdog, a restart and silence are seen"
 
 
 def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:

@@ -122,7 +122,7 @@ class Executor:
         left = sum(step.longest() for step in steps)
         number = 0
         after: int | None = None
-        """What stands right behind the trial before; hands and preconditioning are not repeated."""
+        """What comes right after the trial before; hands and preconditioning are not repeated."""
         again: int | None = None
         """Where the last trial is begun again."""
         while True:
@@ -154,12 +154,12 @@ class Executor:
         """One step, now."""
         self._act[type(step)](step)
 
-    def heed(self) -> None:
+    def handle_keys(self) -> None:
         """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.
 
         A repeat means the trial under way, or between trials the one before.
         """
-        self._tell_live()
+        self._record_live()
         for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
                 self._event("note", text=text, trial=self._trial)
@@ -172,7 +172,7 @@ class Executor:
             elif text == "v":
                 raise Interrupted("the operator (key v)", 130)
 
-    def _tell_live(self) -> None:
+    def _record_live(self) -> None:
         """Put the newest values into the record where their samples do not go there."""
         if not self.bench.realtime or self.acquisition.recording:
             return
@@ -359,7 +359,7 @@ class Executor:
             self.guard.valves(closed=True)
 
     def _hands_at_pressure(self) -> float:
-        """Highest measured pressure for hands at pressure [Pa]: the bench's, and what its channel cannot tell."""
+        """Highest measured pressure for hands at pressure [Pa]: the bench's, and the uncertainty of its channel."""
         most = self.bench.hands_at_pressure
         channel = next((c for c in self.bench.channels if c.name == "pressure"), None)
         if channel is None or most == 0.0:

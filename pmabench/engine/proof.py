@@ -49,7 +49,7 @@ def prove(bench: CompiledBench, guard: Provable, acquisition: Acquisition, recor
         )
     vented_at = clock.now()
     guard.set("pressure", safe)
-    acquisition.commanded.set("pressure", vented_at, safe)  # it falls because it is told to: no burst
+    acquisition.commanded.set("pressure", vented_at, safe)  # it falls as commanded: no burst
     guard.valves(closed=False)
     vented = acquisition.pass_time(proof.within, _crossing(below=proof.below))
     if vented is None:

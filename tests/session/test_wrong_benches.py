@@ -191,7 +191,7 @@ def test_a_limit_on_another_channel_names_that_channel(wiring):
 
 def test_a_limit_that_trips_before_anything_was_looked_at_names_the_wire(rig):
     """A force 110 N too low is outside its range in the first block, in which no load is known that it would be of."""
-    name, _, right = rig
+    right = rig[2]
     limit = TripRecord("force", None, None, 0.01, "vent", kind="off-range")
     test = SelfTesting(right, lambda _checks: None)
     means = {channel.name: (0.0, 0.0) for channel in right.bench.channels} | {"force": (-110.4, -109.6)}
