@@ -12,9 +12,10 @@ from math import isfinite, sqrt
 import numpy as np
 
 from pmabench.analysis.shared.motion import never, not_moved
+from pmabench.analysis.trial import Expected, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.display.expected import Expected
-from pmabench.display.quantities import Measured, Quick, measure
+from pmabench.display.quantities import measure
+from pmabench.kinds import registry
 from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
 
 FAR = 0.10
@@ -105,8 +106,9 @@ class Verdicts:
         except (ValueError, KeyError, IndexError, TypeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
             measured, reasons = [], [f"its numbers cannot be computed ({error})"]
         doubts += [reason for reason in reasons if reason not in doubts]
-        channel = not_moved(run.kind, trial, self.expected.holds if self.expected is not None else never)
-        doubts += [f"{channel} changed by less than its noise: nothing moved"] if channel else []
+        kind = registry.find(run.kind)
+        if kind and not_moved(kind.moves, trial, self.expected.holds if self.expected is not None else never):
+            doubts.append(f"{kind.moves} changed by less than its noise: nothing moved")
         doubts += _not_reached(trial)
         key = tuple(sorted((name, round(value, 6)) for name, value in trial.point.items()))
         before = self._earlier.setdefault(key, {})

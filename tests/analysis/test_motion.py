@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.analysis.shared.motion import with_motion
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData
 from tests.display.recorded import Recorded
@@ -23,7 +23,9 @@ def doubts(points, *, moved=(), kind="contraction-relaxation", estimates=()):
     )  # fmt: skip
     run = RunData("run", "run", kind, "finished", True, {}, {}, (), {}, 500.0, trials)
     analysis = Analysis(kind, ("run",), True, tuple(estimates))
-    return [finding.text for finding in with_motion(analysis, [run]).findings if finding.level == "doubt"]
+    return [
+        finding.text for finding in with_motion(analysis, [run], "displacement").findings if finding.level == "doubt"
+    ]
 
 
 def measured(*, friction=10.0, **pulls):

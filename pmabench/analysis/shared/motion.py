@@ -1,4 +1,4 @@
-"""Whether what should move in a trial moved, or a channel shows nothing but its noise."""
+"""Whether what should move in a trial moved, or a channel shows nothing but its noise; knows no kind of test."""
 
 from __future__ import annotations
 
@@ -20,26 +20,6 @@ SPREADS = 3.0
 """Standard deviations of the noise that a change must exceed."""
 LEAST = {"displacement": 20e-6}
 """Channel -> smallest change [SI] that counts as one: a gauge is repeatable to this."""
-MOVES = {
-    **dict.fromkeys(
-        (
-            "contraction-relaxation",
-            "static-load",
-            "sinusoidal-displacement",
-            "ultimate-gain",
-            "positioning",
-            "validation",
-            "isobaric-ramp",
-            "step-displacement",
-            "closed-volume",
-            "free-contraction",
-        ),
-        "displacement",
-    ),
-    "isometric-pressurisation": "force",
-    "arm-angle": "angle",
-}
-"""Kind of run -> the channel that changes in each of its trials."""
 DRIVEN = ("frequency", "speed", "step", "amplitude", "lower", "upper", "setpoint")
 """Entries of an operating point that say that the free end is driven."""
 Holds = Callable[[float, float], bool]
@@ -51,21 +31,20 @@ def never(_pressure: float, _load: float) -> bool:
     return False
 
 
-def not_moved(kind: str, trial: TrialData, holds: Holds) -> str:
-    """The channel that should have changed in a trial of this kind and did not; empty where it changed.
+def not_moved(channel: str, trial: TrialData, holds: Holds) -> bool:
+    """Whether `channel`, which changes in each trial of its kind of test, should have changed and did not.
 
     Nothing moves without pressure, nor under a load that the muscle `holds`, unless the free end is driven.
     """
-    channel, pressure = MOVES.get(kind, ""), trial.point.get("pressure")
-    if pressure is not None and not any(name in trial.point for name in DRIVEN):
-        load = trial.point.get("load")
-        if (load is not None and holds(pressure, load)) or (pressure <= 0 and "from" not in trial.point):
-            return ""
-    return channel if channel and nothing_moved(trial, channel) else ""
+    pressure, load = trial.point.get("pressure"), trial.point.get("load")
+    if pressure is None or any(name in trial.point for name in DRIVEN):
+        return nothing_moved(trial, channel)
+    held = load is not None and holds(pressure, load)
+    return not held and (pressure > 0 or "from" in trial.point) and nothing_moved(trial, channel)
 
 
-def with_motion(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
-    """The analysis with a doubt where nothing moved in a trial that lifts its load by the F_ce that it found."""
+def with_motion(analysis: Analysis, runs: Sequence[RunData], channel: str) -> Analysis:
+    """The analysis with a doubt where `channel` did not change in a trial that lifts its load by the F_ce found."""
     found = {e.at["pressure"]: e.value for e in analysis.estimates if e.symbol == "F_ce" and "pressure" in e.at}
     known = sorted((pressure, value) for pressure, value in found.items() if value is not None)
     friction = max((abs(e.value) for e in analysis.estimates if e.symbol == "F_c" and e.value is not None), default=0.0)
@@ -74,13 +53,13 @@ def with_motion(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
         pulls = [value for at, value in known if at >= pressure - 1.0]  # F_ce grows with the pressure
         return bool(pulls) and min(pulls) - load <= 2 * friction
 
-    trials = [(run.kind, t) for run in runs for t in run.trials if t.status == "finished" and not t.again]
-    still = [(trial.name, channel) for kind, trial in trials if (channel := not_moved(kind, trial, holds))]
+    trials = [trial for run in runs for trial in run.trials if trial.status == "finished" and not trial.again]
+    still = [trial.name for trial in trials if not_moved(channel, trial, holds)]
     if not still:
         return analysis
-    names = ", ".join(name for name, _ in still[:MOST_NAMES]) + (" ..." if len(still) > MOST_NAMES else "")
+    names = ", ".join(still[:MOST_NAMES]) + (" ..." if len(still) > MOST_NAMES else "")
     text = (
-        f"nothing moved in {len(still)} of {len(trials)} trials ({names}): {still[0][1]} changed by less than its "
+        f"nothing moved in {len(still)} of {len(trials)} trials ({names}): {channel} changed by less than its "
         "noise; look at its gauge, at the hose to the muscle and at the load"
     )
     return replace(analysis, findings=(*analysis.findings, Finding("doubt", text)))
