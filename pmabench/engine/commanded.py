@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
+from pmabench.bench.interface import Load
 from pmabench.guard import course
 
 SETTLES = 2.0
@@ -19,7 +20,7 @@ SETTLES = 2.0
 
 
 class Commands(Protocol):
-    """What both faces of the guard take."""
+    """What the engine needs of the guard, in this process or in another."""
 
     def set(self, name: str, value: float) -> float:
         """A set-point [SI]; what the device got."""
@@ -39,6 +40,14 @@ class Commands(Protocol):
 
     def value_sent(self, name: str, value: float) -> float:
         """What the device would get [SI]."""
+        ...
+
+    def place(self, load: Load) -> None:
+        """Hands put a load on."""
+        ...
+
+    def release(self) -> None:
+        """The vent path of the bench is proven."""
         ...
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -56,18 +56,6 @@ class TrialFailed(VerdictFailed):
     """A step reached its limit and the plan says that the trial has failed then."""
 
 
-class Bench(Commands, Protocol):
-    """What the executor needs of the guard, wherever that lives."""
-
-    def place(self, load: Load) -> None:
-        """Hands put a load on."""
-        ...
-
-    def valves(self, *, closed: bool, only: str = "") -> None:
-        """Close every valve (or one), or open them."""
-        ...
-
-
 LIVE_EVERY = 1.0
 """In real time, while nothing is recorded, the newest values become an event so often [s]: `watch` has no others."""
 LONGEST_HOLD = 60.0
@@ -80,7 +68,7 @@ class Executor:
 
     plan: Plan
     bench: CompiledBench
-    guard: Bench
+    guard: Commands
     acquisition: Acquisition
     recorder: Recorder
     operator: Operator
