@@ -63,7 +63,9 @@ def test_a_right_bench_passes_wherever_it_rests(rig):
 def test_of_a_load_that_was_not_hung_the_plates_are_named_first(rig, hung):
     """Nothing, and half of it: the plates, and the cell only after them. At a driven bench nothing is asked for."""
     _, failure, _ = self_tested(rig[2], rig[2], Outside(hung=hung))
-    assert ("plates (is the whole load on the free end, and no more?)" in failure) == (rig[0] != "festo-sine"), failure
+    assert ("plates (is the whole load on the free end, and no more?)" in failure) == (
+        rig[2].bench.free_end == "weights"
+    ), failure
     assert "the scale of the force" not in failure
 
 
@@ -196,7 +198,7 @@ def test_a_limit_that_trips_before_anything_was_looked_at_names_the_wire(rig):
     test = SelfTesting(right, lambda _checks: None)
     means = {channel.name: (0.0, 0.0) for channel in right.bench.channels} | {"force": (-110.4, -109.6)}
     test.ended(Outcome("tripped", "", 5, None, None, 0.1, 0, (), means, limit))
-    [failed] = [check for check in test.checks if check.verdict == FAILED]
+    failed, *_ = (check for check in test.checks if check.verdict == FAILED)
     wire = next(f"{c.device}.{c.input}" for c in right.bench.channels if c.name == "force")
     assert failed.hint == f"look at the wire of the force ({wire}), at its range and at its calibration"
 
