@@ -167,12 +167,25 @@ class Rig:
     def restart(self) -> bool:
         """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""
         if self.emulator is None:
-            return False
+            return self._inject("restart")
         self.emulator.close()
         self.emulator = _emulator(self._served, self._wiring)
         self.server = self.emulator.devices[self.record.name]
         self.renew_wire()
         return True
+
+    def switch_off_watchdog(self) -> bool:
+        """Switch the watchdog off at the emulated device itself; whether that can be done here."""
+        if self.emulator is None:
+            return self._inject("watchdog-off")
+        return bool(getattr(self.server, "switch_off_watchdog", bool)())
+
+    def _inject(self, fault: str) -> bool:
+        """Let it happen to a simulation in another process; whether there is one."""
+        control = getattr(self.device, "control", None)
+        if control is not None:
+            control("inject", fault=fault)
+        return control is not None
 
     def truth(self) -> Truth:
         """What plant and device really do; raises NotChecked where nobody but the driver knows."""
