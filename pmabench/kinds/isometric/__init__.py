@@ -16,6 +16,15 @@ PULL = Kind(
     order=131,
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
 )
 KIND = Kind(
     name="isometric",
@@ -25,4 +34,13 @@ KIND = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
     also=(PULL,),
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
 )

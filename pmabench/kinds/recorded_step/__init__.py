@@ -27,4 +27,10 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_step.reduction:reduce",
     methods=METHODS,
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
 )

@@ -1,7 +1,7 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
 - `reduction`, made of `relaxation`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -36,4 +36,7 @@ KIND = Kind(
     moves="displacement",
     compares="force",
     methods=METHODS,
+    figures={
+        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
+    },
 )

@@ -1,6 +1,6 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; one trial on the display: `live`
+- `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -32,4 +32,10 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+    front={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
 )
