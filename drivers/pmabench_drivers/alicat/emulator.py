@@ -228,6 +228,11 @@ class AsciiDevice:
         """Another set-point, entered at its display."""
         self.controller.change_set_point(value)
 
+    def change_held(self) -> bool:
+        """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
+        self.controller.source = "A"
+        return True
+
     def close(self) -> None:
         """Hang up."""
         self._ended.set()

@@ -105,6 +105,7 @@ PAPER_1 = Kind(
     results=PAPER_1_RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
+    moves="displacement",
     compares="displacement",
     figures={
         "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
