@@ -82,7 +82,7 @@ def test_24_trials_are_fitted_faster_than_one_by_one(benchmark):
     benchmark.pedantic(lambda: pool(found, {"replays": 0}), rounds=rounds)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_500_trials_with_200_draws(benchmark):
     found = campaign(21)
     assert len(found.trials) == 504
