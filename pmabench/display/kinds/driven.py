@@ -9,6 +9,7 @@ import numpy as np
 from pmabench.analysis.driven.ramp_loop import measure_as_planned
 from pmabench.analysis.driven.sine_loop import measure as harmonic
 from pmabench.analysis.driven.step_relaxation import measure as steps_of
+from pmabench.analysis.shared.rest import left
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.display.expected import Expected
@@ -80,8 +81,9 @@ def step(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick
         return [Measured("K", "stiffness", None)], [str(reason)]
     K = float(np.mean([step.static for step in steps]))
     beyond = float(np.mean([abs(step.peak - step.relaxed) for step in steps]))
-    drift = max((abs(step.drift) for step in steps if abs(step.drift) > 3 * step.noise), default=0.0)
-    doubts = [f"the force still drifts by {show(drift, 'force', 2)}"] if drift > DRIFT * beyond > 0 else []
+    further = left([step.later for step in steps])
+    moves = further.seen and abs(further.size) > DRIFT * beyond > 0
+    doubts = [f"the force would still change by {show(further.size, 'force', 2)}"] if moves else []
     return [
         Measured("K", "stiffness", K, expected.at("K", P) if expected is not None and P is not None else None),
         Measured("overshoot", "force", beyond, noise=3 * steps[0].noise),
