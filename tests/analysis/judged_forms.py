@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.driven import step_displacement
-from pmabench.analysis.loops import ultimate_gain
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.statics import free_contraction, isometric_pressurisation
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
+from pmabench.kinds.free_contraction import reduction as free_contraction
+from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.step_displacement import reduction as step_displacement
+from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
 from tests.judge import displaced, free, held, loop
 from tests.judge.record import Trial, Truth

@@ -1,0 +1,391 @@
+"""Reduction of free contraction: length over pressure, the sigmoid a to e through it, paper 2's formula beside it.
+
+Knows the samples at rest of each trial; words and figure are in `view`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.rest import Held, Left, left
+from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.base.quantities import show
+from pmabench.kinds.free_contraction import RESULTS, view
+from pmabench.model.library import MODELS
+from pmabench.store.records import Array, RunData, TrialData
+
+KIND = "free-contraction"
+FREE, SIGMOID = "free-length", "sigmoid"
+FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
+"""Models of the library: with coefficients of its own, and as paper 2 has it for a length."""
+UNKNOWN = ("a", "b", "c", "d", "e")
+UNITS = {"length": "m", "pressure": "Pa", "count": "1"}
+RESIDUALS = (
+    "repeats part: residuals of the fit; no calibration part, no method part: those of L are not carried into the "
+    "coefficients"
+)
+LAST = 0.2
+"""Share of each rest at its end whose mean counts."""
+FEWEST = 5
+"""Samples that it needs."""
+MOTION, ZERO = "motion after the hold", "contraction left without pressure"
+FLOOR = 5e-4
+"""Error of a length at the least, as a share of the largest contraction."""
+FURTHEST = 3.0
+"""Errors by which a length may be off the sigmoid."""
+CHANNELS = ("displacement", "pressure")
+UNUSABLE_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """One trial: what was measured at rest."""
+
+    run: RunData
+    trial: TrialData
+    pressure: float
+    """[Pa]."""
+    x: float
+    """Contraction [m]."""
+    start: float
+    """Contraction at rest without pressure, before [m]."""
+    hold: Held
+    """Contraction along the second half of the hold [m]."""
+    noise: float
+    """Standard deviation of `start` and x [m]."""
+
+    @property
+    def side(self) -> float:
+        """-1 reached from below, 1 from above; 0 where the protocol does not tell them apart."""
+        return self.trial.point.get("side", 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One commanded pressure: all its trials."""
+
+    set: float
+    """[Pa]."""
+    rests: tuple[Rest, ...]
+    pressure: float
+    """Measured, the mean [Pa]."""
+    repeats: Array
+    """Contraction of each repeat, the mean of its sides [m]."""
+    gaps: Array
+    """Contraction reached from above minus from below, of each repeat that has both [m]."""
+
+    @property
+    def x(self) -> float:
+        """Mean contraction [m]."""
+        return float(self.repeats.mean())
+
+    @cached_property
+    def left(self) -> Left:
+        """What x would still change by [m]."""
+        return left([rest.hold for rest in self.rests])
+
+    @cached_property
+    def apart(self) -> Left:
+        """What `gaps` would still change by [m]."""
+        sides = [left([rest.hold for rest in self.rests if rest.side == side]) for side in (1.0, -1.0)]
+        return Left(sides[0].size - sides[1].size, sum(one.most for one in sides), any(one.seen for one in sides))
+
+    @property
+    def off(self) -> float:
+        """Largest contraction that was left without pressure before a trial [m]."""
+        return max(abs(rest.start) for rest in self.rests)
+
+    def reached(self, side: float) -> float:
+        """Mean contraction reached from one side [m]; nan where there is none."""
+        values = [rest.x for rest in self.rests if rest.side == side]
+        return float(np.mean(values)) if values else float("nan")
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """L [m] at each pressure [Pa], a, b [m], c [Pa], d, e [1] of paper 2's eq. 1, pressure of half the contraction,
+    and the largest contraction.
+
+    L = L0 - x: the nominal length less the contraction at rest, the mean of both sides from which it was reached; their
+    difference is hysteresis. `options`: `nominal_length` [m], `compare` (`paper-2` or `nothing`); else the plan's.
+    """
+    settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
+    length, compare = float(settings.get("nominal_length", np.nan)), settings.get("compare") == "paper-2"
+    points, dropped = _points(runs)
+    scales = Scales.of(runs)
+    fit, why = _fit(points, length)
+    estimates = _lengths(points, length, scales)
+    estimates += [_half(points, scales)] if len(points) > 2 else []
+    estimates = _weighed([*estimates, *_largest(points, length, scales)], points, length)
+    other = "" if fit is None else _other_form(points, fit)
+    shifted = {} if fit is None or other else _shifted(points, length)
+    estimates += _coefficients(fit, why, other, shifted)
+    curve = view.curves(points, fit, length, compare=compare) if points else None
+    findings = [
+        *view.of_points(points),
+        *(view.of_fit(fit, why, other) if points else []),
+        *(view.of_paper(curve, length) if curve is not None and compare else []),
+    ]
+    if estimates and (untold := scales.lack(CHANNELS)):
+        findings.append(Finding("note", untold))
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        dropped=dropped,
+        findings=findings,
+        traces=[] if curve is None else [view.trace(curve, length)],
+        facts={
+            "options": dict(options or {}),
+            "nominal_length": length,
+            "trials": sum(len(point.rests) for point in points),
+            "pressures": len(points),
+            "residual_rms": None if fit is None else fit.residual_rms,
+        },
+    )
+
+
+def measure(run: RunData, trial: TrialData) -> Rest:
+    """One trial at rest; raises `NotUsable`."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    missing = [name for name in CHANNELS if name not in trial.channels]
+    if missing:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    if "pressure" not in trial.point:
+        raise NotUsable("its point names no pressure")
+    x, P = (trial.channels[name] for name in CHANNELS)
+    good = trial.usable & np.isfinite(x) & np.isfinite(P)
+    if float(np.mean(~good)) > UNUSABLE_SHARE:
+        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged or missing")
+    ramps = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
+    t = trial.t
+    end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
+    moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
+    begin = moved[0].t if moved else end
+    there = max(
+        (c.t + abs(c.value - c.before) / c.data["rate"] for c in moved if c.data.get("rate", 0.0) > 0), default=t[0]
+    )
+    first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
+    last = good & (t >= end - LAST * (end - there)) & (t <= end)
+    if min(first.sum(), last.sum()) < FEWEST or end <= there:
+        raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
+    half = good & (t >= 0.5 * (there + end)) & (t <= end)
+    return Rest(
+        run=run,
+        trial=trial,
+        pressure=float(P[last].mean()),
+        x=float(x[last].mean()),
+        start=float(x[first].mean()),
+        hold=Held.of(t[half], x[half], end - LAST * (end - there)),
+        noise=noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())),
+    )
+
+
+def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
+    """The pressures, rising, and the trials that tell nothing."""
+    groups: dict[int, list[Rest]] = {}
+    dropped = []
+    for run in runs:
+        for trial in run.trials:
+            try:
+                rest = measure(run, trial)
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+            else:
+                groups.setdefault(round(trial.point["pressure"]), []).append(rest)
+    points = []
+    for pressure, rests in sorted(groups.items()):
+        by: dict[object, dict[float, list[float]]] = {}
+        for rest in rests:
+            by.setdefault((rest.run.id, rest.trial.repeat), {}).setdefault(rest.side, []).append(rest.x)
+        sides = {rest.side for rest in rests}
+        means = [{side: float(np.mean(values)) for side, values in repeat.items()} for repeat in by.values()]
+        whole = [one for one in means if set(one) == sides]
+        for key, one in zip(by, means, strict=True):
+            if set(one) != sides:
+                lost = [rest for rest in rests if (rest.run.id, rest.trial.repeat) == key]
+                dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
+        rests = [r for r in rests if set(by[(r.run.id, r.trial.repeat)]) == sides]
+        if whole:
+            gaps = [one[1.0] - one[-1.0] for one in whole if {1.0, -1.0} <= set(one)]
+            repeats = np.array([np.mean(list(one.values())) for one in whole])
+            measured = float(np.mean([rest.pressure for rest in rests]))
+            points.append(Point(float(pressure), tuple(rests), measured, repeats, np.array(gaps)))
+    return points, dropped
+
+
+def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
+    """L, and the difference of both sides, at each pressure."""
+    P, x = np.array([p.pressure for p in points]), np.array([p.x for p in points])
+    over = np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
+    found, gaps = [], []
+    for point, slope in zip(points, over, strict=True):
+        at, names = {"pressure": point.set}, tuple(rest.trial.name for rest in point.rests)
+        rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
+        scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
+        half, n = spread(point.repeats), len(point.repeats)
+        note = "" if half is not None else "no repeats part: one repeat only"
+        parts = Parts(repeats=half, method=0.0, calibration=scale)
+        found.append(Estimate("L", length - point.x, "m", "length", FREE, at, parts, n, note=note, trials=names))
+        if len(point.gaps):
+            value, half = float(point.gaps.mean()), spread(point.gaps)
+            note = "" if half is not None else "no repeats part: one repeat only"
+            parts = Parts(repeats=half, method=0.0, calibration=scales.part({"displacement": value}))
+            n = len(point.gaps)
+            gaps.append(Estimate("x_H", value, "m", "length", FREE, at, parts, n, note=note, trials=names))
+    return found + gaps
+
+
+def _half(points: Sequence[Point], scales: Scales) -> Estimate:
+    """The pressure at which half of the contraction at the highest pressure is reached."""
+    P = np.array([point.pressure for point in points])
+    names = tuple(rest.trial.name for point in points for rest in point.rests)
+    value = view.half_pressure(P, np.array([point.x for point in points]))
+    n = min(len(point.repeats) for point in points)
+    if value is None:
+        note = "the contraction does not rise through half of its largest value once"
+        return Estimate("P_half", None, "Pa", "pressure", FREE, n=n, note=note, trials=names)
+    each = [view.half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
+    half = spread([one for one in each if one is not None])
+    coarse = float(np.diff(P).max()) / 2
+    note = sentences("" if half is not None else "no repeats part: one repeat only", "")
+    parts = Parts(half, method=0.1 * coarse, calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
+    return Estimate("P_half", value, "Pa", "pressure", FREE, {}, parts, n, note=note, trials=names)
+
+
+def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
+    """The largest contraction of all pressures, as a share of the nominal length, which is taken as exact."""
+    top = max(points, key=lambda point: point.x, default=None)
+    if top is None or not length > 0 or not np.isfinite(length):
+        return []
+    half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
+    scale = scales.part({"displacement": top.x / length}, {"displacement": 1 / length})
+    parts = Parts(None if half is None else half / length, method=0.0, calibration=scale)
+    note = "" if half is not None else "no repeats part: one repeat only"
+    at = {"pressure": top.set}
+    n = len(top.repeats)
+    return [Estimate("eps_max", top.x / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
+
+
+def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
+    """The sigmoid with a to e of its own through the means with `off` (n,) [m] added to x, or why there is none."""
+    model = MODELS[FORM]
+    P, L = np.array([max(point.pressure, 0.0) for point in points]), length - np.array([p.x for p in points]) - off
+    if len(points) <= len(UNKNOWN):
+        return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
+    if not np.isfinite(L).all() or not 0 < length <= 2:
+        return None, "no fit: the plan tells no nominal length"
+    most = next(p.high for p in model.parameters if p.name == "pressure")
+    if P.max() > view.BARELY * most:
+        return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
+    fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
+    fixed["nominal_length"] = length
+    start = {"a": 0.7 * length, "b": 0.3 * length}
+    try:
+        return fit_model(model, "length", {"pressure": np.minimum(P, most)}, fixed, L, UNKNOWN, start=start), ""
+    except ValueError:
+        return None, "no fit: no sigmoid comes near these lengths"
+
+
+def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: float) -> list[Estimate]:
+    """The values with what motion after the holds, and contraction left without pressure, may do to them."""
+    if not points:
+        return []
+    largest = max(abs(point.x) for point in points)
+    moving, leaving = max(abs(point.left.size) for point in points), max(point.off for point in points)
+    rests = (
+        f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold "
+        f"(it contracts by {show(largest, 'length', 3)}). Hold longer"
+    )
+    zero = (
+        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length: "
+        "a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
+    )
+    by_set = {point.set: point for point in points}
+    steepest = max(points, key=lambda point: point.x)
+    found = []
+    for e in estimates:
+        point = by_set.get(e.at.get("pressure", steepest.set), steepest)
+        share = {"eps_max": 1 / length, "P_half": 0.5 * _pressure_over_x(points)}.get(e.symbol, 1.0)
+        still, off = point.left, max(one.off for one in points) if e.symbol == "P_half" else point.off
+        if e.symbol == "x_H":
+            still, off = point.apart, float(np.ptp([rest.start for rest in point.rests]))
+        noise = max(rest.noise for rest in point.rests)
+        doubts = (
+            Doubt(MOTION, "method", share * still.most, still.seen, rests),
+            Doubt(ZERO, "drift", share * off, off > view.CLEAR * noise, zero),
+        )
+        found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
+    return found
+
+
+def _pressure_over_x(points: Sequence[Point]) -> float:
+    """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
+    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
+    return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
+
+
+def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
+    """Why the sigmoid is not the form of these lengths, with numbers; empty where nothing speaks against it.
+
+    A length may be off by three times its error: what repeats scatter by, pooled, and at least `FLOOR` of the largest
+    contraction.
+    """
+    freedom = sum(len(point.repeats) - 1 for point in points)
+    squares = sum(float(np.sum((point.repeats - point.x) ** 2)) for point in points)
+    scatter = np.sqrt(squares / max(1, freedom) / np.array([len(point.repeats) for point in points]))
+    error = np.hypot(scatter, FLOOR * max(abs(point.x) for point in points))
+    off = np.abs(fit.computed - fit.measured)
+    worst = int(np.argmax(off / error))
+    if off[worst] <= FURTHEST * error[worst]:
+        return ""
+    where, most = show(points[worst].set, "pressure"), show(float(FURTHEST * error[worst]), "length", 2)
+    text = f"the length at {where} is {show(float(off[worst]), 'length', 2)} off the sigmoid"
+    return f"{text}, at most {most} is expected: length over pressure has another form here. Use the lengths themselves"
+
+
+def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
+    """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
+    starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
+    noise = max(rest.noise for point in points for rest in point.rests)
+    ways = {ZERO: -starts} if np.abs(starts).max() > view.CLEAR * noise else {}
+    if any(point.left.seen for point in points):
+        ways[MOTION] = np.array([point.left.size for point in points])
+    fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
+    return {name: fit for name, fit in fits.items() if fit is not None and fit.converged}
+
+
+def _coefficients(fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit]) -> list[Estimate]:
+    """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
+
+    What they differ by from those of `shifted` is in the interval.
+    """
+    quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
+    found = []
+    for name in UNKNOWN:
+        quantity = quantities[name]
+        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
+        parts = Parts(repeats=half)
+        n = 0 if fit is None else len(fit.measured)
+        note = sentences(note, RESIDUALS if half is not None else "")
+        e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
+        changes = {way: abs(_of(one, name) - (value or 0.0)) for way, one in shifted.items()}
+        doubts = [Doubt(way, "drift" if way == ZERO else "method", half, seen=True) for way, half in changes.items()]
+        found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
+    return found
+
+
+def _of(fit: ModelFit, name: str) -> float:
+    return next(unknown.value for unknown in fit.unknowns if unknown.name == name)
