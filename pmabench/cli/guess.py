@@ -14,7 +14,7 @@ from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.columns import Proposal
-    from pmabench.store.importers.guess.guess import Guess
+    from pmabench.store.importers.guess.record import Guess
     from pmabench.store.importers.guess.write import Span
 
 SECONDS = 10.0
@@ -26,12 +26,13 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     from pmabench.files.document import Document
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
+    from pmabench.store.importers.kinds_table import KINDS
     from pmabench.store.importers.questions import questions_of
 
     told = dict(map(_span, spans))
     if output is not None and output.exists():
         raise UsageError(f"{output} is there already and is not overwritten; give another name")
-    found = guess_files(files)
+    found = guess_files(files, KINDS)
     text = map_text(found, told)
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))

@@ -10,11 +10,11 @@ from scipy.signal import TransferFunction, lsim
 from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
 from pmabench.analysis.recorded.imported import import_findings
 from pmabench.analysis.reduce import reduce_runs, verdicts
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import Command, Flag, TrialData
 from tests import fixtures_old_runs as made
 from tests.analysis.loop_rig import as_run
+from tests.importing import import_files
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store.importers import importing
-from pmabench.store.importers.importing import import_files
-from pmabench.store.importers.map_rules import read_map
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.records import Flag
 from pmabench.store.verify import verify
 from tests import fixtures_old_runs as made
+from tests.importing import import_files, read_map
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
 ISOMETRIC = OLD / "isometric.yaml"
