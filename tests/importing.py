@@ -1,8 +1,10 @@
 """Imports with what each kind of test needs of a file, as the command `import` hands it over."""
 
+from pmabench.kinds.registry import importable
 from pmabench.store.importers import importing, map_rules
 from pmabench.store.importers.guess import guess
-from pmabench.store.importers.kinds_table import KINDS
+
+KINDS = importable()
 
 
 def import_files(files, map_path, out, answers=(), *, unresolved=False):
