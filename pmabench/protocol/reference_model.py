@@ -16,8 +16,8 @@ from pmabench.files.quantity import Force, Pressure, Time
 from pmabench.protocol.common import Compilation
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis, Estimate
     from pmabench.model.curve import Curve
+    from pmabench.store.analyses.results import Analysis, Estimate
 
 SPECIMEN = "specimen"
 FROM_LIFT_OFF = "contraction-relaxation"
@@ -229,7 +229,7 @@ def read_folder(c: Compilation, name: str, kind: str) -> Analysis:
 
     A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
     """
-    from pmabench.report.files.analysis_folder import ANALYSIS, read_analysis
+    from pmabench.store.analyses.folder import ANALYSIS, read_analysis
 
     places = [Path(name), Path(str(c.document.path)).parent / name]
     tried = [place / part for place in places for part in ("", kind)]

@@ -16,9 +16,9 @@ from pmabench.report.document.content import content_of
 from pmabench.report.document.front import tiles_of
 from pmabench.report.document.html import page_of
 from pmabench.report.document.workbook import workbook_bytes
-from pmabench.report.files.analysis_folder import read_analysis, write_analysis
 from pmabench.report.terminal_coefficients import print_coefficients
 from pmabench.report.words.names import declared, distinct
+from pmabench.store.analyses.folder import read_analysis, write_analysis
 
 from . import samples
 

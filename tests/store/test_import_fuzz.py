@@ -21,7 +21,7 @@ from pmabench.store.importers import outliers, warm
 from pmabench.store.importers.child import CPU
 from pmabench.store.importers.guess import guess as guessing
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.importing import prepare
+from pmabench.store.importers.prepare import prepare
 from tests.importing import guess_files, read_map
 from tests.reliability.cases import cases
 

@@ -10,7 +10,7 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store.importers import long, spool
-from pmabench.store.importers.importing import prepare
+from pmabench.store.importers.prepare import prepare
 from pmabench.store.importers.table import read_table
 from pmabench.store.reader import open_run
 from tests.importing import import_files, read_map

@@ -168,3 +168,11 @@ def test_mutated_files_are_read_or_refused(data):
         assert refused.problems
     else:
         assert all(np.isfinite(column).all() for column in read.columns.values())
+
+
+def test_rows_without_a_time_are_a_period_apart(tmp_path):
+    (tmp_path / "log.csv").write_bytes(GOOD)
+    layout = TextLayout(**{**PLAIN, "names": ["x", "p", "f"], "period": "20 ms"})
+    read = read_table(tmp_path / "log.csv", layout, ["@time", "p"], (), ["x", "f"])
+    assert read.columns["@time"].tolist() == [0.0, 0.02, 0.04]
+    assert read.columns["p"].tolist() == [1.5, 2.5, 3.5]

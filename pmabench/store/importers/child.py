@@ -63,7 +63,7 @@ def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
 def _tell(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any]) -> None:
     answer.write(json.dumps(head).encode() + b"\n")
     for array in arrays:
-        answer.write(memoryview(np.ascontiguousarray(array, dtype="<f8")).cast("B"))
+        answer.write(np.ascontiguousarray(array, dtype="<f8").data)
     answer.flush()
 
 

@@ -94,7 +94,7 @@ def import_files(
         ]
     if problems:
         raise InvalidFile(problems)
-    found = siblings.compare(summaries, rules.file.siblings)
+    found = siblings.compare(summaries, {str(channel): share for channel, share in rules.file.siblings.items()})
     among = iter([plausible.answered(each, rules.file.confirmed) for each in found])
     made: list[ImportedRun] = []
     existed = out.exists()

@@ -172,7 +172,7 @@ def _lacking(guess: Guess) -> None:
 
 def _known(path: Path, kinds: Mapping[str, Imported]) -> str:
     """The shipped map that takes a file as it is, without a fault and at the rate that it expects."""
-    from pmabench.store.importers.importing import prepare
+    from pmabench.store.importers.prepare import prepare
 
     if path.stat().st_size > LOOKED_AT:
         return ""
