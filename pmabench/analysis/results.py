@@ -1,6 +1,7 @@
 """What a reduction returns: the records of `store.analyses.results`, by the names that reductions use."""
 
 from pmabench.store.analyses.results import (
+    AGREEMENT,
     POINT_QUANTITIES,
     PUBLISHED,
     SCHEMA,
@@ -17,6 +18,7 @@ from pmabench.store.analyses.results import (
 )
 
 __all__ = [
+    "AGREEMENT",
     "POINT_QUANTITIES",
     "PUBLISHED",
     "SCHEMA",

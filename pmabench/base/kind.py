@@ -54,6 +54,12 @@ class Kind:
     """Channel that changes in each of its trials, unless nothing moved."""
     compares: str = ""
     """Channel in which the repeats of an operating point are compared over time."""
+    figures: dict[str, str] = field(default_factory=dict)
+    """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
+    front: dict[str, str] = field(default_factory=dict)
+    """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
+    published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None

@@ -8,7 +8,7 @@
 - where asked for: chosen forms over pressure in `joint_forms`, `joint_fit`, `forms`; output error in `polish`,
   `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
 - by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -107,6 +107,9 @@ PAPER_1 = Kind(
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
     compares="displacement",
+    figures={
+        "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
+    },
 )
 KIND = Kind(
     name="contraction-relaxation",
@@ -124,6 +127,12 @@ KIND = Kind(
     compares="displacement",
     methods=METHODS,
     also=(PAPER_1,),
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
     imported=Imported(
         Commanded(
             "pressure",

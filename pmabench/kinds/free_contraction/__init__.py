@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
 - `reduction`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -36,6 +36,9 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
+    },
     imported=Imported(
         Commanded(
             "pressure",

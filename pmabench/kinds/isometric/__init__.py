@@ -17,6 +17,15 @@ PULL = Kind(
     order=131,
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
     imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
@@ -27,5 +36,14 @@ KIND = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
     also=(PULL,),
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
     imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

@@ -32,5 +32,8 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_sine.reduction:reduce",
     methods=METHODS,
+    figures={
+        "pressure-loop": "pmabench.plotting.loops:loops",
+    },
     imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

@@ -1,7 +1,7 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
 - `reduction`, made of `relaxation`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -37,6 +37,9 @@ KIND = Kind(
     moves="displacement",
     compares="force",
     methods=METHODS,
+    figures={
+        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
+    },
     imported=Imported(
         Commanded(
             "displacement",
