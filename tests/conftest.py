@@ -26,6 +26,8 @@ def _own_state(tmp_path, monkeypatch):
 DRIVERS = (
     "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
 )  # fmt: skip
+WHOLE_RUNS = "tests/drivers/test_whole_runs.py"
+"""The parameter `rig` of its tests begins with the name of a driver's folder: they belong to that rig."""
 RIGS = (
     *(f"tests/drivers/{name}/" for name in DRIVERS),
     "tests/drivers/truth/",
@@ -52,6 +54,13 @@ def _rig_of_this_commit():
     return os.environ.get("PMABENCH_RIG") or RIGS[commit_number() % len(RIGS)]
 
 
+def _rig_of(item):
+    """The rig that a test belongs to; None where it belongs to none."""
+    if WHOLE_RUNS in item.nodeid:
+        return f"tests/drivers/{item.callspec.params['rig'].partition('-')[0]}/"
+    return next((rig for rig in RIGS if rig in item.nodeid), None)
+
+
 def pytest_collection_modifyitems(config, items):
     """The whole suite takes one rig over its wire, and leaves out studies; whoever names a file gets all of it."""
     if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
@@ -59,7 +68,7 @@ def pytest_collection_modifyitems(config, items):
     chosen = _rig_of_this_commit()
     left_out = []
     for item in items:
-        rig = next((rig for rig in RIGS if rig in item.nodeid), None)
+        rig = _rig_of(item)
         waits = item.get_closest_marker("realtime") is not None and rig is not None
         if (waits and (rig != chosen or item.get_closest_marker("slow"))) or item.get_closest_marker("study"):
             left_out.append(item)
