@@ -271,7 +271,7 @@ class Line:
         function = answer.function_code
         if function > FAILED:
             return bool(function == wanted[0] | FAILED)
-        signature: Signature = (function, *SIGNATURES[function](answer))
+        signature: Signature = (function, *SIGNATURES.get(function, lambda _answer: ())(answer))
         if signature == wanted:
             return True
         self._owed = [item for item in self._owed if item[0] != signature]
