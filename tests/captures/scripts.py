@@ -54,7 +54,7 @@ def sampled(device):
     """One sample of a device that is asked for its samples."""
     if isinstance(device, ModbusDevice):
         device._streaming = True  # as while its thread asks
-    device._poll()
+    device._tick()
     if isinstance(device, ModbusDevice):
         device._streaming = False
     for name, column in sorted(device.collect().columns.items()):
