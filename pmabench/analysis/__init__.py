@@ -1,6 +1,7 @@
 """From trials to coefficients: segmentation, fits, uncertainty, tuning rules; pure functions over loaded runs.
 
-`reduce.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`).
+`kinds.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`),
+and where its other parts are; `reduce.py` calls them.
 `declared` is what a reduction says that it can give: title, unit, headline.
 `many` reduces many runs at once, `cluster` does so on a Dask cluster. Each folder says what its modules are:
 

@@ -32,6 +32,8 @@ class Result:
     """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
     unit: str = ""
     """SI unit where no quantity is declared."""
+    positive: bool = False
+    """Whether it cannot be below 0, so that its interval ends there; terms of its curves can be below."""
 
 
 def check_declared(

@@ -4,53 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 from pmabench.analysis.declared import Result
+from pmabench.analysis.kinds import KINDS, part
 from pmabench.analysis.recorded.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
-from pmabench.analysis.statics.break_away import option_of
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import agreement
 from pmabench.analysis.verdict.checks import with_checks
-from pmabench.analysis.verdict.offers import STATIC
 from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
-REDUCTIONS = {
-    "static-load": "statics.static_load",
-    "contraction-relaxation": "contraction.contraction",
-    "contraction-relaxation-paper-1": "contraction.contraction_paper1",
-    "sinusoidal-displacement": "driven.sine",
-    "ultimate-gain": "loops.ultimate_gain",
-    "isobaric-ramp": "driven.isobaric",
-    "step-displacement": "driven.step_displacement",
-    "positioning": "loops.positioning",
-    "validation": "loops.validation",
-    "closed-volume": "statics.closed_volume",
-    "isometric-pressurisation": "statics.isometric_pressurisation",
-    "free-contraction": "statics.free_contraction",
-    "arm-angle": "statics.arm_angle",
-    "isometric": "recorded.isometric",
-    "recorded-step": "recorded.recorded_steps",
-    "recorded-sine": "recorded.recorded_sines",
-    "recorded-pull": "recorded.isometric",
-}
-"""Kind of run, with the reduction that its protocol asks for -> module with `reduce(runs, options) -> Analysis`.
-
-The module declares in `RESULTS` what it can give.
-"""
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
     """What the reduction of a kind of run declares that it can give; KeyError for an unknown kind."""
-    declared: tuple[Result, ...] = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").RESULTS
+    declared: tuple[Result, ...] = part(KINDS[kind].reduction).RESULTS
     return declared
 
 
@@ -61,7 +36,7 @@ def specimen_of(run: RunData) -> str:
 
 
 def reduction_of(run: RunData) -> str:
-    """Which of `REDUCTIONS` a run needs."""
+    """Which of `KINDS` a run needs."""
     asked = (run.plan.get("settings") or {}).get("reduction")
     return f"{run.kind}-{asked.get('method')}" if isinstance(asked, Mapping) else run.kind
 
@@ -75,8 +50,8 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
     specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
     for run in runs:
         kind = reduction_of(run)
-        if kind not in REDUCTIONS:
-            raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, REDUCTIONS)}')
+        if kind not in KINDS:
+            raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, KINDS)}')
         kinds = specimens.setdefault((specimen_of(run), run.simulated), {})
         kinds.setdefault(kind, []).append(run)
     found: list[Analysis] = []
@@ -88,19 +63,19 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
 
 
 def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
-    """One analysis for each kind, in their order; static load comes last, for it needs K of another test."""
+    """One analysis for each kind, in their order; those that take something from others are made last."""
     analyses: dict[str, Analysis] = {}
-    for kind in sorted(kinds, key=lambda kind: kind == STATIC):
+    for kind in sorted(kinds, key=lambda kind: bool(KINDS[kind].from_others)):
         asked = options.get(kind)
-        if kind == STATIC:
-            asked = {**option_of(list(analyses.values())), **(asked or {})}
+        if KINDS[kind].from_others:
+            asked = {**part(KINDS[kind].from_others)(list(analyses.values())), **(asked or {})}
         analyses[kind] = _reduced(kind, kinds[kind], asked)
     return [analyses[kind] for kind in kinds]
 
 
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
-    analysis = import_module(f"pmabench.analysis.{REDUCTIONS[kind]}").reduce(runs, options)
+    analysis: Analysis = part(KINDS[kind].reduction).reduce(runs, options)
     checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(kind, runs)))
 
@@ -144,7 +119,8 @@ def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping
     """The static-load test of the same specimen."""
     mine = next((tested[run] for run in analysis.runs if run in tested), None)
     for other in analyses:
-        if other.kind == STATIC and mine in [tested.get(run) for run in other.runs]:
+        known = KINDS.get(other.kind)
+        if known is not None and known.force_at_rest and mine in [tested.get(run) for run in other.runs]:
             return other
     return None
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from pmabench.analysis.declared import Result, in_common
-from pmabench.analysis.reduce import REDUCTIONS, results_of
+from pmabench.analysis.kinds import KINDS
+from pmabench.analysis.reduce import results_of
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.quantities import QUANTITIES
 
@@ -61,7 +62,7 @@ def test_a_symbol_declared_twice_is_an_error():
         analysis(K, results=(STIFF, replace(STIFF, title="bulk modulus")))
 
 
-@pytest.mark.parametrize("kind", REDUCTIONS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_reduction_declares_titles_units_and_a_headline(kind):
     declared = results_of(kind)
     assert any(result.headline for result in declared)
@@ -73,7 +74,7 @@ def test_every_reduction_declares_titles_units_and_a_headline(kind):
 
 def test_one_coefficient_has_one_title_in_all_kinds():
     titles = {}
-    for kind in REDUCTIONS:
+    for kind in KINDS:
         for result in results_of(kind):
             titles.setdefault((result.symbol, result.quantity), set()).add(result.title)
     assert {key: names for key, names in titles.items() if len(names) > 1} == {}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.contraction import contraction
+from pmabench.analysis.declared import Result
 from pmabench.analysis.driven import sine
 from pmabench.analysis.loops import ultimate_gain
 from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
@@ -311,10 +312,16 @@ def _stiffness_by_cycle(trial: TrialData) -> list[float]:
 
 def test_an_interval_ends_at_0_only_for_what_cannot_be_below():
     time = Estimate("t_d", 0.02, "s", "time", "onset", parts=Parts(0.05), coordinate="command-to-motion")
-    assert time.ci95 == (0.0, 0.07)
     slope = Estimate("K", 1.0, "N/m/Pa", "stiffness per pressure", "m", parts=Parts(3.0), coordinate="slope")
-    assert slope.ci95 == (-2.0, 4.0)
     width = Estimate("H", 1.0, "N", "force", "m", parts=Parts(3.0))
+    declared = (
+        Result("t_d", "dead time", "time", positive=True),
+        Result("K", "stiffness", "stiffness", positive=True),
+        Result("H", "loop width", "force"),
+    )
+    time, slope, width = Analysis("new-kind", (), False, (time, slope, width), results=declared).estimates
+    assert time.ci95 == (0.0, 0.07)
+    assert slope.ci95 == (-2.0, 4.0)
     assert width.ci95 == (-2.0, 4.0)
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.reduce import REDUCTIONS, reduce_runs, reduction_of, verdicts
+from pmabench.analysis.kinds import KINDS
+from pmabench.analysis.reduce import reduce_runs, reduction_of, verdicts
 from pmabench.cli.main import main
 from pmabench.store.chain import open_chains
 from pmabench.store.folder import plain
@@ -90,7 +91,7 @@ def runs(tmp_path_factory):
 
 def test_every_kind_is_here(runs):
     made = {reduction_of(run) for run in runs}
-    assert made == set(REDUCTIONS)
+    assert made == set(KINDS)
 
 
 def test_process_prints_strict_json_and_nothing_else(runs, tmp_path):

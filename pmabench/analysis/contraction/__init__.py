@@ -8,6 +8,7 @@
 - where asked for: chosen forms over pressure in `contraction_joint`, `joint`, `forms`; output error in
   `contraction_polish`, `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in
   `regulator_response`
+- what it says of quantities that other tests measure, too: `contraction_offers`
 - by paper 1: `contraction_paper1`, made of `contraction_paper1_steps` and `contraction_known_force`; model against
   test in `contraction_paper1_view`
 """

@@ -40,15 +40,15 @@ from pmabench.store.records import Array, RunData
 KIND = "contraction-relaxation"
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
-    Result("t_d", "dead time", "time", plot="Dead times t_d"),
-    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency"),
-    Result("tau_P", "rise time of the pressure", "time"),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
+    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency", positive=True),
+    Result("tau_P", "rise time of the pressure", "time", positive=True),
 )
 """What it can give; columns and figures have this order."""
 METHOD = "measured-pressure"

@@ -32,13 +32,13 @@ from pmabench.store.records import Array, RunData
 KIND = "contraction-relaxation-paper-1"
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
-    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
+    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
     Result("accuracy", "agreement of model and test at rest", "ratio", plot="Accuracy of the closed form at rest"),
     Result("misfit", "residual of the model over time", "length", plot="Residual of the closed form, rms over time"),
 )

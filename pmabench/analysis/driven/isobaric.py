@@ -6,31 +6,35 @@ rubber's force is fitted in `rubber`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from pmabench.analysis.declared import Result
-from pmabench.analysis.driven.isobaric_cell import CURVE, Cell, Member
+from pmabench.analysis.driven.isobaric_cell import CURVE, GAP, LOCAL, Cell, Member
 from pmabench.analysis.driven.ramp_loop import measure_as_planned
 from pmabench.analysis.driven.rubber import rubber
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.verdict.offers import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "isobaric-ramp"
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force", headline=True),
     Result("H", "loop width", "force"),
-    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("W_c", "work given while contracting", "work"),
-    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("eta", "work given back, of the work taken up", "ratio", positive=True),
     Result("F_e", "force of the rubber without pressure", "force"),
     Result("A", "size of the rubber term", "force"),
     Result("B1", "contraction at which the rubber term is 0 again", "ratio"),
@@ -40,6 +44,8 @@ RESULTS = (
 CHANNELS = ("displacement", "force")
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
+STRAIGHT = 0.02
+"""Rms of a mean curve about a straight line, as a share of its range, up to which it counts as one."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -145,3 +151,48 @@ def _sentences(cells: Sequence[Cell]) -> list[Finding]:
         text = f"at {', '.join(bent)} the mean curve is bent: K by pressure alone is a mean over the stroke"
         told.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
     return told
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F along the mean curves, K of those that are straight and along those that are bent, B, F_c."""
+    K = at_pressures(analysis, "K", CURVE)
+    for trace in analysis.traces:
+        P = trace.marks.get("pressure")
+        if trace.figure == "mean-curve" and P is not None:
+            F_here, K_here = (
+                sorted(((e.at["contraction"], e) for e in values_of(analysis, symbol, LOCAL) if e.at["pressure"] == P),
+                       key=lambda one: one[0]) for symbol in ("F", "K")
+            )  # fmt: skip
+            if F_here:
+                yield _along(P, trace, F_here)
+            if P in K and _is_straight(trace):
+                yield everywhere("K", {P: K[P]})
+            elif K_here:
+                yield _local(P, K_here)
+    yield from (everywhere(symbol, at_pressures(analysis, symbol, GAP)) for symbol in ("B", "F_c"))
+
+
+def _along(P: float, trace: Trace, known: Sequence[tuple[float, Estimate]]) -> Offer:
+    """F along the mean curve of a pressure [Pa], with an interval between those of its places."""
+
+    def at(place: Place) -> Estimate | None:
+        found = between(known, place[1]) if place[0] == P and place[1] is not None else None
+        if found is None:
+            return None
+        return replace(found, value=float(np.interp(place[1], trace.columns["displacement"], trace.columns["force"])))
+
+    return Offer("F", {(P, x): e for x, e in known}, at)
+
+
+def _local(P: float, known: Sequence[tuple[float, Estimate]]) -> Offer:
+    """K along a bent curve of a pressure [Pa]."""
+
+    def at(place: Place) -> Estimate | None:
+        return between(known, place[1], bent=True) if place[0] == P and place[1] is not None else None
+
+    return Offer("K", {(P, x): e for x, e in known}, at)
+
+
+def _is_straight(trace: Trace) -> bool:
+    x, F = trace.columns["displacement"], trace.columns["force"]
+    return len(x) > 2 and float(np.std(F - np.polyval(np.polyfit(x, F, 1), x))) <= STRAIGHT * float(np.ptp(F))

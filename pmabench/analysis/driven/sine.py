@@ -6,7 +6,7 @@ lines through those of one cell are in `sine_fit`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import nan
 from typing import Any
 
@@ -23,20 +23,21 @@ from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trac
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.verdict.offers import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force"),
     Result("H", "loop width", "force"),
-    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("W_c", "work given while contracting", "work"),
-    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("eta", "work given back, of the work taken up", "ratio", positive=True),
     Result("P_err", "largest error of the pressure", "pressure"),
     Result("F_rms", "rms error of the modelled force", "force"),
     Result("phi", "phase of force before displacement", "angle"),
@@ -199,3 +200,13 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
                     )
                 )
     return even, findings
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and F at the mean contraction of each cell, F_ce at x = 0, and B and F_c, which do not depend on it."""
+    for symbol in ("K", "B", "F_c"):
+        for e in values_of(analysis, symbol, HARMONIC):
+            yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
+    for symbol in ("F_ce", "F"):
+        for e in values_of(analysis, symbol, sine_mean.METHOD):
+            yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})

@@ -32,8 +32,8 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
 RESULTS = (
-    Result("K_u", "ultimate gain", "gain", headline=True),
-    Result("T_u", "ultimate period", "time", headline=True),
+    Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
+    Result("T_u", "ultimate period", "time", headline=True, positive=True),
 )
 """What it can give; columns and figures have this order."""
 NO_LEVELS = "no levels of gain are recorded: no column holds them, but run.json of an exported run does"

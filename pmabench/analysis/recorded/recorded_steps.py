@@ -5,7 +5,7 @@ Knows trials with one command each and measured pressure and displacement; not w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,15 +29,16 @@ from pmabench.analysis.shared.motion import nothing_moved
 from pmabench.analysis.shared.onset import LEAST, onset
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.analysis.verdict.offers import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"
 RESULTS = (
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d"),
-    Result("tau_P", "rise time of the pressure", "time", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d", positive=True),
+    Result("tau_P", "rise time of the pressure", "time", headline=True, positive=True),
     Result("X", "stroke", "length", headline=True),
     Result("dP/dx", "pressure per contraction", "gain", headline=True),
 )
@@ -411,3 +412,9 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": after, "load": point.get("load", 0.0)},
     )
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and B where the motion rings, at the pressure that the step ends at; each step for itself."""
+    for symbol in ("K", "B"):
+        yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))

@@ -6,23 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmabench.analysis.kinds import KINDS
 from pmabench.analysis.results import POINT_QUANTITIES, Trace
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 FIGURE = "repeats"
-CHANNELS = {
-    "contraction-relaxation": "displacement",
-    "contraction-relaxation-paper-1": "displacement",
-    "free-contraction": "displacement",
-    "positioning": "displacement",
-    "validation": "displacement",
-    "sinusoidal-displacement": "force",
-    "isobaric-ramp": "force",
-    "isometric-pressurisation": "force",
-    "step-displacement": "force",
-}
-"""Kinds whose trials of one operating point have one course in time -> the channel that tells them apart."""
 POINTS = 360
 MOST = 8
 """Most repeats."""
@@ -37,7 +26,7 @@ def traces(kind: str, runs: Sequence[RunData]) -> list[Trace]:
 
     Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
     """
-    channel = CHANNELS.get(kind, "")
+    channel = KINDS[kind].repeats if kind in KINDS else ""
     groups: dict[Point, list[TrialData]] = {}
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:

@@ -5,8 +5,8 @@ Knows the samples at rest of each trial; words and figure are in `free_contracti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import NotUsable, noise_of
 from pmabench.analysis.statics import free_contraction_view as view
 from pmabench.analysis.statics.isometric_lines import spread
+from pmabench.analysis.verdict.offers import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.model.library import MODELS
 from pmabench.store.records import Array, RunData, TrialData
@@ -130,6 +131,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
+            "measured": [point.pressure for point in points],
             "trials": sum(len(point.rests) for point in points),
             "pressures": len(points),
             "residual_rms": None if fit is None else fit.residual_rms,
@@ -295,3 +297,24 @@ def _coefficients(fit: ModelFit | None, why: str) -> list[Estimate]:
         note = sentences(note, RESIDUALS if half is not None else "")
         found.append(Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name))
     return found
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """x, the contraction without load, at the measured pressures and between them."""
+    lengths = [e for e in analysis.estimates if (e.symbol, e.method) == ("L", FREE)]
+    pairs, length = zip(analysis.facts.get("measured", ()), lengths, strict=False), analysis.facts.get("nominal_length")
+    known = [(P, replace(e, symbol="x", value=length - e.value)) for P, e in pairs if length and e.value is not None]
+    if not (np.diff([P for P, _ in known]) > 0).all():
+        return
+    both = any(e.symbol == "x_H" for e in analysis.estimates)
+
+    def at(place: Place) -> Estimate | None:
+        return between(known, place[0], bent=True)
+
+    why = "" if both else "it was reached from one side only, and friction keeps it short of its rest"
+    yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if both else -1, why=why)
+
+
+def contraction_of(run: RunData, trial: TrialData) -> float:
+    """Contraction of one trial at rest without load [m]; raises `NotUsable`."""
+    return measure(run, trial).x

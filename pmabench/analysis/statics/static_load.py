@@ -5,7 +5,7 @@ Knows what the searches found; not how they were made, and not how the bench is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Any
@@ -20,13 +20,14 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.statics import static_load_view as view
 from pmabench.analysis.statics.break_away import Stiffness, carried
 from pmabench.analysis.statics.static_load_points import LIFT, MEAN, SET_DOWN, Points, points_of
+from pmabench.analysis.verdict.offers import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData
 
 KIND = "static-load"
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("F_f", "friction, half the difference of both directions", "force"),
+    Result("F_f", "friction, half the difference of both directions", "force", positive=True),
 )
 """What it can give; columns and figures have this order."""
 HALF = "static-half-difference"
@@ -305,3 +306,19 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
 def _means(group: Array, values: Array) -> Array:
     """Mean of the values of each group."""
     return np.array([values[group == name].mean() for name in np.unique(group)])
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F at x = 0, a line over pressure and so known between its points, and friction at rest, which F_c is below."""
+    known = at_pressures(analysis, "F_ce", MEAN)
+    line = sorted(known.items())
+
+    def at(place: Place) -> Estimate | None:
+        P, x = place
+        return between(line, P) if x is not None and abs(x) <= SAME else None
+
+    yield Offer("F", {(P, 0.0): e for P, e in line}, at)
+    why = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
+    for e in analysis.estimates:
+        if e.method == HALF and not e.at and e.value is not None:
+            yield replace(anywhere("F_c", e, "friction at rest"), side=1, why=why)

@@ -1,7 +1,8 @@
 """What speaks for or against a result, and results beside each other.
 
 - beside its residual: `checks`, `contraction_checks`; limits of a protocol: `acceptance`
-- independent tests of one specimen against each other: `agreement`, by what each kind says, `offers`
+- independent tests of one specimen against each other: `agreement`, by what each kind says (its `offers`, made with
+  those here)
 - two analyses coefficient by coefficient (`compare`): `comparison`; what recalibration changed: `changes`
 - open questions of imports, kept files that changed, doubts about a bench, as the runs store them: `record`
 - a specimen over its runs (`history`): `life`, `control_chart`

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.analysis.verdict.agreement import OF_STATIC, against_static
+from pmabench.analysis.verdict.agreement import against_static
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
@@ -182,8 +182,6 @@ def _against_static(
     analysis: Analysis, static: Analysis | None, limit: Limit, named: Callable[[Estimate], str]
 ) -> Iterator[str]:
     """F_ce against that of static load, at every pressure that both cover."""
-    if analysis.kind not in OF_STATIC:
-        return
     if static is None:
         yield (
             f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
