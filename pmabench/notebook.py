@@ -44,7 +44,7 @@ def process(
     Raises InvalidFile for what is no run, or is of a kind that cannot be reduced; UsageError where none is given, and
     for a form that is none.
     """
-    from pmabench.analysis.reduce import reduce_runs
+    from pmabench.kinds.reduce import reduce_runs
     from pmabench.store.chain import open_chains
 
     if not runs:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.declared import Result, check_declared
+from pmabench.analysis.declared import check_declared
 from pmabench.base.errors import UsageError
+from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 

@@ -82,7 +82,7 @@ def command(
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
-    from pmabench.analysis.reduce import verdicts
+    from pmabench.kinds.reduce import verdicts
     from pmabench.report.words.wording import clean
 
     given = without_analyses(ui, runs)
@@ -145,7 +145,7 @@ def beside(folder: Path) -> Path:
 def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool, polish: bool) -> dict[str, Any]:
     """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
     if forms:
-        from pmabench.analysis.contraction.forms import asked
+        from pmabench.kinds.contraction_relaxation.forms import asked
 
         asked(forms)
     told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
@@ -231,7 +231,7 @@ def load_runs(paths: Sequence[Path]) -> list[RunData]:
 
 def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
     """One analysis for each kind of run, in the order in which the kinds come; `options` by kind."""
-    from pmabench.analysis.reduce import reduce_runs
+    from pmabench.kinds.reduce import reduce_runs
 
     return reduce_runs(runs, options)
 

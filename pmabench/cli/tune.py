@@ -12,8 +12,8 @@ import click
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.loops.tuning import AnyRule, Gains
     from pmabench.analysis.results import Analysis, Estimate
+    from pmabench.analysis.tuning import AnyRule, Gains
     from pmabench.model.loop import Loop
 
 
@@ -53,7 +53,7 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
+    from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
     from pmabench.base.errors import UsageError
 
     given = [value is not None for value in (ku, tu)]
@@ -123,10 +123,10 @@ def command(
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     """What the open-loop steps of runs give; other ways to K_u in them stand beside it in the findings."""
-    from pmabench.analysis.loops.open_loop_gain import METHOD
-    from pmabench.analysis.loops.ultimate_gain import KIND, reduce
     from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
+    from pmabench.kinds.ultimate_gain.open_loop_gain import METHOD
+    from pmabench.kinds.ultimate_gain.reduction import KIND, reduce
 
     loaded = load_runs(without_analyses(ui, runs))
     for run in loaded:
@@ -204,7 +204,7 @@ def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[floa
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
-    from pmabench.analysis.loops.tuning import measured_loops
+    from pmabench.analysis.tuning import measured_loops
     from pmabench.base.errors import invalid
     from pmabench.report.files.analysis_folder import read_analysis
 
@@ -219,7 +219,7 @@ Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
 def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
-    from pmabench.analysis.loops.tuning import loop_of
+    from pmabench.analysis.tuning import loop_of
     from pmabench.base.errors import UsageError
 
     if dead_time is None:

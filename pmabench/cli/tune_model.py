@@ -72,9 +72,9 @@ def by_folder(folder: Path, where: Where) -> Analysis:
 
 def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
     """K_u and T_u by the model that is fitted to runs; they must be of one specimen."""
-    from pmabench.analysis.reduce import reduce_runs, reduction_of
     from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
+    from pmabench.kinds.reduce import reduce_runs, reduction_of
 
     loaded = load_runs(without_analyses(ui, runs))
     for run in loaded:
@@ -88,8 +88,8 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
-    from pmabench.analysis.loops.model_gain import by_model
     from pmabench.base.errors import invalid
+    from pmabench.kinds.ultimate_gain.model_gain import by_model
 
     try:
         return by_model(analysis, where.setpoints, where.load, where.mass, period)

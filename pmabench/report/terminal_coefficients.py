@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.base.kind import Result
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
 from pmabench.report.words.names import declared

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.protocol.compile import make_plan
+from pmabench.kinds.compile import make_plan
 from tests.protocol.test_compile import ROOT, mounted
 
 TEXT = (ROOT / "protocols" / "contraction-relaxation.yaml").read_text().split("\naccept:")[0]

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pmabench.analysis.kinds import KINDS
 from pmabench.analysis.results import POINT_QUANTITIES, Trace
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
@@ -21,12 +20,13 @@ HIDDEN = frozenset(("side", "mass", "cycles"))
 Point = tuple[tuple[str, float], ...]
 
 
-def traces(kind: str, runs: Sequence[RunData]) -> list[Trace]:
+def traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     """The repeats of the operating point that has most of them, of several the middle one; none without repeats.
+
+    `channel` is the one in which they differ over time; empty for kinds of test whose trials have no common course.
 
     Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
     """
-    channel = KINDS[kind].repeats if kind in KINDS else ""
     groups: dict[Point, list[TrialData]] = {}
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from itertools import combinations
 from math import hypot, inf, isnan
 
-from pmabench.analysis.kinds import KINDS
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
-from pmabench.analysis.verdict.offers import Offer, Place, offers_of
+from pmabench.analysis.verdict.offers import Offer, Place
 from pmabench.base.quantities import show
 
 KIND = "agreement"
@@ -94,19 +93,18 @@ class Comparison:
         )  # fmt: skip
 
 
-def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
+def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: str = "") -> Analysis | None:
     """The differences between tests of one specimen at the same places; None where nothing can be compared.
 
-    A value without an interval is compared with nothing, and a finding says so.
+    `offers` are those of all `analyses`, in the order in which tests are named; `instead` is what to do about a muscle
+    whose force is no straight line. A value without an interval is compared with nothing, and a finding says so.
 
     Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
     (E_n number at most 1). Of many comparisons one in twenty is beyond that by chance: results are refused where a
     difference is larger than chance makes in one of a hundred campaigns. Calibration errors that both tests share are
     counted in both: the judgement is generous by that.
     """
-    offers = [offer for analysis in analyses for offer in offers_of(analysis)]
-    words = dict.fromkeys(kind.word for kind in KINDS.values() if kind.word)
-    tests = [[offer for offer in offers if offer.test == word] for word in words]
+    tests = [[offer for offer in offers if offer.test == test] for test in dict.fromkeys(o.test for o in offers)]
     found = [one for pair in combinations(tests, 2) for one in _compared(*pair)]
     known = [one for one in found if one.known]
     findings, refusals = [], []
@@ -115,7 +113,7 @@ def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
         mine = [one for one in group if one.known]
         if mine:
             findings.append(_sentence(mine, len(known)))
-            refusals += _refusal(mine, len(known))
+            refusals += _refusal(mine, len(known), instead)
         if without := [one.where.removeprefix(" at ") for one in group if not one.known]:
             text = f"{symbol}, {title}: not compared at {', '.join(dict.fromkeys(without))}, where one has no interval"
             findings.append(Finding("note", text))
@@ -162,14 +160,13 @@ def _order(place: Place) -> tuple[float, bool, float]:
     return inf if isnan(P) else P, x is None, x or 0.0
 
 
-def against_static(analysis: Analysis, static: Analysis) -> dict[float, tuple[Estimate, Estimate]]:
+def against_static(mine: Sequence[Offer], static: Sequence[Offer]) -> dict[float, tuple[Estimate, Estimate]]:
     """F_ce of a test by its primary method and of static load, by pressure [Pa] that both cover."""
-    mine, theirs = ([o for o in offers_of(one) if o.symbol == "F" and not o.words] for one in (analysis, static))
+    points = {place: e for o in mine if o.symbol == "F" and not o.words for place, e in o.points.items()}
     found = {}
-    points = {place: e for offer in mine for place, e in offer.points.items() if place[1] == 0.0}
-    for place, e in sorted(points.items(), key=lambda one: one[0]):
-        other = next((known for offer in theirs if (known := offer.at(place)) is not None), None)
-        if other is not None:
+    for place, e in sorted(points.items(), key=lambda one: (one[0][0], one[0][1] or 0.0)):
+        other = next((known for o in static if o.symbol == "F" and (known := o.at(place)) is not None), None)
+        if place[1] == 0.0 and other is not None:
             found[place[0]] = (e, other)
     return found
 
@@ -189,7 +186,7 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
     return Finding("note", f"{begin}beyond them, but no further than chance reaches in {count} comparisons")
 
 
-def _refusal(group: Sequence[Comparison], count: int) -> list[str]:
+def _refusal(group: Sequence[Comparison], count: int, instead: str) -> list[str]:
     """Why neither of two tests is accepted; nothing where they agree."""
     beyond = [one for one in group if one.score > one.limit(count)]
     if not beyond:
@@ -201,8 +198,7 @@ def _refusal(group: Sequence[Comparison], count: int) -> list[str]:
     ]
     reason = "one of the two tests is wrong"
     if worst.symbol in OF_FORM:
-        instead = next((kind.instead for kind in KINDS.values() if kind.instead), "")
-        reason += f", or the muscle does not follow F = F_ce - K x: {instead}"
+        reason += ", or the muscle does not follow F = F_ce - K x" + (f": {instead}" if instead else "")
     more = f" ({len(beyond)} of {len(group)} places)" if len(group) > 1 else ""
     return [
         f"{worst.symbol}{worst.where}{more}: {' and '.join(sides)} disagree: the difference is {worst.score:.2g} times "

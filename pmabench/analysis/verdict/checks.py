@@ -2,7 +2,7 @@
 
 A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
 themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
-the pooled fit come from `contraction_checks`.
+the pooled fit come from the kind of test.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from math import sqrt
 
 import numpy as np
 
-from pmabench.analysis.kinds import KINDS, part
 from pmabench.analysis.results import Analysis, Finding
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -62,10 +62,10 @@ NAMES = {
 """Every check that a protocol can limit, and what it is."""
 
 
-def with_checks(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
+def with_checks(analysis: Analysis, kind: Kind, runs: Sequence[RunData]) -> Analysis:
     """The analysis with the checks of its trials, and a finding for every check."""
     known = checks_of(analysis)
-    own = trial_checks(analysis.kind, runs)
+    own = trial_checks(kind, runs)
     if not known and not own:
         return analysis
     every = (*known, *own)
@@ -116,11 +116,11 @@ class Repeats:
         return len(self.value) - len(np.unique(self.cell))
 
 
-def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
+def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     """Spread of repeats, first-repeat effect and drift over the run, of the kinds that have a value of each trial."""
-    if kind not in KINDS or not KINDS[kind].trial_value:
+    if not kind.repeated:
         return []
-    value_of = part(KINDS[kind].trial_value)
+    value_of = kind.part("repeated")
     begun, told = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:
@@ -144,7 +144,7 @@ def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
     numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
     cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
     columns = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
-    repeats = Repeats(KINDS[kind].trial_value_is, cell, *columns)
+    repeats = Repeats(kind.repeated_is, cell, *columns)
     return [check for check in (spread(repeats), first_repeat(repeats), drift(repeats)) if check is not None]
 
 

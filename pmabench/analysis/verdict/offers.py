@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from math import hypot, nan
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
-from pmabench.analysis.kinds import KINDS, part
 from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.base.kind import Kind
 
 SAME = 1e-6
 """Contractions nearer to each other are one [m]."""
@@ -42,13 +41,12 @@ class Offer:
     why: str = ""
     """Why it may differ to that side: a sentence."""
     test: str = ""
-    """`Kind.word` of the test; added by `offers_of`."""
+    """`Kind.word` of the test, which `offers_of` adds."""
 
 
-def offers_of(analysis: Analysis) -> list[Offer]:
-    """All that one analysis offers."""
-    kind = KINDS.get(analysis.kind)
-    found = part(kind.offers)(analysis) if kind is not None and kind.offers else ()
+def offers_of(analysis: Analysis, kind: Kind | None) -> list[Offer]:
+    """All that one analysis of a kind offers."""
+    found = kind.part("offers")(analysis) if kind is not None and kind.offers else ()
     return [replace(offer, test=kind.word) for offer in found] if kind is not None else []
 
 
@@ -110,8 +108,8 @@ def straight(
 def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = False) -> Estimate | None:
     """A value on the straight line between the neighbours of `at` in `known`, which rises; None outside of them.
 
-    The half width there is at most what those of the neighbours are. Of a line that may be `bent`, the distance of
-    monotone cubics through all is the method part.
+    The half width there is at most what those of the neighbours are. Of what may be `bent` between them, even sharply
+    as at the end of a dead band, the method part is how far the next straight piece, continued, is from that line.
     """
     places = np.array([place for place, _ in known])
     if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
@@ -121,11 +119,19 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
     share = (at - low) / (high - low)
     if not 0 < share < 1:
         return one if share <= 0 else two
-    halves = [e.parts.combined for e in (one, two)]
-    half = None if None in halves else (1 - share) * (halves[0] or 0.0) + share * (halves[1] or 0.0)
     value = (1 - share) * (one.value or 0.0) + share * (two.value or 0.0)
-    cubic = float(PchipInterpolator(places, [e.value for _, e in known])(at)) if bent else value
-    return replace(one, value=value, parts=Parts(repeats=half, method=abs(cubic - value)), n=min(one.n, two.n))
+    pieces = [pair for pair in (known[max(0, i - 2) : i], known[i : i + 2]) if bent and len(pair) == 2]
+    off = min((abs(_along(pair, at) - value) for pair in pieces), default=None if bent else 0.0)
+    halves = [e.parts.combined for e in (one, two)]
+    whole = None not in halves and off is not None
+    half = (1 - share) * (halves[0] or 0.0) + share * (halves[1] or 0.0) if whole else None
+    return replace(one, value=value, parts=Parts(repeats=half, method=off), n=min(one.n, two.n))
+
+
+def _along(pair: Sequence[tuple[float, Estimate]], at: float) -> float:
+    """The straight line through two points, at another place."""
+    (low, one), (high, two) = pair
+    return (one.value or 0.0) + ((two.value or 0.0) - (one.value or 0.0)) * (at - low) / (high - low)
 
 
 def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:

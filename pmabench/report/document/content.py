@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pmabench import __version__
-from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.acceptance import limits_of
+from pmabench.kinds import registry
+from pmabench.kinds.reduce import verdicts
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.budget_tables import budget_table
 from pmabench.report.document.check_tables import check_tables
@@ -127,7 +128,7 @@ def content_of(
 
     Raises InvalidFile for a published table that matches no figure.
     """
-    order = wording.in_order((a.kind for a in analyses), wording.KINDS)
+    order = wording.in_order((a.kind for a in analyses), registry.all_kinds())
     analyses = sorted(analyses, key=lambda a: order.index(a.kind))
     runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
     ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])

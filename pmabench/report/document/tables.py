@@ -11,8 +11,8 @@ from typing import Any
 
 import pandas as pd
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.report.words.names import declared
 from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded

@@ -8,8 +8,8 @@ from math import floor, log10, nan
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
+from pmabench.base.kind import Result
 from pmabench.report.document.tables import cell, least
 from pmabench.report.figures import plots
 from pmabench.report.figures.pictures import Picture, picture

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from pmabench.analysis.declared import Result, in_common
+from pmabench.analysis.declared import in_common
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.base.kind import Result
 
 
 def declared(analyses: Iterable[Analysis]) -> dict[str, Result]:

@@ -12,30 +12,10 @@ from dataclasses import dataclass
 from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean as clean
+from pmabench.kinds import registry
 
 AGREEMENT = "agreement"
 """Kind of the analysis that compares tests and is none itself."""
-
-KINDS: dict[str, str] = {
-    "static-load": "Static load",
-    "contraction-relaxation": "Contraction and relaxation",
-    "contraction-relaxation-paper-1": "Contraction and relaxation in single steps",
-    "sinusoidal-displacement": "Sinusoidal displacement",
-    "ultimate-gain": "Ultimate gain",
-    "isobaric-ramp": "Isobaric ramps",
-    "step-displacement": "Steps of displacement",
-    "positioning": "Positioning in closed loop",
-    "validation": "Validation of a model",
-    "closed-volume": "Closed volume",
-    "isometric-pressurisation": "Isometric pressurisation",
-    "free-contraction": "Free contraction",
-    "arm-angle": "Bending angle of an arm",
-    "isometric": "Isometric force over pressure",
-    "recorded-pull": "Recorded pulls at set pressure",
-    "recorded-step": "Recorded steps of pressure",
-    "recorded-sine": "Recorded sines of pressure",
-    "agreement": "Agreement of the tests",
-}
 
 _LABELS = {
     "pressure": "P",
@@ -189,4 +169,4 @@ def symbol_text(symbol: str, coordinate: str = "") -> str:
 
 def kind_title(kind: str) -> str:
     """The kind of test as a heading."""
-    return KINDS.get(kind) or clean(kind).replace("-", " ").capitalize() or "Unnamed test"
+    return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))

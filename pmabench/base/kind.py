@@ -1,0 +1,84 @@
+"""What a kind of test is: the record that each folder below `pmabench.kinds`, or another package, gives as `KIND`.
+
+Parts are named as "module:name" and loaded where they are used, so that naming a kind imports no numerics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Result:
+    """A coefficient that a kind of test gives, as it is declared: symbol, title, unit, whether it is a headline."""
+
+    symbol: str
+    """As in the field: F_ce, K, B_c."""
+    title: str
+    """In words, as they follow `the`: `stiffness`. The same title in two kinds of test means the same coefficient."""
+    quantity: str
+    """Key of `QUANTITIES`, which has the unit; empty where none is the right one, and `unit` says it."""
+    headline: bool = False
+    """Whether it is a key number: on the terminal, and on the first page of a report."""
+    plot: str = ""
+    """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
+    unit: str = ""
+    """SI unit where no quantity is declared."""
+    positive: bool = False
+    """Whether it cannot be below 0, so that its interval ends there; terms of its curves can be below."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of test, or another way to reduce its runs."""
+
+    name: str
+    """As in protocol files and run folders: `static-load`."""
+    title: str
+    """As a heading: `Static load`."""
+    results: tuple[Result, ...]
+    """Its coefficients; columns and figures have their order."""
+    reduction: str
+    """`module:reduce`: (runs, options) -> Analysis."""
+    order: int = 1000
+    """Place among the kinds in reports and lists."""
+    papers: tuple[str, ...] = ()
+    """Where its procedure comes from."""
+    protocol: str = ""
+    """`module:Class` of its protocol file; empty where it is only imported, or another reduction of the same runs."""
+    live: str = ""
+    """`module:measure`: (run, trial, expected, quick) -> what one trial says by itself, for the display."""
+    moves: str = ""
+    """Channel that changes in each of its trials, unless nothing moved."""
+    compares: str = ""
+    """Channel in which the repeats of an operating point are compared over time."""
+    repeated: str = ""
+    """`module:function`: (run, trial) -> the value that repeats are checked by; None or `NotUsable` without one."""
+    repeated_is: str = ""
+    """What that value is: `stiffness`."""
+    word: str = ""
+    """Its name in a comparison of tests, `sine`; two reductions of the same runs have the same."""
+    offers: str = ""
+    """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test measure, too."""
+    after: str = ""
+    """`module:options`: offers of the specimen's other tests -> options of this reduction, which is done after them."""
+    at_rest: bool = False
+    """Whether its F_ce is the one that limits against static load mean."""
+    instead: str = ""
+    """The advice to run it where other tests contradict each other on F_ce, F or K."""
+    methods: dict[str, str] = field(default_factory=dict)
+    """Method of its reduction -> what it does, in a sentence or two."""
+    also: tuple[Kind, ...] = ()
+    """Other ways to reduce its runs, with results of their own."""
+
+    def part(self, what: str) -> Any:
+        """The object that a field of "module:name" names; AttributeError or ImportError where it is not there."""
+        return load(getattr(self, what))
+
+
+def load(target: str) -> Any:
+    """The object named "module:name"."""
+    module, _, name = target.partition(":")
+    return getattr(import_module(module), name)
