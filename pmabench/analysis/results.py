@@ -237,6 +237,8 @@ class Finding:
     text: str
 
 
+AGREEMENT = "agreement"
+"""Kind of the analysis that compares tests and is none itself."""
 PUBLISHED = "published"
 """Kind of an analysis that holds other people's values and is none itself."""
 

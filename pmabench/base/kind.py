@@ -68,6 +68,12 @@ class Kind:
     """Whether its F_ce is the one that limits against static load mean."""
     instead: str = ""
     """The advice to run it where other tests contradict each other on F_ce, F or K."""
+    figures: dict[str, str] = field(default_factory=dict)
+    """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
+    front: dict[str, str] = field(default_factory=dict)
+    """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
+    published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     also: tuple[Kind, ...] = ()

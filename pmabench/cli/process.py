@@ -83,7 +83,7 @@ def command(
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
     from pmabench.kinds.reduce import verdicts
-    from pmabench.report.words.wording import clean
+    from pmabench.plotting.wording import clean
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
@@ -128,8 +128,8 @@ def command(
 def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:
     """The verdict as the first page of the report has it, then each reason why results are not accepted."""
     from pmabench.analysis.verdict.acceptance import limits_of
+    from pmabench.plotting.wording import clean
     from pmabench.report.document.front import verdict_of
-    from pmabench.report.words.wording import clean
 
     limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
     verdict = verdict_of(analyses, runs, failed, accepted=bool(limits))
@@ -252,9 +252,9 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
+    from pmabench.plotting.rounding import printed
+    from pmabench.plotting.wording import clean
     from pmabench.report.terminal_coefficients import print_coefficients
-    from pmabench.report.words.rounding import printed
-    from pmabench.report.words.wording import clean
 
     console = ui.console()
     print_coefficients(analyses, console)

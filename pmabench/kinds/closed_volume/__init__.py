@@ -1,7 +1,7 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
 - `reduction`, made of `stroke` and `fit`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -34,4 +34,7 @@ KIND = Kind(
     live="pmabench.kinds.closed_volume.live:measure",
     moves="displacement",
     methods=METHODS,
+    figures={
+        "volume": "pmabench.kinds.closed_volume.figures:volumes",
+    },
 )

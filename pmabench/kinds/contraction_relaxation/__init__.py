@@ -9,7 +9,7 @@
   `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
 - what it says of quantities that other tests measure, too: `offers`
 - by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -109,6 +109,9 @@ PAPER_1 = Kind(
     compares="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.offers:by_paper_1",
+    figures={
+        "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
+    },
 )
 KIND = Kind(
     name="contraction-relaxation",
@@ -130,4 +133,10 @@ KIND = Kind(
     offers="pmabench.kinds.contraction_relaxation.offers:offers",
     methods=METHODS,
     also=(PAPER_1,),
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
 )

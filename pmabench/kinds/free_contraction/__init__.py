@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
 - `reduction`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -39,4 +39,7 @@ KIND = Kind(
     word="free contraction",
     offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,
+    figures={
+        "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
+    },
 )

@@ -1,7 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
 - `reduction`, made of `cell` and `rubber`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -65,4 +65,14 @@ KIND = Kind(
     offers="pmabench.kinds.isobaric_ramp.reduction:offers",
     instead="an isobaric ramp (isobaric-ramp) measures the curve itself",
     methods=METHODS,
+    figures={
+        "isobaric": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "mean-curve": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "rubber": "pmabench.kinds.isobaric_ramp.figures:rubber",
+    },
+    published={
+        "mean-curve": ("displacement", "force", "pressure"),
+        "isobaric": ("displacement", "force", "pressure"),
+        "rubber": ("displacement", "force", "pressure"),
+    },
 )

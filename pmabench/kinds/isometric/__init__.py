@@ -18,6 +18,15 @@ PULL = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     word="recorded pull",
     offers="pmabench.kinds.isometric.reduction:offers",
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
 )
 KIND = Kind(
     name="isometric",
@@ -29,4 +38,13 @@ KIND = Kind(
     word="recorded isometric",
     offers="pmabench.kinds.isometric.reduction:offers",
     also=(PULL,),
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
 )

@@ -2,7 +2,7 @@
 
 - `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
   `blocked_force`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -70,4 +70,14 @@ KIND = Kind(
     word="isometric",
     offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+        "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
 )

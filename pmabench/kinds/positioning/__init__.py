@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
 - `reduction`, made of `response`
-- protocol files: `protocol` and `controller`; one trial on the display: `live`
+- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`, `plots`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -38,4 +38,10 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
+    front={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
 )

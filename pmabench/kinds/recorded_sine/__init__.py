@@ -31,4 +31,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_sine.reduction:reduce",
     methods=METHODS,
+    figures={
+        "pressure-loop": "pmabench.plotting.loops:loops",
+    },
 )

@@ -29,4 +29,10 @@ KIND = Kind(
     word="recorded step",
     offers="pmabench.kinds.recorded_step.reduction:offers",
     methods=METHODS,
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
 )

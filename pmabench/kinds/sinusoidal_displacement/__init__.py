@@ -2,7 +2,7 @@
 
 - `reduction`, made of `fit`, `lines`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`,
   `work`; figures' columns: `traces`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -65,4 +65,12 @@ KIND = Kind(
     word="sine",
     offers="pmabench.kinds.sinusoidal_displacement.reduction:offers",
     methods=METHODS,
+    figures={
+        "loop": "pmabench.plotting.loops:loops",
+        "bode": "pmabench.plotting.loops:bode",
+        "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
+    },
+    published={
+        "loop": ("displacement", "force", "pressure"),
+    },
 )

@@ -1,7 +1,7 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
 - `reduction`, made of `points` and `break_away` (lift and set-down carried to x = 0); words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -38,4 +38,8 @@ KIND = Kind(
     after="pmabench.kinds.static_load.break_away:option_of",
     at_rest=True,
     methods=METHODS,
+    figures={
+        "static": "pmabench.kinds.static_load.figures:points",
+        "lift": "pmabench.kinds.static_load.figures:lifts",
+    },
 )

@@ -1,7 +1,7 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
 - `reduction`, made of `relaxation`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -40,4 +40,7 @@ KIND = Kind(
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
+    figures={
+        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
+    },
 )

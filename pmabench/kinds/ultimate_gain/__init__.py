@@ -47,4 +47,11 @@ KIND = Kind(
     live="pmabench.kinds.ultimate_gain.live:measure",
     moves="displacement",
     methods=METHODS,
+    figures={
+        "oscillation": "pmabench.plotting.loops:oscillations",
+        "growth": "pmabench.plotting.loops:oscillations",
+    },
+    front={
+        "growth": "pmabench.plotting.loops:growth_alone",
+    },
 )

@@ -1,6 +1,6 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; one trial on the display: `live`
+- `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -34,4 +34,10 @@ KIND = Kind(
     repeated="pmabench.kinds.validation.reduction:mean_in_window",
     repeated_is="contraction",
     methods=METHODS,
+    figures={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+    front={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
 )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.report.figures.plots import (
+from pmabench.plotting.plots import (
     BLUE,
     FAINT,
     FULL,

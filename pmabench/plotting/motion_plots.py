@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
-from pmabench.report.figures.plots import BLUE, FAINT, FULL, HALF, PALETTE, QUIET, Array, Panel, blank, few_ticks, grid
+from pmabench.plotting.plots import BLUE, FAINT, FULL, HALF, PALETTE, QUIET, Array, Panel, blank, few_ticks, grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,9 +10,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
-from pmabench.report.figures import motion_plots
-from pmabench.report.figures.pictures import (
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import motion_plots, time_plots
+from pmabench.plotting.pictures import (
     Picture,
     bound,
     has,
@@ -22,10 +22,11 @@ from pmabench.report.figures.pictures import (
     numbers,
     panel,
     picture,
+    reach,
     spread,
     unit_of,
 )
-from pmabench.report.figures.plots import Array
+from pmabench.plotting.plots import Array
 
 TOGETHER = 5
 """Most curves of a figure."""
@@ -34,6 +35,62 @@ LAGS = 60
 POINTS = 99
 """Quantiles that are compared with those of a normal distribution."""
 NAMES = ("t", "pressure", "displacement", "model")
+OVERLAYS = 6
+"""Most panels of measured and modelled motion."""
+FREE_RUN = "the fitted muscle, run freely with the measured pressure"
+
+
+def motions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Free runs of the fitted muscle, what they leave, and the same motion over the pressure."""
+    found = overlays(traces, analysis)
+    return found + residuals(traces, analysis.simulated) + over_pressure(traces, analysis.simulated)
+
+
+def overlays(
+    traces: Sequence[Trace],
+    analysis: Analysis,
+    model: str = FREE_RUN,
+    title: str = "Measured and modelled motion",
+) -> list[Picture]:
+    """Contraction over time, measured and of a `model` in words, and their difference below."""
+    able = [t for t in traces if has(t, "t", "displacement", "model")]
+    if not able:
+        return []
+    chosen = spread(able, OVERLAYS)
+    names = {"t": "t", "measured": "displacement", "model": "model"}
+    panels = [panel(t, names, head(t)) for t in chosen]
+    unit = unit_of(chosen[0], "displacement").unit
+    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
+    misfits = [_rms(p.columns["measured"] - p.columns["model"]) for p in panels]
+    worst = int(np.argmax(misfits))
+    title += f", {panels[0].title}" if len(chosen) == 1 else ""
+    caption = (
+        f"Grey: measured; red: {model}. Below: their difference, rms {reach(misfits)} {unit}.{how_many(chosen, able)}"
+    )
+    if any(not np.isfinite(p.columns["model"]).all() for p in panels):
+        caption += " The model ends where the muscle moves at a pressure at which a coefficient is open."
+    alt = (
+        f"Contraction over time, measured and modelled, in {len(panels)} panel{'s' if len(panels) > 1 else ''}: "
+        f"{'; '.join(p.title for p in panels)}. Root mean square difference {reach(misfits)} {unit}"
+        + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
+    )
+    table = numbers([(head(t), t) for t in chosen], ("t", "pressure", "displacement", "model"))
+    return [
+        picture(
+            lambda: time_plots.overlay(panels, labels),
+            title,
+            caption,
+            alt,
+            table,
+            wide=len(chosen) > 1,
+            simulated=analysis.simulated,
+        )
+    ]
+
+
+def _rms(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
 def over_pressure(traces: Sequence[Trace], simulated: bool) -> list[Picture]:

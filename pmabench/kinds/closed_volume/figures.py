@@ -7,17 +7,17 @@ from math import degrees
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
+from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.quantities import show
-from pmabench.report.figures import plots
-from pmabench.report.figures.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
-from pmabench.report.figures.plots import Points
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
+from pmabench.plotting.plots import Points
 
 NAMES = ("contraction", "volume", "half")
 PRESSURES = 4
 
 
-def volumes(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure with the volumes of all start pressures."""
     able = [t for t in traces if has(t, "contraction", "volume")]
     chosen = spread(able, PRESSURES)
@@ -42,7 +42,7 @@ def volumes(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
     draw = bound(plots.coefficients, points, *labels)
     table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], NAMES)
-    return [picture(draw, "Volume over contraction", caption, alt, table, wide=False, simulated=simulated)]
+    return [picture(draw, "Volume over contraction", caption, alt, table, wide=False, simulated=analysis.simulated)]
 
 
 def _points(trace: Trace, i: int) -> Points:

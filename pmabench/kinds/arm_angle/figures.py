@@ -7,21 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
+from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.quantities import show
-from pmabench.report.figures.pictures import (
-    Picture,
-    bound,
-    column,
-    has,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-)
-from pmabench.report.figures.plots import FULL, INK, PALETTE, QUIET, Panel, blank, few_ticks, grid
+from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
+from pmabench.plotting.plots import FULL, INK, PALETTE, QUIET, Panel, blank, few_ticks, grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +19,7 @@ LOADS = 6
 NAMES = ("pressure", "angle", "below", "above", "fit", "model")
 
 
-def angles(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for all loads."""
     able = [t for t in traces if has(t, "pressure", "angle")]
     chosen = spread(able, LOADS)
@@ -54,7 +43,7 @@ def angles(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     table = numbers([(one.title, t) for one, t in zip(panels, chosen, strict=True)])
     draw = bound(drawing_of, panels, labels)
     title = "Bending angle of the arm"
-    return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=True, simulated=simulated)]
+    return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=True, simulated=analysis.simulated)]
 
 
 def _told(trace: Trace) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
-from pmabench.report.figures.plots import (
+from pmabench.plotting.plots import (
     CROSSES,
     FAINT,
     FULL,

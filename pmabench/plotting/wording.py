@@ -12,10 +12,6 @@ from dataclasses import dataclass
 from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean as clean
-from pmabench.kinds import registry
-
-AGREEMENT = "agreement"
-"""Kind of the analysis that compares tests and is none itself."""
 
 _LABELS = {
     "pressure": "P",
@@ -165,8 +161,3 @@ def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
 def symbol_text(symbol: str, coordinate: str = "") -> str:
     """A symbol with the name of its variant: `t_d command-to-motion`."""
     return clean(f"{symbol} {coordinate}".strip())
-
-
-def kind_title(kind: str) -> str:
-    """The kind of test as a heading."""
-    return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))

@@ -9,23 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
-from pmabench.report.figures import plots, time_plots
-from pmabench.report.figures.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    label,
-    numbers,
-    panel,
-    picture,
-    reach,
-    spread,
-    unit_of,
-)
-from pmabench.report.figures.plots import Panel
-from pmabench.report.words.wording import clean, shown
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import plots, time_plots
+from pmabench.plotting.pictures import Picture, bound, has, head, label, numbers, panel, picture, reach, spread, unit_of
+from pmabench.plotting.plots import Panel
+from pmabench.plotting.wording import clean, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +65,7 @@ def _told(trace: Trace, mark: str) -> str:
     return f"{trace.marks[mark] / unit.scale:.4g} {unit.unit}"
 
 
-def loops(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Loops at each frequency, a figure for each operating point."""
     groups: dict[str, list[Trace]] = {}
     for trace in traces:
@@ -113,7 +101,7 @@ def loops(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         ) + (" Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else "")
         table = numbers([(_frequency(t), t) for t in chosen])
         draw = bound(plots.loops, panels, labels)
-        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=simulated))
+        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
     return found
 
 
@@ -121,7 +109,7 @@ def _frequency(trace: Trace) -> str:
     return f"{trace.marks['frequency']:.4g} Hz" if "frequency" in trace.marks else head(trace)
 
 
-def bode(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Stiffness, loss per speed and phase over frequency, all operating points together."""
     able = [t for t in traces if has(t, "frequency", "stiffness", "loss", "speed", "phase")]
     able = [t for t in able if np.all(t.columns["frequency"] > 0) and np.all(t.columns["speed"] > 0)][:6]
@@ -161,7 +149,7 @@ def bode(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)
     title = "Stiffness, damping and phase over frequency"
     draw = bound(plots.against_frequency, panels, labels, ("K", "B", "phase"))
-    return [picture(draw, title, caption, alt, table, wide=True, simulated=simulated)]
+    return [picture(draw, title, caption, alt, table, wide=True, simulated=analysis.simulated)]
 
 
 def _growth_panel(trace: Trace) -> Panel | None:
@@ -176,7 +164,7 @@ def _growth_panel(trace: Trace) -> Panel | None:
     return Panel(f"K_u = {K_u:.4g}", base.columns, {"K_u": K_u})
 
 
-def growth_alone(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """The growth plot by itself, for the first page."""
     growth = _growth_panel(traces[0])
     if growth is None:
@@ -194,7 +182,7 @@ def growth_alone(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         _GROWTH,
         f"Logarithm of the ratio of successive swings over gain, rising through zero at {growth.title}.",
     )
-    return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+    return [picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated)]
 
 
 _GROWTH = (
@@ -207,7 +195,7 @@ def _setpoint(trace: Trace) -> str:
     return clean(trace.title.rpartition(", ")[2] or trace.title, 60)
 
 
-def oscillations(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Swings near the ultimate gain beside their growth over gain, a row for each set-point."""
     pairs: dict[str, list[Trace | None]] = {}
     for trace in traces:
@@ -246,5 +234,13 @@ def oscillations(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     draw = bound(time_plots.oscillations, rows, labels)
     table = numbers(told)
     return [
-        picture(draw, "Sustained oscillation and ultimate gain", caption, alt, table, wide=True, simulated=simulated)
+        picture(
+            draw,
+            "Sustained oscillation and ultimate gain",
+            caption,
+            alt,
+            table,
+            wide=True,
+            simulated=analysis.simulated,
+        )
     ]

@@ -7,18 +7,18 @@ from math import degrees
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
-from pmabench.report.figures import plots
-from pmabench.report.figures.pictures import Picture, bound, column, has, numbers, picture, unit_of
-from pmabench.report.figures.plots import Points
-from pmabench.report.words.wording import shown
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
+from pmabench.plotting.plots import Points
+from pmabench.plotting.wording import shown
 
 NAMES = ("contraction", "slope", "half", "curve", "low", "high")
 
 
-def sections(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def sections(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace with slopes first and the curve after them."""
-    return [_section(trace, simulated) for trace in traces if has(trace, *NAMES)]
+    return [_section(trace, analysis.simulated) for trace in traces if has(trace, *NAMES)]
 
 
 def _section(trace: Trace, simulated: bool) -> Picture:

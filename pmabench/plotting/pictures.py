@@ -14,10 +14,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
-from pmabench.report.figures import plots
-from pmabench.report.figures.plots import Array, Panel
-from pmabench.report.figures.svg import drawing, to_svg
-from pmabench.report.words.wording import COLUMNS, Shown, clean, shown
+from pmabench.plotting import plots
+from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.svg import drawing, to_svg
+from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
-from pmabench.report.figures.pictures import Picture, bound, has, label, numbers, panel, picture
-from pmabench.report.figures.plots import BLUE, CROSSES, HALF, INK, RED, Panel, blank, few_ticks, grid
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
+from pmabench.plotting.plots import BLUE, CROSSES, HALF, INK, RED, Panel, blank, few_ticks, grid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,9 +23,9 @@ STYLES = {
 LINES = {"fit": (RED, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
 
 
-def lengths(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace."""
-    return [_lengths(trace, simulated) for trace in traces if has(trace, "pressure", "length")]
+    return [_lengths(trace, analysis.simulated) for trace in traces if has(trace, "pressure", "length")]
 
 
 def _lengths(trace: Trace, simulated: bool) -> Picture:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.report.figures.plots import BLUE, FAINT, FULL, INK, QUIET, RED, Array, Panel, blank, few_ticks, grid
+from pmabench.plotting.plots import BLUE, FAINT, FULL, INK, QUIET, RED, Array, Panel, blank, few_ticks, grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
