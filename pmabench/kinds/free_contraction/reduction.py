@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ FEWEST = 5
 """Samples that it needs."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
+UNEQUAL = 0.25
+"""Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,19 +295,31 @@ def _coefficients(fit: ModelFit | None, why: str) -> list[Estimate]:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """x, the contraction without load, at the measured pressures and between them."""
-    lengths = [e for e in analysis.estimates if (e.symbol, e.method) == ("L", FREE)]
-    pairs, length = zip(analysis.facts.get("measured", ()), lengths, strict=False), analysis.facts.get("nominal_length")
-    known = [(P, replace(e, symbol="x", value=length - e.value)) for P, e in pairs if length and e.value is not None]
+    """x, the contraction without load, at the measured pressures and between them.
+
+    Where it was reached from both sides, friction drops out of their mean once both have moved: a muscle that has
+    contracted by no more than the friction is worth still rests where it began.
+    """
+    by = {symbol: [e for e in analysis.estimates if (e.symbol, e.method) == (symbol, FREE)] for symbol in ("L", "x_H")}
+    length, widths = analysis.facts.get("nominal_length"), [abs(e.value or 0.0) for e in by["x_H"]]
+    widest = max(widths, default=0.0)
+    known = [
+        (P, replace(e, symbol="x", value=length - e.value, parts=_wider(e.parts, UNEQUAL * widest / 2)))
+        for P, e in zip(analysis.facts.get("measured", ()), by["L"], strict=False)
+        if length and e.value is not None and length - e.value > 1.5 * widest
+    ]
     if not (np.diff([P for P, _ in known]) > 0).all():
         return
-    both = any(e.symbol == "x_H" for e in analysis.estimates)
 
     def at(place: Place) -> Estimate | None:
         return between(known, place[0], bent=True)
 
-    why = "" if both else "it was reached from one side only, and friction keeps it short of its rest"
-    yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if both else -1, why=why)
+    why = "" if widths else "it was reached from one side only, and friction keeps it short of its rest"
+    yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if widths else -1, why=why)
+
+
+def _wider(parts: Parts, by: float) -> Parts:
+    return replace(parts, method=hypot(parts.method or 0.0, by))
 
 
 def contraction_of(run: RunData, trial: TrialData) -> float:
