@@ -131,11 +131,11 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
 
 
 def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Comparison]:
-    """Every place where two kinds of test both say something, once; two one-sided values say nothing together."""
+    """Every place where two kinds of test both say something, once."""
     seen: set[tuple[object, ...]] = set()
     for one in left:
         for two in right:
-            if one.symbol != two.symbol or (one.side and two.side):
+            if not _are_one_quantity(one, two):
                 continue
             title = ", ".join(word for word in (f"{one.test} against {two.test}", one.words, two.words) if word)
             side, why = (one.side, one.why) if one.side else (-two.side, two.why)
@@ -146,6 +146,12 @@ def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Compari
                 seen.add(key)
                 symbol = "F_ce" if one.symbol == "F" and place[1] == 0.0 else one.symbol
                 yield Comparison(symbol, place, mine, theirs, title, (one.test, two.test), side, why)
+
+
+def _are_one_quantity(one: Offer, two: Offer) -> bool:
+    """Whether two offers can be compared: two bounds cannot, nor a value along a bent curve and one for all of it."""
+    local = all(x is not None for offer in (one, two) for _, x in offer.points)
+    return one.symbol == two.symbol and not (one.side and two.side) and (local or not (one.bent or two.bent))
 
 
 def _places(one: Offer, two: Offer) -> set[Place]:

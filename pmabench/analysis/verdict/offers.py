@@ -38,6 +38,8 @@ class Offer:
     """Of the method, where it is not the primary one."""
     side: int = 0
     """1: what others measure is at most this, -1: at least this; 0: it is this."""
+    bent: bool = False
+    """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
     why: str = ""
     """Why it may differ to that side: a sentence."""
     test: str = ""

@@ -169,7 +169,7 @@ def _along(P: float, known: Sequence[tuple[float, Estimate]], course: Trace | No
             return found
         return replace(found, value=float(np.interp(x, course.columns["displacement"], course.columns["force"])))
 
-    return Offer(known[0][1].symbol, {(P, x): e for x, e in known}, at)
+    return Offer(known[0][1].symbol, {(P, x): e for x, e in known}, at, bent=course is None)
 
 
 def _is_straight(trace: Trace) -> bool:
