@@ -6,7 +6,7 @@ What each kind of test says is in its own room (`offers`); every pair of kinds i
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, inf, isnan
 
@@ -105,7 +105,8 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
     counted in both: the judgement is generous by that.
     """
     tests = [[offer for offer in offers if offer.test == test] for test in dict.fromkeys(o.test for o in offers)]
-    found = [one for pair in combinations(tests, 2) for one in _compared(*pair)]
+    friction = [e.value or 0.0 for o in offers if o.symbol == "F_c" and not o.side for e in o.points.values()]
+    found = [one for pair in combinations(tests, 2) for one in _compared(*pair, max(friction, default=0.0))]
     known = [one for one in found if one.known]
     findings, refusals = [], []
     for symbol, title in dict.fromkeys((one.symbol, one.title) for one in found):
@@ -130,8 +131,8 @@ def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: st
     )
 
 
-def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Comparison]:
-    """Every place where two kinds of test both say something, once."""
+def _compared(left: Sequence[Offer], right: Sequence[Offer], rubs: float) -> Iterator[Comparison]:
+    """Every place where two kinds of test both say something, once; `rubs` is the friction [N] that may be in some."""
     seen: set[tuple[object, ...]] = set()
     for one in left:
         for two in right:
@@ -140,12 +141,18 @@ def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Compari
             title = ", ".join(word for word in (f"{one.test} against {two.test}", one.words, two.words) if word)
             side, why = (one.side, one.why) if one.side else (-two.side, two.why)
             for place in sorted(_places(one, two), key=_order):
-                mine, theirs = one.at(place), two.at(place)
+                mine, theirs = (_with_friction(offer, offer.at(place), rubs) for offer in (one, two))
                 if mine is None or theirs is None or (key := (title, place[0], mine.value, theirs.value)) in seen:
                     continue
                 seen.add(key)
                 symbol = "F_ce" if one.symbol == "F" and place[1] == 0.0 else one.symbol
                 yield Comparison(symbol, place, mine, theirs, title, (one.test, two.test), side, why)
+
+
+def _with_friction(offer: Offer, known: Estimate | None, rubs: float) -> Estimate | None:
+    if known is None or not offer.rubs:
+        return known
+    return replace(known, parts=replace(known.parts, method=hypot(known.parts.method or 0.0, rubs)))
 
 
 def _are_one_quantity(one: Offer, two: Offer) -> bool:

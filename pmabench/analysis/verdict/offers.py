@@ -40,6 +40,8 @@ class Offer:
     """1: what others measure is at most this, -1: at least this; 0: it is this."""
     bent: bool = False
     """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
+    rubs: bool = False
+    """Whether friction may be in it, to a side that nothing tells: a muscle that is held came there from somewhere."""
     why: str = ""
     """Why it may differ to that side: a sentence."""
     test: str = ""

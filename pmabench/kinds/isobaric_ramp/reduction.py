@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -150,7 +151,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
             if F_here:
                 yield _along(P, F_here, trace)
             if P in K and _is_straight(trace):
-                yield everywhere("K", {P: K[P]})
+                yield _of_stroke(P, K[P], trace)
             elif K_here:
                 yield _along(P, K_here)
     yield from (everywhere(symbol, at_pressures(analysis, symbol, GAP)) for symbol in ("B", "F_c"))
@@ -170,6 +171,21 @@ def _along(P: float, known: Sequence[tuple[float, Estimate]], course: Trace | No
         return replace(found, value=float(np.interp(x, course.columns["displacement"], course.columns["force"])))
 
     return Offer(known[0][1].symbol, {(P, x): e for x, e in known}, at, bent=course is None)
+
+
+def _of_stroke(P: float, K: Estimate, course: Trace) -> Offer:
+    """K of a straight mean curve: that at its middle, and elsewhere as far off as a parabola through it says."""
+    x, F = course.columns["displacement"], course.columns["force"]
+    bend = 2 * abs(float(np.polyfit(x, F, 2)[0]))
+
+    def at(place: Place) -> Estimate | None:
+        there = place[1]
+        if place[0] != P or (there is not None and not x[0] <= there <= x[-1]):
+            return None
+        off = 0.0 if there is None else bend * abs(there - float(x.mean()))
+        return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, off)))
+
+    return Offer("K", {(P, None): K}, at)
 
 
 def _is_straight(trace: Trace) -> bool:

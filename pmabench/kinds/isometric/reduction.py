@@ -198,4 +198,4 @@ def _along(x: float, like: Estimate, rows: Sequence[Sequence[float]]) -> Offer:
     def at(place: Place) -> Estimate | None:
         return between(known, place[0]) if place[1] is not None and abs(place[1] - x) <= SAME else None
 
-    return Offer("F", {(P, x): e for P, e in known}, at)
+    return Offer("F", {(P, x): e for P, e in known}, at, rubs=True)
