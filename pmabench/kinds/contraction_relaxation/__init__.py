@@ -12,6 +12,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -106,6 +107,7 @@ PAPER_1 = Kind(
     results=PAPER_1_RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
+    moves="displacement",
     compares="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.offers:by_paper_1",
@@ -132,6 +134,8 @@ KIND = Kind(
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.offers:offers",
     methods=METHODS,
+    options=("forms", "bootstrap", "regulator", "polish"),
+    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
     also=(PAPER_1,),
     figures={
         "overlay": "pmabench.plotting.motion:motions",
@@ -139,4 +143,14 @@ KIND = Kind(
     front={
         "overlay": "pmabench.plotting.motion:overlays",
     },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("rises", "contract"), ("to the lowest", "vent"), ("any", "relax")),
+            point=(("pressure", "highest"),),
+        ),
+        follows="displacement",
+        loaded=True,
+        shown="numbered trials",
+    ),
 )
