@@ -221,7 +221,7 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
 
 def _result(r: Mapping[str, Any]) -> Result:
     texts = {name: _text(r[name]) for name in ("symbol", "title", "quantity", "plot", "unit")}
-    return Result(**texts, headline=_flag(r["headline"]))
+    return Result(**texts, headline=_flag(r["headline"]), positive=_flag(r.get("positive", False)))
 
 
 def _source(s: Mapping[str, Any]) -> Source:
