@@ -21,6 +21,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Identity
 from pmabench_drivers.ni_daq.bounded import Bounded
 from pmabench_drivers.ni_daq.options import Input, Options, Output
+from pmabench_drivers.shared.link import Unanswered
 
 SHORTEST = 0.001
 """Time for a call for which none is left [s]."""
@@ -42,10 +43,6 @@ REASONS = {
     -200088: "the task is gone: the server was restarted, or another program took the device",
 }
 """Errors of NI-DAQmx that are met at a bench, in words of our own."""
-
-
-class Unanswered(DeviceError):
-    """No answer came: whether it was carried out is not known."""
 
 
 class Connection:
