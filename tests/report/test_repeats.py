@@ -52,7 +52,9 @@ def test_scatter_and_first_repeat_are_those_of_the_numbers():
     levels = (20.3e-3, 20.1e-3, 19.9e-3)
     columns = {"t": t} | {f"repeat {n}": np.full(50, x) for n, x in enumerate(levels, 1)}
     quantities = {"t": "time"} | {f"repeat {n}": "length" for n in (1, 2, 3)}
-    (picture,) = repeats([Trace("repeats", "repeats", "300 kPa: 3 repeats", columns, quantities)], Analysis("any", (), simulated=True))
+    (picture,) = repeats(
+        [Trace("repeats", "repeats", "300 kPa: 3 repeats", columns, quantities)], Analysis("any", (), simulated=True)
+    )
     assert "Standard deviation between repeats 0.2 mm" in picture.caption
     assert "the first is 0.3 mm rms off the mean of the later ones" in picture.caption
     assert picture.alt.startswith("Contraction over time of 3 repeats at 300 kPa, which scatter by 0.2 mm")

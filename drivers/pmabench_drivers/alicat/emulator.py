@@ -195,6 +195,11 @@ class AsciiDevice(OnTerminal):
         """Another set-point, entered at its display."""
         self.controller.change_set_point(value)
 
+    def change_held(self) -> bool:
+        """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
+        self.controller.source = "A"
+        return True
+
     def by_hand(self, _output: str, value: float) -> None:
         """A set-point [its own unit] from its keys."""
         self.controller.command(value)

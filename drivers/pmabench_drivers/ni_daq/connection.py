@@ -142,6 +142,11 @@ class Connection:
         """The serial number, asked for now."""
         return f"{int(self._device.serial_num):X}"
 
+    def refuse_lost(self) -> None:
+        """Ask for the state of a task; an error where a server or a device that restarted has none any more."""
+        for task in list(self._tasks.values())[:1]:
+            task.is_task_done()
+
     def attach(self) -> None:
         """Connect, and take the outputs and valve lines as another connection has prepared them."""
         self._connect()

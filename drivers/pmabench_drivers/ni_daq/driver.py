@@ -149,9 +149,13 @@ class NiDaq(Stepped):
         raise self._error(message, output)
 
     def held(self) -> Mapping[str, float | str]:
-        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime."""
+        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime.
+
+        Raises DeviceError where its tasks are gone: what it gives is not known after a restart.
+        """
         link = self._opened()
         with link.calls(CALL):
+            link.refuse_lost()
             return {"serial": link.serial()}
 
     def rescue(self, output: str, value: float) -> None:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
-from pmabench.store.importers.fields import MINUS, NUMBER, Fields
-from pmabench.store.importers.map_file import TextLayout
-from pmabench.store.importers.times import seconds_of
+from pmabench.store.formats.fields import MINUS, NUMBER, Fields
+from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.formats.times import seconds_of
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
@@ -29,7 +29,6 @@ SHOWN = 10
 """Faulty rows that are named of one file."""
 MOST_HEAD = 60
 """Lines above the first row that are handed on, for what the file says in them."""
-MARKS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 
 
 @dataclass(frozen=True)
@@ -42,41 +41,6 @@ class Rows:
     """Line in the file of each row, from 1."""
     starts: tuple[int, ...] = ()
     """Rows, from 0, before which the header was repeated: another test begins."""
-
-
-@dataclass(frozen=True)
-class TextTable(Rows):
-    """All rows of one file."""
-
-    cut_end: bool = False
-    """The last row has no line end: its last number may be cut."""
-    cut_row: str = ""
-    """What was left out at the end, since it is no whole row; empty where nothing was."""
-    head: tuple[str, ...] = ()
-    """Lines above the first row."""
-
-
-def parse(
-    path: str,
-    content: bytes,
-    layout: TextLayout,
-    wanted: Sequence[str],
-    optional: Sequence[str] = (),
-    ignored: Sequence[str] = (),
-    texts: Mapping[str, str] | None = None,
-    order: str = "year first",
-) -> TextTable:
-    """The `wanted` columns of a text file as numbers, and those of `optional` that it has; `path` is for messages.
-
-    It may hold those of `ignored` too, and no others. `texts`: columns of times that are no numbers, with their kind.
-    Raises InvalidFile, at file:line where there is one, for what is empty, binary, of another layout, lacks a column or
-    holds no number where one is expected.
-    """
-    reader = TextReader(path, layout, wanted, optional, ignored, texts, order)
-    parts = [reader.feed(content[at : at + PIECE]) for at in range(0, len(content), PIECE)]
-    rows = reader.joined([*parts, reader.end()])
-    head = tuple(reader.head)
-    return TextTable(rows.columns, rows.lines, rows.starts, reader.cut_end, reader.cut_row, head)
 
 
 @dataclass
@@ -121,6 +85,16 @@ class TextReader:
         self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
+
+    def answer(self, piece: bytes, *, last: bool) -> tuple[dict[str, Any], list[Any]]:
+        """The rows that a piece completes, the end of the file being one too: what is said of them, and the numbers."""
+        rows = self.feed(piece)
+        if last:
+            rows = self.joined([rows, self.end()])
+        head = {"columns": list(rows.columns), "rows": len(rows.lines), "starts": rows.starts, "head": self.head}
+        if last:
+            head |= {"cut_end": self.cut_end, "cut_row": self.cut_row}
+        return head, [*rows.columns.values(), rows.lines]
 
     def feed(self, piece: bytes) -> Rows:
         """The rows that are whole by now, but for the last line, which may turn out to be cut."""

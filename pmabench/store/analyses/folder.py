@@ -1,4 +1,4 @@
-"""An analysis as files: JSON, the numbers behind its figures as Parquet, tables as CSV; computes nothing.
+"""An analysis as files: JSON, and the numbers behind its figures as Parquet; computes nothing.
 
 The same analysis gives the same bytes. What is read back is untrusted: names stay inside the folder, types are checked.
 """
@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
 from pmabench.base.kind import Result
-from pmabench.plotting.wording import clean
-from pmabench.report.files.csv_files import write_tables
+from pmabench.base.text import clean
+from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.store.folder import plain
+from pmabench.store.json_files import read_json
 
 ANALYSIS = "analysis.json"
 TRACES = "traces"
@@ -49,7 +49,7 @@ def file_names(names: Iterator[str] | list[str]) -> list[str]:
 
 
 def write_analysis(analysis: Analysis, folder: Path) -> Path:
-    """Write `analysis.json`, `traces/<name>.parquet` and the tables as CSV into `folder`; files of an earlier one go.
+    """Write `analysis.json` and `traces/<name>.parquet` into `folder`; those of an earlier one go.
 
     Raises RecordError where it cannot be written.
     """
@@ -64,7 +64,6 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
             entry["file"] = f"{TRACES}/{name}.parquet"
             entry["columns"] = list(trace.columns)
             _write_trace(trace, folder / entry["file"])
-        write_tables(analysis, folder)
         text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
         (folder / ANALYSIS).write_bytes(f"{text}\n".encode())
     except OSError as error:
@@ -91,18 +90,9 @@ def _write_trace(trace: Trace, path: Path) -> None:
 def read_analysis(folder: Path) -> Analysis:
     """The inverse of `write_analysis`; raises InvalidFile with what is wrong."""
     path = folder / ANALYSIS
-    try:
-        if path.stat().st_size > LONGEST:
-            raise invalid(path, f"has {path.stat().st_size} bytes; at most {LONGEST} are read")
-        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
-    except OSError as error:
-        raise invalid(folder, f"is not an analysis folder: {ANALYSIS}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise invalid(path, "is not JSON") from error
-    if not isinstance(data, dict) or not str(data.get("schema", "")).startswith(SCHEMA.rpartition("/")[0] + "/"):
-        raise invalid(path, f"is no analysis: its schema is not {SCHEMA}")
-    if data["schema"] != SCHEMA:
-        raise invalid(path, f"was written by another pmabench ({str(data['schema'])[:40]}); this one reads {SCHEMA}")
+    if not path.is_file():
+        raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
+    data = read_json(path, SCHEMA, "analysis", LONGEST)
     with _told(path):
         return Analysis(
             kind=_text(data["kind"]),
@@ -154,10 +144,6 @@ def runs_of(folder: Path) -> list[Path]:
         if known is not None:
             found.append(known)
     return found
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number of JSON")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Reads MAT files, version 5 through scipy and version 7.3 through h5py: vectors, columns of matrices, structs.
+"""MATLAB files, version 5 read by scipy and version 7.3 by h5py: vectors, columns of matrices, structs.
 
 A vector is called as in MATLAB, `P` or `log.P`; columns of a matrix are `X(:,1)`, `X(:,2)`; elements of an array of
 structs `signals(2).values`. Objects, cells and texts hold no columns.
@@ -10,12 +10,13 @@ import io
 import zlib
 from collections.abc import Collection
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pmabench.base.errors import invalid
-from pmabench.store.importers.recorded import Column, Recorded, damaged, numbers
+from pmabench.store.formats.matrices import together
+from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins, damaged, numbers
 
 DEEPEST = 8
 MOST_COLUMNS = 200
@@ -26,7 +27,13 @@ HEADER = 128
 COMPRESSED = 15
 
 
-def read_mat(path: str, content: bytes, only: Collection[str] | None) -> Recorded:
+class MatLayout(Layout):
+    """MATLAB 5 and 7.3: vectors, columns of matrices, structs and arrays of structs."""
+
+    format: Literal["mat"]
+
+
+def read_mat(path: str, content: bytes, layout: MatLayout | None, only: Collection[str] | None) -> Recorded:
     """All columns of numbers in `only` (None: all); raises InvalidFile."""
     recorded = Recorded([])
     if content.startswith(b"MATLAB 7.3"):
@@ -204,3 +211,6 @@ def _elements_73(
         if reference:
             each = f"{of}({index}).{key}" if of else f"{name}({index})"
             _value_73(recorded, path, value.file[reference], each, only, depth + 1)
+
+
+FORMAT = Format("mat", "MATLAB", MatLayout, begins(b"MATLAB "), read_mat, None, ("h5py", "scipy.io"), "h5py", together)

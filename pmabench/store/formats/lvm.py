@@ -1,4 +1,4 @@
-"""Reads LabVIEW measurement files (.lvm) as text; nothing beside the file is looked at.
+"""LabVIEW measurement files (.lvm), read as text.
 
 The layout is that of National Instruments, "Specification for the LabVIEW Measurement File (.lvm)": a header of keys,
 then segments, each with a header of its own, a line of names and rows.
@@ -7,17 +7,18 @@ then segments, each with a header of its own, a line of names and rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from typing import Literal
 
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.importers.recorded import Column, Recorded
+from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins
 from pmabench.store.records import Array
 
-MAGIC = b"LabVIEW Measurement"
+MAGIC = (b"LabVIEW Measurement", b"\xef\xbb\xbfLabVIEW Measurement")
 END = "***End_of_Header***"
 KEYS = {
     *("Channels", "Samples", "Date", "Time", "Notes", "Test_Name", "Test_Numbers", "UUT_Name", "UUT_S/N", "UUT_M/N"),
@@ -28,6 +29,12 @@ SHOWN = 10
 MAX_CHANNELS = 500
 NO_NUMBER = {"nan": np.nan, "inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "": np.nan}
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
+
+
+class LvmLayout(Layout):
+    """A LabVIEW measurement: Tab or Comma, decimal point or comma, X_Columns No, One or Multi, several headings."""
+
+    format: Literal["lvm"]
 
 
 @dataclass
@@ -85,13 +92,15 @@ class _File:
         return value
 
 
-def read_lvm(path: str, content: bytes) -> Recorded:
+def read_lvm(
+    path: str, content: bytes, layout: LvmLayout | None = None, only: Collection[str] | None = None
+) -> Recorded:
     """All channels and their X; raises InvalidFile at file:line. X is s where the file says that it is time.
 
     Several segments are put one after the other by the clock times in their headers.
     """
-    if not content.startswith((MAGIC, b"\xef\xbb\xbf" + MAGIC)):
-        raise invalid(path, f'is no LVM file: it does not begin with "{MAGIC.decode()}"', 1, 1)
+    if not content.startswith(MAGIC):
+        raise invalid(path, f'is no LVM file: it does not begin with "{MAGIC[0].decode()}"', 1, 1)
     file = _File(path, content)
     segments = _segments(file)
     if not segments or not any(segment.rows for segment in segments):
@@ -267,3 +276,11 @@ def _started(segment: _Segment, header: dict[str, str]) -> datetime | None:
     except ValueError:
         return None
     return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+
+
+def _as_one(columns: Mapping[str, Array]) -> dict[str, str]:
+    """A file has one table, whatever signs are in the names of its channels."""
+    return dict.fromkeys(columns, "")
+
+
+FORMAT = Format("lvm", "LabVIEW measurement", LvmLayout, begins(*MAGIC), read_lvm, together=_as_one)

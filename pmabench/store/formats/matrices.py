@@ -1,4 +1,4 @@
-"""Which columns of a file without one table were sampled together: each matrix and each struct has its own clock."""
+"""Which columns of a MATLAB file were sampled together: each matrix and each struct may have its own clock."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def is_clock(values: Array) -> bool:
     return bool(steps.min() > 0 and steps.max() < EVEN * float(np.median(steps)))
 
 
-def owners(columns: Mapping[str, Array]) -> dict[str, str]:
+def together(columns: Mapping[str, Array]) -> dict[str, str]:
     """The matrix or struct that each column shares a clock with; empty where it is the file as a whole."""
     clocks = {(place, len(columns[name])) for name in columns if is_clock(columns[name]) for place in _places(name)[:1]}
-    told = {}
-    for name, values in columns.items():
-        told[name] = next((place for place in _places(name) if (place, len(values)) in clocks), "")
-    return told
+    return {
+        name: next((place for place in _places(name) if (place, len(values)) in clocks), "")
+        for name, values in columns.items()
+    }
 
 
 def _places(name: str) -> list[str]:

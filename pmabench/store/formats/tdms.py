@@ -1,4 +1,4 @@
-"""Reads TDMS files through npTDMS: channels as `group/channel`, and the time of a group as `group/@time`."""
+"""TDMS files, read by npTDMS: channels as `group/channel`, and the time of a group as `group/@time`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,23 @@ import logging
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pmabench.base.errors import invalid
-from pmabench.store.importers.recorded import Column, Recorded, damaged, numbers
+from pmabench.store.formats.record import TIME, Column, Format, Layout, Recorded, begins, damaged, numbers
 
 MAGIC = b"TDSm"
-TIME = "@time"
 
 
-def read_tdms(path: str, content: bytes, only: Collection[str] | None) -> Recorded:
+class TdmsLayout(Layout):
+    """TDMS, with the scales that the file holds."""
+
+    format: Literal["tdms"]
+
+
+def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collection[str] | None) -> Recorded:
     """The channels of numbers in `only` (None: all); raises InvalidFile.
 
     Values are those that the file's own scales give, as every other program shows them. `group/@time` [s] comes from
@@ -108,3 +113,6 @@ def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None
         step, begin, count = times.pop()
         if step > 0 and np.isfinite([step, begin]).all():
             recorded.columns.append(Column(name, np.asarray(begin + np.arange(count) * step, dtype=np.float64), "s"))
+
+
+FORMAT = Format("tdms", "TDMS", TdmsLayout, begins(MAGIC), read_tdms, modules=("nptdms",), package="npTDMS")
