@@ -78,7 +78,7 @@ class Muscle:
 
 
 def muscle_of(specimen: Mapping[str, Any], point: Mapping[str, float], *, held: bool) -> Muscle:
-    """What the specimen of a map and the point of a file tell of the muscle [SI]."""
+    """What the specimen of a map and the point of a file say of the muscle [SI]."""
     diameter, length = (specimen.get(key) for key in ("inner_diameter", "nominal_length"))
     return Muscle(
         None if diameter is None else float(diameter),

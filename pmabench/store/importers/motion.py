@@ -188,7 +188,7 @@ def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> Wave 
     """The sine of a stretch: its frequency from its turns, then from the drift of its phase; None where none fits."""
     try:
         return _fit(t, values, begin, end, halves)
-    except np.linalg.LinAlgError:  # numbers of any size stand in damaged files
+    except np.linalg.LinAlgError:  # damaged files hold numbers of any size
         return None
 
 

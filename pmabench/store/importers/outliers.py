@@ -54,7 +54,7 @@ RARE = 6.5
 ENOUGH = 100_000
 """Samples that show in which steps a channel reads."""
 FEW = 50
-"""With fewer samples scatter cannot be told from spikes."""
+"""With fewer samples scatter cannot be distinguished from spikes."""
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
@@ -85,7 +85,7 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 
 
 def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
-    """Each code that the file holds, and where it stands apart from what else the channel reads."""
+    """Each code that the file holds, and where it lies apart from what else the channel reads."""
     back = channel.rule.back
     numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
     hits = _hits(numbers, looked_at)
@@ -233,7 +233,7 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
     Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
     a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
     since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
-    stand on one side only, so much is taken off as these move.
+    are on one side only, so much is taken off as these move.
     """
     low, high = _extremes(values)
     beyond = np.fmax(values - high, low - values)
