@@ -239,7 +239,7 @@ def _low(pressure: Checked, peak: float) -> list[Question]:
 def _fastest(t: Array, P: Array) -> float:
     """The shortest time [s] in which pressure goes through four fifths of a rise, of rises that the samples resolve."""
     stride = 1 + len(t) // 50_000
-    forward = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    forward = motion.later(t)
     times, values = t[forward][::stride], P[forward][::stride]
     shortest = inf
     for cycle in motion.cycles(times, values, 0.5 * float(np.ptp(values))):

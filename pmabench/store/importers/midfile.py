@@ -227,7 +227,7 @@ def _report_jump(
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
     """Report where the slope over pressure changes from one cycle to the next and stays; whether it does."""
-    rows = np.flatnonzero(good & np.concatenate([[True], report.t[1:] > np.maximum.accumulate(report.t)[:-1]]))
+    rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < CYCLES * SIDE:
         return False
     t, p, y = report.t[rows], pressure.si[rows], channel.si[rows]

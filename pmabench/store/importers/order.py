@@ -30,7 +30,7 @@ def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found 
     different times; then a delay comes out too short, or negative.
     """
     good = (flags & np.uint16(Flag.DROPOUT | Flag.TIME_JUMP | Flag.SUSPECT | Flag.OVERRANGE)) == 0
-    good &= np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    good &= motion.later(t)
     pressure = values["pressure"][good]
     if good.sum() < 50 or "displacement" not in values:
         return None

@@ -12,6 +12,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag
 
 CODES = (
@@ -121,16 +122,9 @@ def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
     return found
 
 
-def _runs(where: Bools) -> list[tuple[int, int]]:
-    """First and one past the last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def _longer(where: Bools, most: int) -> Bools:
     """The runs of True that are longer than so many samples."""
-    edges = np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    begins, ends = np.array(runs(where), dtype=int).reshape(-1, 2).T
     longer = ends - begins > most
     steps = np.zeros(len(where) + 1, dtype=np.int8)
     steps[begins[longer]], steps[ends[longer]] = 1, -1
@@ -141,7 +135,7 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools
     """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
-    for begin, end in _runs(here):
+    for begin, end in runs(here):
         if begin and abs(numbers[begin] - numbers[begin - 1]) <= least:
             continue
         at = int(np.searchsorted(rows, begin))
@@ -177,7 +171,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         if span <= 0 or span < MOVES * ordinary or gaps[widest] <= span:
             continue
         far = ~rest
-        for begin, end in _runs(far):
+        for begin, end in runs(far):
             equal = bool(np.all(values[begin:end] == values[begin]))
             if end - begin > (HELD if equal else BURST):
                 far[begin:end] = False
