@@ -60,6 +60,10 @@ class Kind:
     """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
     published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
+    options: tuple[str, ...] = ()
+    """Options of its reduction that a user can give."""
+    parts: dict[str, str] = field(default_factory=dict)
+    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None

@@ -106,6 +106,7 @@ PAPER_1 = Kind(
     results=PAPER_1_RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
+    moves="displacement",
     compares="displacement",
     figures={
         "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
@@ -126,6 +127,8 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    options=("forms", "bootstrap", "regulator", "polish"),
+    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
     also=(PAPER_1,),
     figures={
         "overlay": "pmabench.plotting.motion:motions",

@@ -48,6 +48,10 @@ KIND = Kind(
     live="pmabench.kinds.ultimate_gain.live:measure",
     moves="displacement",
     methods=METHODS,
+    parts={
+        "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
+        "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
+    },
     figures={
         "oscillation": "pmabench.plotting.loops:oscillations",
         "growth": "pmabench.plotting.loops:oscillations",

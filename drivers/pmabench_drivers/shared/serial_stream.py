@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
-from pmabench_drivers.polling import Samples
-from pmabench_drivers.serial_port import SerialPort
+from pmabench_drivers.shared.device import Driver
+from pmabench_drivers.shared.link import opened
+from pmabench_drivers.shared.polling import Samples
+from pmabench_drivers.shared.serial_port import SerialPort
 
 PATIENCE = 0.5
 """So long nothing usable may come before `collect` says so [s]."""
 
 
-class SerialStream(ABC):
+class SerialStream(Driver):
     """One device on a port of its own; a kind of device says how it is greeted, quieted and read."""
 
-    def __init__(self, device: DeviceRecord, clock: Clock, baud: int) -> None:
-        self._device, self._clock, self._baud = device, clock, baud
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
         self._port: SerialPort | None = None
         self._forget()
 
@@ -50,7 +51,7 @@ class SerialStream(ABC):
     def open(self) -> Identity:
         """Quiet it, see that it is the right device, and set what a true record needs; nothing is saved in it."""
         self.close()
-        self._port = SerialPort(self._device.name, self._device.address, self._baud, self._clock)
+        self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
         try:
             return self._greet()
         except DeviceError:
@@ -72,7 +73,7 @@ class SerialStream(ABC):
         if not why and port.listening and monotonic() - self._heard > self._patience:
             why = f"{self._missing()} for {PATIENCE:g} s"
         if why:
-            raise DeviceError(self._device.name, why)
+            raise self._error(why)
         return self._samples.take()
 
     def stop(self) -> None:
@@ -89,13 +90,10 @@ class SerialStream(ABC):
 
     def _ready(self, rate: float) -> SerialPort:
         """The port, quiet, for a stream that begins."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         port = self._opened()
         self.stop()
         return port
 
     def _opened(self) -> SerialPort:
-        if self._port is None:
-            raise DeviceError(self._device.name, "is not open")
-        return self._port
+        return opened(self._port, self._device.name)

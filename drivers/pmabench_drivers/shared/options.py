@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from ipaddress import ip_address
+from typing import Any, TypeVar
 
 from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import DeviceRecord
 
+T = TypeVar("T")
 Place = tuple[str | int, ...]
 """Keys from the top of the bench file (`("channels", "pressure", "input")`) or of the device (`("options", "map")`)."""
 
@@ -20,6 +23,8 @@ UNITS = {
     "frequency": {"Hz": 1.0, "kHz": 1e3},
     "speed": {"m/s": 1.0, "mm/s": 1e-3},
 }
+BAUDS = (1200, 2400, 4800, 9600, 14400, 19200, 38400, 57600, 76800, 115200, 230400, 460800, 921600)
+PARITIES = {"none": "N", "even": "E", "odd": "O"}
 _QUANTITY = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z/]+)")
 _EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"', "speed": '"20 mm/s"'}
 
@@ -33,11 +38,6 @@ class Reader:
     def fault(self, place: Place, message: str) -> None:
         """Note a problem."""
         self.problems.append((place, message))
-
-    def refuse(self, device: str) -> None:
-        """Raise the first problem as a `DeviceError`, if there is any."""
-        for place, message in self.problems:
-            raise DeviceError(device, f"{'.'.join(str(part) for part in place)}: {message}")
 
     def keys(self, value: Any, place: Place, known: Collection[str], needed: Collection[str] = ()) -> Mapping[str, Any]:
         """A mapping with known keys only, and with those that are needed."""
@@ -104,6 +104,45 @@ class Reader:
             return low if default is None else default
         return value
 
+    def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
+        """One of the known whole numbers, which stand in rising order."""
+        value = self.whole(given, key, place, known[0], known[-1], default)
+        if value not in known:
+            self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")
+        return value
+
+    def known(self, place: Place, says: str, name: str, known: Iterable[str], more: str = "") -> bool:
+        """Whether a name is one of the known; else a problem that `says` what is missing, and `more`."""
+        if name in (names := list(known)):
+            return True
+        self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
+        return False
+
+    def port(self, device: DeviceRecord, example: str) -> None:
+        """The address must be that of a serial port."""
+        if not device.address:
+            self.fault(("address",), f'the path of a serial port is expected, for instance "{example}"')
+
+    def host(self, device: DeviceRecord, example: str, usual: int | None = None, other: str = "") -> tuple[str, int]:
+        """Host and port of IP:PORT, or of IP alone where a `usual` port is given; `other`: what is possible, too."""
+        host, colon, port = device.address.rpartition(":")
+        if not colon and usual is not None:
+            host, port = device.address, str(usual)
+        try:
+            ip_address("127.0.0.1" if host == "localhost" else host.strip("[]"))
+            if port.isdecimal() and int(port) <= 65535:
+                return host, int(port)
+        except ValueError:
+            pass
+        wanted = f'an IP address{"" if usual else " with a port"} ("{example}"){other}'
+        self.fault(("address",), f'{wanted} is expected, not "{device.address}"')
+        return "", 0
+
+    def watchdog(self, device: DeviceRecord, who: str, shortest: float, longest: float) -> None:
+        """The watchdog of the bench must be one that the device can have [s]."""
+        if device.watchdog and not shortest <= device.watchdog <= longest:
+            self.fault(("watchdog",), f"{who} waits {shortest:g} to {longest:g} s, not {device.watchdog:g} s")
+
     def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
         """A finite number, also as `"0x1F"`; None where none is given."""
         value = given.get(key)
@@ -115,14 +154,7 @@ class Reader:
         return None
 
     def quantity(
-        self,
-        given: Mapping[str, Any],
-        key: str,
-        place: Place,
-        kind: str,
-        default: float,
-        low: float,
-        high: float,
+        self, given: Mapping[str, Any], key: str, place: Place, kind: str, default: float, low: float, high: float
     ) -> float:
         """A time [s], a frequency [Hz] or a speed [m/s] as NUMBER UNIT, from `low` to `high`."""
         if key not in given:
@@ -138,6 +170,15 @@ class Reader:
             self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {next(iter(UNITS[kind]))}")
             return default
         return number
+
+
+def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) -> T:
+    """What `read` makes of the options of a device; raises the first problem as a `DeviceError`."""
+    reader = Reader()
+    options = read(device, reader)
+    for place, message in reader.problems:
+        raise DeviceError(device.name, f"{'.'.join(map(str, place))}: {message}")
+    return options
 
 
 def _shown(value: Any) -> str:

@@ -9,12 +9,13 @@ import contextlib
 import os
 import select
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
+from pmabench_drivers.shared.link import reason
 
 PIECE = 0.02
 """Longest single wait for bytes [s]."""
@@ -39,19 +40,30 @@ def hand_over(port: Any, data: bytes, seconds: float) -> None:
             raise TimeoutError(f"it takes no bytes for {seconds:g} s")
 
 
+def open_port(device: str, address: str, **settings: Any) -> Any:
+    """A port of pyserial for this program alone; `settings` are those of `serial.Serial`. Raises DeviceError."""
+    import serial
+
+    try:
+        return serial.Serial(address, exclusive=True, **settings)
+    except (OSError, ValueError) as error:
+        busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
+        why = "another program has it open" if busy else reason(error)
+        raise DeviceError(device, f"cannot open {address}: {why}") from None
+
+
+def received(port: Any) -> bytes:
+    """What comes within the port's time-out, and all that waits then."""
+    data = bytes(port.read(1))
+    return data + bytes(port.read(min(port.in_waiting, MOST)))
+
+
 class SerialPort:
     """An open port of one program alone; every call is bounded. Raises DeviceError."""
 
-    def __init__(self, device: str, address: str, baud: int, clock: Clock) -> None:
-        import serial
-
+    def __init__(self, device: str, address: str, baud: int, clock: Clock, **settings: Any) -> None:
         self._device, self._address, self._clock = device, address, clock
-        try:
-            self._port: Any = serial.Serial(address, baudrate=baud, timeout=PIECE, exclusive=True)
-        except (OSError, ValueError) as error:
-            busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
-            why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
-            raise DeviceError(device, f"cannot open {address}: {why}") from None
+        self._port = open_port(device, address, baudrate=baud, timeout=PIECE, **settings)
         self._halt = threading.Event()
         self._thread: threading.Thread | None = None
         self.gone = ""
@@ -59,28 +71,28 @@ class SerialPort:
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the port, once."""
-        try:
+        with self._explained("cannot send to"):
             hand_over(self._port, data, PUSH)
-        except (OSError, TypeError) as error:
-            raise DeviceError(self._device, f"cannot send to {self._address}: {_strerror(error)}") from None
 
     def receive(self, whole: Callable[[bytes], bool], seconds: float) -> bytes:
         """What comes until it is whole, `seconds` have passed, or nothing more is kept."""
         deadline, data = monotonic() + seconds, b""
-        try:
+        with self._explained():
             while not whole(data) and len(data) < MOST and monotonic() < deadline:
-                data += self._port.read(1)
-                data += self._port.read(min(self._port.in_waiting, MOST))
-        except (OSError, TypeError) as error:
-            raise DeviceError(self._device, f"lost {self._address}: {_strerror(error)}") from None
+                data += received(self._port)
         return data
 
-    def drain(self) -> None:
-        """Forget what waits."""
+    def drain(self) -> bytes:
+        """What waits."""
+        with self._explained():
+            return bytes(self._port.read(min(self._port.in_waiting, MOST)))
+
+    @contextlib.contextmanager
+    def _explained(self, what: str = "lost") -> Iterator[None]:
         try:
-            self._port.read(min(self._port.in_waiting, MOST))
-        except (OSError, TypeError) as error:
-            raise DeviceError(self._device, f"lost {self._address}: {_strerror(error)}") from None
+            yield
+        except (OSError, TypeError) as error:  # TypeError: it was closed meanwhile
+            raise DeviceError(self._device, f"{what} {self._address}: {reason(error)}") from None
 
     def listen(self, take: Callable[[bytes, float], None]) -> None:
         """From now on a thread hands each piece to `take`, with the time it came [s, bench time]."""
@@ -112,11 +124,10 @@ class SerialPort:
     def _read(self, take: Callable[[bytes, float], None], halt: threading.Event) -> None:
         while not halt.is_set():
             try:
-                data = self._port.read(1)
-                data += self._port.read(self._port.in_waiting)
+                data = received(self._port)
             except (OSError, TypeError) as error:
                 if not halt.is_set():
-                    self.gone = f"lost {self._address}: {_strerror(error)}"
+                    self.gone = f"lost {self._address}: {reason(error)}"
                 return
             if not data or halt.is_set():
                 continue
@@ -125,7 +136,3 @@ class SerialPort:
             except Exception as error:  # the owner learns it at the next collect
                 self.gone = f"reading {self._address} broke off: {error}"
                 return
-
-
-def _strerror(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
