@@ -56,7 +56,7 @@ class Parts:
     skew: float = 0.0
     """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
     drift: float = 0.0
-    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing tells of a drift."""
+    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing shows a drift."""
 
     @property
     def combined(self) -> float | None:
@@ -213,8 +213,8 @@ class Curve:
         if outside.any():
             quantity = POINT_QUANTITIES.get(self.against, "count")
             asked, *ends = (show(float(value), quantity) for value in (at[outside].flat[0], low, high))
-            told = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
-            raise UsageError(f"{told} and means nothing outside")
+            text = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
+            raise UsageError(f"{text} and means nothing outside")
         z = (at - self.centre) / self.scale
         return np.asarray(np.polyval([nan if t.value is None else t.value for t in reversed(self.terms)], z))
 
@@ -326,7 +326,7 @@ class Analysis:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The documented JSON object; traces by name only, their numbers lie beside it."""
+        """The documented JSON object; traces by name only, their numbers are in files next to it."""
         return {
             "schema": SCHEMA,
             "kind": self.kind,
