@@ -32,6 +32,8 @@ def _own_state(tmp_path, monkeypatch):
 DRIVERS = (
     "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
 )  # fmt: skip
+WHOLE_RUNS = "tests/drivers/test_whole_runs.py"
+"""The parameter `rig` of its tests begins with the name of a driver's folder: they belong to that rig."""
 RIGS = (
     *(f"tests/drivers/{name}/" for name in DRIVERS),
     "tests/drivers/truth/",
@@ -47,7 +49,7 @@ CONFORMANCE = "tests/conformance/"
 SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
 SHARE = 12
 """Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
-CHOSEN = (*RIGS, CONFORMANCE, "tests/outside/test_faults.py")
+CHOSEN = (*RIGS, WHOLE_RUNS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
 @cache
@@ -83,6 +85,13 @@ def pytest_ignore_collect(collection_path, config):
     return None
 
 
+def _rig_of(item):
+    """The rig that a test belongs to; None where it belongs to none."""
+    if WHOLE_RUNS in item.nodeid:
+        return f"tests/drivers/{item.callspec.params['rig'].partition('-')[0]}/"
+    return next((rig for rig in RIGS if rig in item.nodeid), None)
+
+
 def _taken(waiting):
     """The tests among `waiting`, which are in real time, that this commit takes."""
     places = Counter()
@@ -92,7 +101,7 @@ def _taken(waiting):
             taken = places[share] % share == commit_number() % share
             places[share] += 1
         else:
-            rig = next((rig for rig in RIGS if rig in item.nodeid), None)
+            rig = _rig_of(item)
             taken = rig is None or (rig == RIGS[commit_number() % len(RIGS)] and not item.get_closest_marker("slow"))
         if taken:
             yield item

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
+from pmabench.base.imported import Imported
+
 
 @dataclass(frozen=True)
 class Result:
@@ -52,8 +54,22 @@ class Kind:
     """Channel that changes in each of its trials, unless nothing moved."""
     compares: str = ""
     """Channel in which the repeats of an operating point are compared over time."""
+    figures: dict[str, str] = field(default_factory=dict)
+    """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
+    front: dict[str, str] = field(default_factory=dict)
+    """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
+    published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
+    options: tuple[str, ...] = ()
+    """Options of its reduction that a user can give."""
+    parts: dict[str, str] = field(default_factory=dict)
+    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
+    imported: Imported | None = None
+    """What it needs of a file of another program; None where such files cannot be of this kind."""
+    loop: bool = False
+    """Its loop acts on calibrated values: runs do not show what it would have done with another calibration."""
     also: tuple[Kind, ...] = ()
     """Other ways to reduce its runs, with results of their own."""
 

@@ -141,7 +141,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
-    from pmabench.report.files.analysis_folder import read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
     parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
     found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
@@ -239,9 +239,9 @@ def _reference(one: References) -> dict[str, Any]:
 
 
 def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
+    from pmabench.plotting.wording import clean
     from pmabench.report.pages.history_tables import run_rows, value_rows
     from pmabench.report.terminal import print_grid
-    from pmabench.report.words.wording import clean
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):

@@ -16,6 +16,8 @@ from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
+RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
+"""What eta is, where it is given."""
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 STILL = 1e-9

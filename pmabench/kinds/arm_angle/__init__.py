@@ -1,9 +1,10 @@
 """The bending angle of an arm of muscles over pressure and load.
 
 - `reduction`, on `stairs`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -40,4 +41,8 @@ KIND = Kind(
     live="pmabench.kinds.arm_angle.live:measure",
     moves="angle",
     methods=METHODS,
+    figures={
+        "arm-angle": "pmabench.kinds.arm_angle.figures:angles",
+    },
+    imported=Imported(),
 )

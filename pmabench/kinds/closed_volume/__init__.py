@@ -1,9 +1,10 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
 - `reduction`, made of `stroke` and `fit`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -34,4 +35,8 @@ KIND = Kind(
     live="pmabench.kinds.closed_volume.live:measure",
     moves="displacement",
     methods=METHODS,
+    figures={
+        "volume": "pmabench.kinds.closed_volume.figures:volumes",
+    },
+    imported=Imported(),
 )

@@ -8,9 +8,10 @@
 - where asked for: chosen forms over pressure in `joint_forms`, `joint_fit`, `forms`; output error in `polish`,
   `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
 - by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -105,7 +106,11 @@ PAPER_1 = Kind(
     results=PAPER_1_RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
+    moves="displacement",
     compares="displacement",
+    figures={
+        "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
+    },
 )
 KIND = Kind(
     name="contraction-relaxation",
@@ -122,5 +127,23 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    options=("forms", "bootstrap", "regulator", "polish"),
+    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
     also=(PAPER_1,),
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("rises", "contract"), ("to the lowest", "vent"), ("any", "relax")),
+            point=(("pressure", "highest"),),
+        ),
+        follows="displacement",
+        loaded=True,
+        shown="numbered trials",
+    ),
 )

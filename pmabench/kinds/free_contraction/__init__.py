@@ -1,9 +1,10 @@
 """The length of a muscle without load over pressure.
 
 - `reduction`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -35,4 +36,17 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
+    },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("leaves", "vent"), ("rises", "fill"), ("any", "empty")),
+            point=(("pressure", "reached"), ("side", "side")),
+            ramps=True,
+            still=True,
+        ),
+        follows="displacement",
+    ),
 )

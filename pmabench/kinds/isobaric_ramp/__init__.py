@@ -1,9 +1,10 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
 - `reduction`, made of `cell` and `rubber`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -60,4 +61,27 @@ KIND = Kind(
     moves="displacement",
     compares="force",
     methods=METHODS,
+    figures={
+        "isobaric": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "mean-curve": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "rubber": "pmabench.kinds.isobaric_ramp.figures:rubber",
+    },
+    published={
+        "mean-curve": ("displacement", "force", "pressure"),
+        "isobaric": ("displacement", "force", "pressure"),
+        "rubber": ("displacement", "force", "pressure"),
+    },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("rises", "contract"), ("any", "expand")),
+            point=(
+                ("lower", "lowest end"),
+                ("upper", "highest end"),
+                ("speed", "speed"),
+                ("cycles", "pairs"),
+                ("pressure", "held"),
+            ),
+        )
+    ),
 )

@@ -3,6 +3,7 @@
 - `reduction`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -16,6 +17,16 @@ PULL = Kind(
     order=131,
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+    imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
     name="isometric",
@@ -25,4 +36,14 @@ KIND = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
     also=(PULL,),
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+    imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

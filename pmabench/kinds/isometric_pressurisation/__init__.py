@@ -2,9 +2,10 @@
 
 - `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
   `blocked_force`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -66,4 +67,22 @@ KIND = Kind(
     moves="force",
     compares="force",
     methods=METHODS,
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+        "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("to the highest", "fill"), ("from the highest", "empty"), ("any", "rest")),
+            point=(("contraction", "length"),),
+        ),
+        follows="force",
+    ),
 )

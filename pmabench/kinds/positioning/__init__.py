@@ -1,9 +1,10 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
 - `reduction`, made of `response`
-- protocol files: `protocol` and `controller`; one trial on the display: `live`
+- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`, `plots`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -38,4 +39,12 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
+    front={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
+    imported=Imported(),
+    loop=True,
 )

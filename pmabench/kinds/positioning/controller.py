@@ -240,7 +240,7 @@ def _measured(c: Compilation, controller: Controller, folder: str, place: Locati
     from pmabench.analysis.tuning import measured_loops
 
     try:
-        analysis = read_folder(c, folder, "ultimate-gain")
+        analysis = read_folder(c, folder, ("K_u", "T_u"))
     except ValueError as error:
         c.fault(place, str(error))
         return []

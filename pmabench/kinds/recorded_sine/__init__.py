@@ -3,6 +3,7 @@
 - `reduction`, with `bandwidth`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -31,4 +32,8 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_sine.reduction:reduce",
     methods=METHODS,
+    figures={
+        "pressure-loop": "pmabench.plotting.loops:loops",
+    },
+    imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

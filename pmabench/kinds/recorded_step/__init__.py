@@ -3,6 +3,7 @@
 - `reduction`, with `motion`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -27,4 +28,11 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.recorded_step.reduction:reduce",
     methods=METHODS,
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
+    imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),
 )

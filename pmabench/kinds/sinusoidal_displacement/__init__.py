@@ -2,9 +2,10 @@
 
 - `reduction`, made of `fit`, `lines`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`,
   `work`; figures' columns: `traces`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -61,4 +62,19 @@ KIND = Kind(
     moves="displacement",
     compares="force",
     methods=METHODS,
+    figures={
+        "loop": "pmabench.plotting.loops:loops",
+        "bode": "pmabench.plotting.loops:bode",
+        "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
+    },
+    published={
+        "loop": ("displacement", "force", "pressure"),
+    },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            point=(("frequency", "frequency"), ("mean", "mean"), ("amplitude", "amplitude"), ("pressure", "held")),
+            sine=True,
+        )
+    ),
 )

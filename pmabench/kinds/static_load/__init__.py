@@ -1,9 +1,10 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
 - `reduction`, made of `points` and `break_away` (lift and set-down carried to x = 0); words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -32,4 +33,14 @@ KIND = Kind(
     live="pmabench.kinds.static_load.live:measure",
     moves="displacement",
     methods=METHODS,
+    figures={
+        "static": "pmabench.kinds.static_load.figures:points",
+        "lift": "pmabench.kinds.static_load.figures:lifts",
+    },
+    imported=Imported(
+        Commanded("pressure", phases=(("rises", "lift"), ("any", "set-down"))),
+        follows="displacement",
+        loaded=True,
+        lifted=True,
+    ),
 )

@@ -1,9 +1,10 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
 - `reduction`, made of `relaxation`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -36,4 +37,15 @@ KIND = Kind(
     moves="displacement",
     compares="force",
     methods=METHODS,
+    figures={
+        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
+    },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("away", "step"), ("any", "back")),
+            point=(("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held")),
+            ramps=True,
+        )
+    ),
 )

@@ -6,6 +6,7 @@
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -47,4 +48,17 @@ KIND = Kind(
     live="pmabench.kinds.ultimate_gain.live:measure",
     moves="displacement",
     methods=METHODS,
+    parts={
+        "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
+        "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
+    },
+    figures={
+        "oscillation": "pmabench.plotting.loops:oscillations",
+        "growth": "pmabench.plotting.loops:oscillations",
+    },
+    front={
+        "growth": "pmabench.plotting.loops:growth_alone",
+    },
+    imported=Imported(),
+    loop=True,
 )

@@ -1,8 +1,9 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; one trial on the display: `live`
+- `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -32,4 +33,11 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
+    figures={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+    front={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+    imported=Imported(),
 )

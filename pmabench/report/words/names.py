@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from pmabench.analysis.declared import in_common
-from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
 from pmabench.base.kind import Result
+from pmabench.base.text import clean
+from pmabench.kinds import registry
 
 
 def declared(analyses: Iterable[Analysis]) -> dict[str, Result]:
@@ -65,3 +66,23 @@ def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:
         curves=tuple(curve(c) for c in analysis.curves),
         results=tuple(replace(r, symbol=names.get(r.symbol, r.symbol)) for r in analysis.results),
     )
+
+
+def kind_title(kind: str) -> str:
+    """The kind of test as a heading."""
+    return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))
+
+
+def in_common(orders: Iterable[Iterable[str]]) -> list[str]:
+    """The symbols of several orders in one: a new symbol follows the one before it in its own order.
+
+    One that is first there precedes the next that is known, and comes last where none is.
+    """
+    whole: list[str] = []
+    for symbols in map(list, orders):
+        for place, symbol in enumerate(symbols):
+            if symbol in whole:
+                continue
+            after = next((whole.index(s) for s in symbols[place + 1 :] if s in whole), len(whole))
+            whole.insert(whole.index(symbols[place - 1]) + 1 if place else after, symbol)
+    return whole
