@@ -93,7 +93,7 @@ def read_analysis(folder: Path) -> Analysis:
     if not path.is_file():
         raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
     data = read_json(path, SCHEMA, "analysis", LONGEST)
-    with _told(path):
+    with _as_damage(path):
         return Analysis(
             kind=_text(data["kind"]),
             runs=tuple(_text(run) for run in data["runs"]),
@@ -122,7 +122,7 @@ def analyses_below(path: Path) -> list[Path]:
 def runs_of(folder: Path) -> list[Path]:
     """The folders of the runs behind an analysis, as far as they lie where `process` and `demo` leave them.
 
-    Looked for beside the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
+    Looked for next to the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
     same folders; what is not found is left out.
     """
     path = folder / ANALYSIS
@@ -147,7 +147,7 @@ def runs_of(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _as_damage(path: Path) -> Iterator[None]:
     """Whatever does not fit becomes one sentence."""
     try:
         yield
@@ -221,7 +221,7 @@ def _estimate(e: Mapping[str, Any]) -> Estimate:
 
 def _result(r: Mapping[str, Any]) -> Result:
     texts = {name: _text(r[name]) for name in ("symbol", "title", "quantity", "plot", "unit")}
-    return Result(**texts, headline=_flag(r["headline"]))
+    return Result(**texts, headline=_flag(r["headline"]), positive=_flag(r.get("positive", False)))
 
 
 def _source(s: Mapping[str, Any]) -> Source:
