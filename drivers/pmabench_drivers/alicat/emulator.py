@@ -115,7 +115,7 @@ class Controller:
                 self._plant.command(self._filled)
 
     def mass_flow(self) -> float:
-        """What flows in while a flow is controlled [SLPM]; while a pressure is, the muscle stands still here."""
+        """What flows in while a flow is controlled [SLPM]; while a pressure is, the muscle does not move here."""
         if self.variable not in {c.MASS, c.VOLUME} or self.valves or self._filled >= c.FULL_SCALE:
             return 0.0
         return self.set_point * (1 + self._filled / c.AIR) if self.variable == c.VOLUME else self.set_point

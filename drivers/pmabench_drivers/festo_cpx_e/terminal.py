@@ -66,7 +66,7 @@ class Module:
     """One module of the terminal."""
 
     position: int
-    """1 for the first beside the bus module."""
+    """1 for the first next to the bus module."""
     name: str
     kind: Kind
     first_output: int
@@ -88,7 +88,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Terminal:
-    """The modules in their order, and what stands where."""
+    """The modules in their order, and what is where."""
 
     modules: tuple[Module, ...] = ()
     ranges: Mapping[str, int] = field(default_factory=dict)
@@ -137,7 +137,7 @@ def build(names: tuple[str, ...]) -> tuple[Module, ...]:
 
 @dataclass(frozen=True)
 class CpxOptions(Options):
-    """What the driver `festo-cpx-e` is told about a terminal."""
+    """Options of the driver `festo-cpx-e` for a terminal."""
 
     terminal: Terminal = field(default_factory=Terminal)
 

@@ -47,7 +47,7 @@ HIGH, LOW = "high-first", "low-first"
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver `modbus` is told about a device."""
+    """Options of the driver `modbus` for a device."""
 
     map: RegisterMap = field(default_factory=RegisterMap)
     baud: int = 19200

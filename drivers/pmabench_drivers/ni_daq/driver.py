@@ -247,12 +247,12 @@ class NiDaq(Stepped):
             lost = f"{error.message}, and "
         try:
             with link.calls(until - monotonic(), line):
-                stands = link.level(line)
+                high = link.level(line)
         except Unanswered as error:
             message = f"{lost or 'was commanded, and '}whether it took {int(on)} is not known ({error.message})"
             raise Unanswered(self._device.name, message, line) from None
-        if stands != on:
-            message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if stands else 'low'}"
+        if high != on:
+            message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if high else 'low'}"
             raise self._error(message, line)
 
     def _valve(self, line: str) -> None:

@@ -33,7 +33,7 @@ STEPS = 100.0
 
 
 class SerialLineDaq(Stepped):
-    """A board with the program of `sketch`, or another that speaks its protocol; the option `baud` is all it is told.
+    """A board with the program of `sketch`, or another that speaks its protocol; its only option is `baud`.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
     Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
@@ -57,7 +57,7 @@ class SerialLineDaq(Stepped):
         self._before: Timeline | None = None
         self._period = self._armed = 0.0
         self._heard = 0.0
-        self._told_vented = False
+        self._reported_vent = False
         self._failure: DeviceError | None = None
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -118,9 +118,9 @@ class SerialLineDaq(Stepped):
         self.stop()
         self._samples.take()
         self._failure = None
-        told = self._ask("G", period)
-        if told != period:
-            raise self._error(f"samples each {told} us where {period} us were asked for")
+        used = self._ask("G", period)
+        if used != period:
+            raise self._error(f"samples each {used} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
         self._before = self._timeline = Timeline(period, self._before)
         return 1e6 / period
@@ -169,8 +169,8 @@ class SerialLineDaq(Stepped):
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
-        if sample.state & VENTED and self._armed and not self._told_vented:
-            self._told_vented = True
+        if sample.state & VENTED and self._armed and not self._reported_vent:
+            self._reported_vent = True
             message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
             self._failure = self._error(message)
 
@@ -236,7 +236,7 @@ class SerialLineDaq(Stepped):
         held = self._ask("T", until=until)
         if held <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
-        self._armed, self._told_vented = held * 1e-3, False
+        self._armed, self._reported_vent = held * 1e-3, False
         return self._armed
 
     def feed_watchdog(self) -> None:
@@ -268,7 +268,7 @@ class SerialLineDaq(Stepped):
         return int(answer[0])
 
     def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
-        """Send once; the answer says what the board holds. Where it is lost the board is asked, never told again."""
+        """Send once; the answer says what the board holds. Where it is lost the board is asked; no command is repeated."""
         link, until = self._opened(), monotonic() + CALL
         lost = ""
         try:
