@@ -268,7 +268,7 @@ class SerialLineDaq(Stepped):
         return int(answer[0])
 
     def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
-        """Send once; the answer says what the board holds. Where it is lost the board is asked; no command is repeated."""
+        """Send once; the answer says what the board holds. Where it is lost the board is asked instead."""
         link, until = self._opened(), monotonic() + CALL
         lost = ""
         try:
