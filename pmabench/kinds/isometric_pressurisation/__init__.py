@@ -1,7 +1,7 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
 - `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
-  `blocked_force`; words and figures: `view`
+  `blocked_force`; `form`: what speaks against the form of the tests; words and figures: `view`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
