@@ -66,9 +66,12 @@ def command(
     analyses/each, and one table over all of them beside those (all-runs.csv, .parquet, .json). Runs that did not change
     since the last time are not computed again; a run that cannot be used is told at the end and stops no other.
     """
+    from pmabench.kinds import registry
     from pmabench.store.below import ANALYSES, holds_runs
 
-    asked = _asked(forms, bootstrap, regulator, polish)
+    asked = registry.options_for(
+        {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
+    )
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -78,7 +81,7 @@ def command(
         start = runs[0].resolve()
         place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
-        return process_folders(ui, wanted, place, jobs or 1, cluster, {CONTRACTION: asked})
+        return process_folders(ui, wanted, place, jobs or 1, cluster, asked)
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
@@ -87,11 +90,12 @@ def command(
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
-    if asked and all(run.kind != CONTRACTION for run in loaded):
+    if asked and not any(run.kind in asked for run in loaded):
         raise UsageError(
-            f"--form, --bootstrap, --polish and --regulator are for runs of kind {CONTRACTION}; none of these is one"
+            "--form, --bootstrap, --polish and --regulator are for runs of kind "
+            f"{', '.join(asked)}; none of these is one"
         )
-    analyses = analyse(loaded, {CONTRACTION: asked})
+    analyses = analyse(loaded, asked)
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
     folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
@@ -107,7 +111,7 @@ def command(
             for note in run.notes
             if note.exclude is not None
         ],
-        "since": {run.id: run.since.told() for run in loaded if run.since.sentences},
+        "since": {run.id: run.since.as_data() for run in loaded if run.since.sentences},
     }
 
     def human() -> None:
@@ -142,18 +146,6 @@ def beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
-def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool, polish: bool) -> dict[str, Any]:
-    """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
-    if forms:
-        from pmabench.kinds.contraction_relaxation.forms import asked
-
-        asked(forms)
-    told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
-    return {name: value for name, value in told.items() if value}
-
-
-CONTRACTION = "contraction-relaxation"
-"""The kind of runs that --form, --bootstrap, --polish and --regulator are for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 
@@ -173,7 +165,7 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
     A folder of analyses stands for all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
     """
-    from pmabench.report.files.analysis_folder import analyses_below
+    from pmabench.store.analyses.folder import analyses_below
 
     below = {source: analyses_below(source) for source in sources}
     runs = [source for source in sources if not below[source]]
@@ -238,14 +230,14 @@ def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | 
 
 def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
     """An analysis folder for each analysis below `folder`; kinds that come twice are numbered."""
-    from pmabench.report.files.analysis_folder import write_analysis
+    from pmabench.report.files.csv_files import write_with_tables
 
     seen: dict[str, int] = {}
     written = []
     for analysis in analyses:
         seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
         written.append(
-            write_analysis(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
+            write_with_tables(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
         )
     return written
 

@@ -47,7 +47,7 @@ def command(
     from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of
     from pmabench.report.document.html import write_page
-    from pmabench.report.files.analysis_folder import read_analysis, runs_of
+    from pmabench.store.analyses.folder import read_analysis, runs_of
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")
@@ -76,6 +76,6 @@ def command(
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written}
-    data["since"] = {run.id: run.since.told() for run in runs if run.since.sentences}
+    data["since"] = {run.id: run.since.as_data() for run in runs if run.since.sentences}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
     return None

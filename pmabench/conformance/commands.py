@@ -75,6 +75,13 @@ def reaches(rig: Rig, truth: Truth, output: OutputRecord, value: float, within: 
     return _soon(rig, within, lambda: abs(commanded(truth, output) - wanted) <= most)
 
 
+def _travel(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
+    """Wait while an actuator is on its way, the watchdog fed: its vent would stop it, or take it there."""
+    until = rig.bench_clock.now() + MOVES
+    while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
+        rig.feed()
+
+
 def _soon(rig: Rig, within: float, holds: Callable[[], bool]) -> bool:
     until = rig.bench_clock.now() + within
     while not holds():
@@ -147,9 +154,7 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
     if moves:
         began = truth.now()[f"{output.name}_command"]
         _soon(rig, ARRIVES, lambda: abs(commanded(truth, output) - began) > close_enough(output))
-        until = rig.bench_clock.now() + MOVES
-        while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
-            rig.feed()
+        _travel(rig, truth, output, value)
     if not reaches(rig, truth, output, value):
         got = show(commanded(truth, output), output.quantity)
         raise Failed(
@@ -187,7 +192,7 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
 
 
 def valves(rig: Rig) -> str:
-    """A valve is energised or not in the plant as it was commanded, others stay, and the device tells which."""
+    """A valve is energised or not in the plant as it was commanded, others stay, and the device reports which."""
     if not rig.record.valves:
         raise NotApplicable("the bench names no valve of it")
     truth = rig.truth()
@@ -305,14 +310,16 @@ def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False
 
     `by_itself`: the device has vented; a drive then only stops.
     """
-    for output in rig.record.outputs:
-        is_length = output.quantity == "length"
-        if is_length and by_itself:
-            continue
-        if not reaches(rig, truth, output, raw(output, output.safe), MOVES if is_length else ARRIVES):
-            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
     for valve in rig.record.valves:
         refuse_position(rig, truth, valve, on=False, after=after, by_itself=by_itself)
+    for output in rig.record.outputs:
+        safe = raw(output, output.safe)
+        if output.quantity == "length":
+            if by_itself:
+                continue
+            _travel(rig, truth, output, safe)
+        if not reaches(rig, truth, output, safe):
+            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
 
 
 def safe_state(rig: Rig) -> str:
@@ -335,6 +342,18 @@ def safe_state(rig: Rig) -> str:
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
 
 
+def _rescued(device: Any, name: str, value: float) -> float:
+    """Command a value over the second way; how long that took [s]."""
+    began = time.monotonic()
+    try:
+        given = device.rescue(name, value)
+    except DeviceError as error:
+        raise Late(f"rescue({name}) took {time.monotonic() - began:.2f} s and failed: {error}") from error
+    if given is not None:
+        raise Failed(f"rescue({name}) returned {given!r}; by the interface it returns None")
+    return time.monotonic() - began
+
+
 def second_way(rig: Rig) -> str:
     """`rescue` reaches every output and valve in the plant while the usual call hangs."""
     if not rig.record.outputs or not issubclass(rig.driver(), Rescue):
@@ -349,10 +368,7 @@ def second_way(rig: Rig) -> str:
         try:
             tried = [(o.output, at(o, 0.2)) for o in rig.record.outputs if o.quantity == "pressure"]
             for name, value in (*tried, *safe):
-                began = time.monotonic()
-                if (given := device.rescue(name, value)) is not None:
-                    raise Failed(f"rescue({name}) returned {given!r}; by the interface it returns None")
-                slowest = max(slowest, time.monotonic() - began)
+                slowest = max(slowest, _rescued(device, name, value))
                 for out in rig.record.outputs if (name, value) in tried else ():
                     if out.output == name and not reaches(rig, truth, out, value):
                         got = show(commanded(truth, out), out.quantity)

@@ -9,17 +9,17 @@ from typing import Any
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
-from pmabench.analysis.verdict.acceptance import not_accepted
+from pmabench.analysis.shared.motion import with_motion
+from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import agreement
+from pmabench.analysis.verdict.agreement import against_static, agreement
 from pmabench.analysis.verdict.checks import with_checks
-from pmabench.analysis.verdict.offers import STATIC
+from pmabench.analysis.verdict.offers import Offer, offers_of
 from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.kinds import registry
-from pmabench.kinds.static_load.break_away import option_of
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
@@ -58,27 +58,41 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
     found: list[Analysis] = []
     for kinds in specimens.values():
         analyses = _of_specimen(kinds, options or {})
-        compared = agreement(analyses)
-        found += analyses if compared is None else [*analyses, compared]
+        difference = compared(analyses)
+        found += analyses if difference is None else [*analyses, difference]
     return found
 
 
 def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
-    """One analysis for each kind, in their order; static load comes last, for it needs K of another test."""
+    """One analysis for each kind, in their order; those that take something from other tests are made last."""
     analyses: dict[str, Analysis] = {}
-    for kind in sorted(kinds, key=lambda kind: kind == STATIC):
-        asked = options.get(kind)
-        if kind == STATIC:
-            asked = {**option_of(list(analyses.values())), **(asked or {})}
-        analyses[kind] = _reduced(kind, kinds[kind], asked)
-    return [analyses[kind] for kind in kinds]
+    for name in sorted(kinds, key=lambda name: bool(registry.kind_of(name).after)):
+        kind, asked = registry.kind_of(name), options.get(name)
+        if kind.after:
+            others = {other: _offers(analysis) for other, analysis in analyses.items()}
+            asked = {**kind.part("after")(others), **(asked or {})}
+        analyses[name] = _reduced(name, kinds[name], asked)
+    return [analyses[name] for name in kinds]
+
+
+def _offers(analysis: Analysis) -> list[Offer]:
+    return offers_of(analysis, registry.find(analysis.kind))
+
+
+def compared(analyses: Sequence[Analysis]) -> Analysis | None:
+    """What tests of one specimen say about each other; None where they share nothing."""
+    known = list(registry.all_kinds())
+    ordered = sorted(analyses, key=lambda one: known.index(one.kind) if one.kind in known else len(known))
+    instead = next((kind.instead for kind in registry.all_kinds().values() if kind.instead), "")
+    return agreement(analyses, [offer for analysis in ordered for offer in _offers(analysis)], instead)
 
 
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     record = registry.kind_of(kind)
     analysis = record.part("reduction")(runs, options)
-    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
+    analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
+    checked = with_record(without_doubtful(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(record.compares, runs)))
 
 
@@ -117,12 +131,13 @@ def _first(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_REASONS]) + more
 
 
-def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:
-    """The static-load test of the same specimen."""
+def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:
+    """F_ce of an analysis and of the static-load test of the same specimen; None without that."""
     mine = next((tested[run] for run in analysis.runs if run in tested), None)
     for other in analyses:
-        if other.kind == STATIC and mine in [tested.get(run) for run in other.runs]:
-            return other
+        kind = registry.find(other.kind)
+        if kind is not None and kind.at_rest and mine in [tested.get(run) for run in other.runs]:
+            return against_static(_offers(analysis), _offers(other))
     return None
 
 

@@ -13,7 +13,8 @@ from pkgutil import iter_modules
 
 from pmabench import kinds
 from pmabench.base.errors import did_you_mean
-from pmabench.base.kind import Kind
+from pmabench.base.imported import Imported
+from pmabench.base.kind import Kind, load
 
 GROUP = "pmabench.kinds"
 
@@ -45,6 +46,38 @@ def kind_of(name: str) -> Kind:
     if name not in known:
         raise ValueError(f'unknown kind of test "{name}"{did_you_mean(name, known)}')
     return known[name]
+
+
+def with_part(name: str) -> dict[str, Kind]:
+    """The kinds that have a part of `Kind.parts`."""
+    return {kind.name: kind for kind in all_kinds().values() if name in kind.parts}
+
+
+def with_results(*symbols: str) -> dict[str, Kind]:
+    """The kinds that give all of some coefficients."""
+    return {kind.name: kind for kind in all_kinds().values() if {*symbols} <= {r.symbol for r in kind.results}}
+
+
+def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
+    """Of the options that a user gave, kind -> those that its reduction has. UsageError for what a kind refuses."""
+    found = {}
+    for kind in all_kinds().values():
+        mine = {name: value for name, value in asked.items() if value and name in kind.options}
+        if mine and "check options" in kind.parts:
+            load(kind.parts["check options"])(mine)
+        if mine:
+            found[kind.name] = mine
+    return found
+
+
+def importable() -> dict[str, Imported]:
+    """What each kind that files of other programs can be of needs of them, by its name."""
+    return {name: kind.imported for name, kind in all_kinds().items() if kind.imported is not None}
+
+
+def loops() -> tuple[str, ...]:
+    """The kinds whose runs cannot be taken with another calibration."""
+    return tuple(name for name, kind in all_kinds().items() if kind.loop)
 
 
 def protocols() -> dict[str, Kind]:

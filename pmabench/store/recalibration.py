@@ -5,7 +5,7 @@ Knows the columns of a stream and its samples; not the files that calibrations a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 LONGEST = 60.0
 """Most that a channel can be moved in time [s]."""
-OF_A_LOOP = ("ultimate-gain", "positioning")
-"""Kinds whose loop acted on the values of the old calibration: another one does not tell what it would have done."""
 Line = tuple[float, float]
 """What becomes of a value [SI] of the old scale: factor and summand."""
 
@@ -63,8 +61,8 @@ class Recalibration:
                 ("gives readings in", column.get("raw_unit"), new.raw_unit),
             ):
                 if is_ != wanted:
-                    told = f"{column['name']} {what} {is_ or 'nothing that is told'}, the calibration is of {wanted}"
-                    raise invalid(path, told)
+                    text = f"{column['name']} {what} {is_ or 'nothing that is text'}, the calibration is of {wanted}"
+                    raise invalid(path, text)
             old = column.get("scale") or {}
             slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))
             factor = new.slope / slope
@@ -103,7 +101,7 @@ def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[Tri
         replace(
             trial,
             found={
-                phase: {name: one(name, value) for name, value in told.items()} for phase, told in trial.found.items()
+                phase: {name: one(name, value) for name, value in found.items()} for phase, found in trial.found.items()
             },
         )
         for trial in trials
@@ -123,19 +121,22 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
     }
     if name and any(name in run.channels for run in runs):
         return name
-    told = ", ".join(sorted(names)) or "none"
+    found = ", ".join(sorted(names)) or "none"
     if name:
-        raise UsageError(f"no run has a channel {name}; channels that measure {quantity}: {told}")
+        raise UsageError(f"no run has a channel {name}; channels that measure {quantity}: {found}")
     if len(names) != 1:
-        raise UsageError(f"say CHANNEL=FILE: channels that measure {quantity}: {told}")
+        raise UsageError(f"say CHANNEL=FILE: channels that measure {quantity}: {found}")
     return names.pop()
 
 
-def refuse_loops(runs: Sequence[RunData]) -> None:
-    """Raise InvalidFile for runs whose results rest on what a loop did with the values that it was given."""
+def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
+    """Raise InvalidFile for runs whose results rest on what a loop did with the values that it was given.
+
+    `loops`: the kinds of test whose loop acts on calibrated values.
+    """
     problems: list[Problem] = []
     for run in runs:
-        if run.kind in OF_A_LOOP:
+        if run.kind in loops:
             what = f"is of kind {run.kind}: its loop acted on the old values; another calibration needs a new run"
             problems.extend(invalid(run.path, what).problems)
     if problems:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared import replay
+from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.kinds.contraction_relaxation.pooled import Fit
-from pmabench.kinds.contraction_relaxation.segments import Noise, Samples
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.plant import Plant

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pmabench.kinds.contraction_relaxation.segments import Noise, Samples
+from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.store.records import Array
 
 SUBSTEPS = 2

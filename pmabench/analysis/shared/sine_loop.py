@@ -16,6 +16,8 @@ from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
+RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
+"""What eta is, where it is given."""
 MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 STILL = 1e-9
@@ -249,3 +251,8 @@ def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
     """The trial measured again with the force of a fitted muscle: what the estimator itself adds."""
     x, F = along(sine, K, B, F_c)
     return evaluate(sine.t, x, F, sine.frequency)
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Stiffness of one trial [N/m], the first cycles left out as the plan says; raises `NotUsable`."""
+    return measure(run, trial, float((run.plan.get("settings") or {}).get("discard", 1))).stiffness

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.analysis.verdict.agreement import OF_STATIC, against_static
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
@@ -28,6 +27,8 @@ MEASURES = {
     "at_least": ("≥", "at least ", ""),
 }
 """How a limit is meant -> its sign in a list and in a sentence, and against what in a list."""
+Pairs = Mapping[float, tuple[Estimate, Estimate]]
+"""Pressure [Pa] -> F_ce of one test and of static load."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +107,12 @@ def _are_numbers(*values: Any) -> bool:
 
 
 def not_accepted(
-    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Analysis | None = None
+    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Pairs | None = None
 ) -> Iterator[str]:
     """One sentence for each limit of the analysis' runs that is not kept; `named` gives a coefficient's words.
 
     Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
-    is not judged by it. `static` is the static-load test of the same specimen, for limits against it.
+    is not judged by it. `static` has F_ce of this and of the specimen's static-load test; None without that.
     """
     limits = dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run))
     primary: dict[str, str] = {}
@@ -130,7 +131,7 @@ def not_accepted(
                 if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
                     yield f"{named(estimate)}: {why}"
         elif limit.measure in ("of_static", "of_static_by", "static_E_n"):
-            yield from _against_static(analysis, static, limit, named)
+            yield from _against_static(static, limit, named)
         elif limit.measure == "at_least":
             yield from _r2(analysis, limit, primary)
         elif why := _check(analysis, limit):
@@ -178,19 +179,14 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
     return float(np.interp(pressure, P, values))
 
 
-def _against_static(
-    analysis: Analysis, static: Analysis | None, limit: Limit, named: Callable[[Estimate], str]
-) -> Iterator[str]:
+def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
     """F_ce against that of static load, at every pressure that both cover."""
-    if analysis.kind not in OF_STATIC:
-        return
-    if static is None:
+    if pairs is None:
         yield (
             f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
             "process both runs together"
         )
         return
-    pairs = against_static(analysis, static)
     if not pairs:
         yield (
             f"F_ce against static load: the two tests tell F_ce at no pressure in common, {limit.asked}; "

@@ -249,7 +249,7 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
         for trial in run.trials:
             if not trial.reference or trial.status != "finished" or "displacement" not in trial.channels:
                 continue
-            stroke = stroke_of(trial)
+            stroke = stroke_of(run, trial)
             if stroke is not None:
                 point = tuple((n, float(f"{v:.6g}")) for n, v in sorted(trial.point.items()) if n != "mass")
                 found.setdefault(point, []).append((past.date, past.before, stroke, trial.name))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,11 @@ class Form:
         np.put_along_axis(found, left[..., None], (1 - share)[..., None], axis=-1)
         np.put_along_axis(found, left[..., None] + 1, share[..., None], axis=-1)
         return found
+
+
+def check(options: Mapping[str, Any]) -> None:
+    """Raise UsageError for a form that is none among the options of the reduction."""
+    asked(options.get("forms", ()))
 
 
 def asked(texts: Sequence[str]) -> dict[str, str]:

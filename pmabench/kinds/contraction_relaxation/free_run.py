@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared import replay
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, spread
-from pmabench.kinds.contraction_relaxation.segments import Gate, Samples, velocity
+from pmabench.kinds.contraction_relaxation.segments import Gate, velocity
 from pmabench.kinds.contraction_relaxation.trials import Campaign, strokes
 from pmabench.store.records import Array, TrialData
 

@@ -20,9 +20,10 @@ from pmabench.analysis.results import Parts, Source
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.replay import Stretches
+from pmabench.analysis.shared.samples import Noise
 from pmabench.kinds.contraction_relaxation.drift import Cause
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Noise, Segments
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:

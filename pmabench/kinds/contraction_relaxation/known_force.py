@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, prior_of
-from pmabench.kinds.contraction_relaxation.segments import Gate, Samples, cut
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut
 from pmabench.store.records import Array
 
 FEWEST = 3

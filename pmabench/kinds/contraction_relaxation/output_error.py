@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import Noise
 from pmabench.kinds.contraction_relaxation.pooled import (
     FEWEST_KNOTS,
     FLOOR,
@@ -23,7 +24,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     prior_of,
     sizes_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Noise, Segments
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.stretch import Stretch, answers
 from pmabench.store.records import Array
 

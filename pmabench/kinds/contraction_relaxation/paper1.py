@@ -17,6 +17,7 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
@@ -25,7 +26,7 @@ from pmabench.kinds.contraction_relaxation import paper1_view as view
 from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least
 from pmabench.kinds.contraction_relaxation.known_force import fit_known_force
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, read
-from pmabench.kinds.contraction_relaxation.segments import Samples, moved
+from pmabench.kinds.contraction_relaxation.segments import moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
 from pmabench.store.records import Array, RunData
 

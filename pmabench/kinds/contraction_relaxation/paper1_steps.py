@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.onset import LEAST, onset
-from pmabench.kinds.contraction_relaxation.segments import Samples
+from pmabench.analysis.shared.samples import Samples
 from pmabench.model.library.braid import braid_force
 from pmabench.store.records import Array, TrialData
 

@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.shared.samples import Noise
 from pmabench.kinds.contraction_relaxation.segment_noise import covariance
-from pmabench.kinds.contraction_relaxation.segments import Noise, Segments
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.analysis.shared import reference, replay, skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, free_run, joint_forms, view
 from pmabench.kinds.contraction_relaxation import polish as contraction_polish
@@ -23,7 +23,7 @@ from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
 from pmabench.kinds.contraction_relaxation.regulator_response import regulator
-from pmabench.kinds.contraction_relaxation.segments import Gate, Samples, Segments, cut, moved
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, Told, values
 from pmabench.store.records import Array, RunData

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.kinds.contraction_relaxation.segments import Noise, Segments
+from pmabench.analysis.shared.samples import Noise
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
 

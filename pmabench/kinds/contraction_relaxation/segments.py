@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import Noise, Samples, noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
 UNTOLD_MASS = 0.5
@@ -39,32 +39,6 @@ class Gate:
     def samples(self, rate: float) -> tuple[int, int]:
         """Samples of a segment and of the reach, at `rate` [Hz]."""
         return max(4, round(self.length * rate)), max(1, round(self.reach * rate))
-
-
-@dataclass(frozen=True)
-class Samples:
-    """One stretch of samples on its way into segments: arrays of shape (n,), SI.
-
-    `force` is the measured F_L, None where there is no load cell: then it is `load` [N] moving with `mass` [kg].
-    """
-
-    trial: int
-    t: Array
-    P: Array
-    x: Array
-    force: Array | None
-    ok: NDArray[np.bool_]
-    load: float
-    mass: float
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviation of the white noise of each channel, as seen in the samples [SI]."""
-
-    pressure: float = 0.0
-    displacement: float = 0.0
-    force: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from pmabench.kinds.contraction_relaxation.segments import Samples
+from pmabench.analysis.shared.samples import Samples
 from pmabench.store.records import Array, TrialData
 
 LEAST_STEP = 0.2e-3

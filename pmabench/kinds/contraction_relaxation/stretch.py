@@ -16,7 +16,8 @@ from itertools import pairwise
 import numpy as np
 
 from pmabench.analysis.shared.replay import LEAST, Coefficients
-from pmabench.kinds.contraction_relaxation.segments import Noise, Segments
+from pmabench.analysis.shared.samples import Noise
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
 ROOM = 4_000_000

@@ -9,16 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Dropped
+from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.skew import apart
-from pmabench.kinds.contraction_relaxation.segments import (
-    Gate,
-    Noise,
-    Samples,
-    noise_of_means,
-    noise_seen,
-    samples_of,
-    steps_seen,
-)
+from pmabench.kinds.contraction_relaxation.segments import Gate, noise_of_means, noise_seen, samples_of, steps_seen
 from pmabench.store.records import RunData, TrialData
 
 

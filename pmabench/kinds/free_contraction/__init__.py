@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -34,8 +35,22 @@ KIND = Kind(
     live="pmabench.kinds.free_contraction.live:measure",
     moves="displacement",
     compares="displacement",
+    repeated="pmabench.kinds.free_contraction.reduction:contraction_of",
+    repeated_is="contraction",
+    word="free contraction",
+    offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,
     figures={
         "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
     },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("leaves", "vent"), ("rises", "fill"), ("any", "empty")),
+            point=(("pressure", "reached"), ("side", "side")),
+            ramps=True,
+            still=True,
+        ),
+        follows="displacement",
+    ),
 )

@@ -4,18 +4,19 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force", headline=True),
     Result("H", "loop width", "force"),
-    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("W_c", "work given while contracting", "work"),
-    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("eta", "work given back, of the work taken up", "ratio", positive=True),
     Result("F_e", "force of the rubber without pressure", "force"),
     Result("A", "size of the rubber term", "force"),
     Result("B1", "contraction at which the rubber term is 0 again", "ratio"),
@@ -59,6 +60,11 @@ KIND = Kind(
     live="pmabench.kinds.isobaric_ramp.live:measure",
     moves="displacement",
     compares="force",
+    repeated="pmabench.analysis.shared.ramp_loop:stiffness_of",
+    repeated_is="stiffness",
+    word="isobaric",
+    offers="pmabench.kinds.isobaric_ramp.reduction:offers",
+    instead="an isobaric ramp (isobaric-ramp) measures the curve itself",
     methods=METHODS,
     figures={
         "isobaric": "pmabench.kinds.isobaric_ramp.figures:loops",
@@ -70,4 +76,17 @@ KIND = Kind(
         "isobaric": ("displacement", "force", "pressure"),
         "rubber": ("displacement", "force", "pressure"),
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("rises", "contract"), ("any", "expand")),
+            point=(
+                ("lower", "lowest end"),
+                ("upper", "highest end"),
+                ("speed", "speed"),
+                ("cycles", "pairs"),
+                ("pressure", "held"),
+            ),
+        )
+    ),
 )

@@ -3,6 +3,7 @@
 - `reduction`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -16,6 +17,8 @@ PULL = Kind(
     order=131,
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
+    word="recorded pull",
+    offers="pmabench.kinds.isometric.reduction:offers",
     figures={
         "isometric": "pmabench.plotting.isometric:lines",
     },
@@ -25,6 +28,7 @@ PULL = Kind(
     published={
         "isometric": ("pressure", "force", "displacement"),
     },
+    imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
     name="isometric",
@@ -33,6 +37,8 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
+    word="recorded isometric",
+    offers="pmabench.kinds.isometric.reduction:offers",
     also=(PULL,),
     figures={
         "isometric": "pmabench.plotting.isometric:lines",
@@ -43,4 +49,5 @@ KIND = Kind(
     published={
         "isometric": ("pressure", "force", "displacement"),
     },
+    imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

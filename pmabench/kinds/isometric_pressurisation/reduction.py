@@ -6,7 +6,7 @@ contractions say at one pressure from `sections`; words, figures in `view`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
@@ -27,6 +27,7 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
+from pmabench.analysis.verdict.offers import Offer, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, blocked_force, daerden, view
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
@@ -406,3 +407,25 @@ def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimat
     parts = Parts(repeats=spread(force.repeats), calibration=scale)
     note = "" if len(force.repeats) > 1 else "no repeats part: one repeat only"
     return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F between the contractions that were tested, K, the blocked force; where the force begins as x without load."""
+    F_ce, K = (at_pressures(analysis, symbol, SECTIONS) for symbol in ("F_ce", "K"))
+    furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
+    yield straight(F_ce, K, lambda P: furthest)
+    yield everywhere("K", K)
+    yield exactly(
+        "F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", blocked_force.METHOD)}, "blocked"
+    )
+    begun = [(e, e.value) for e in analysis.estimates if (e.symbol, e.method) == ("p_0", THRESHOLD) and e.value]
+    pressures = [P for _, P in begun]
+    if len(begun) > 1 and (np.diff(pressures) > 0).all():
+        over = np.gradient([e.at["contraction"] for e, _ in begun], pressures)
+        yield exactly("x", {(P, None): _without_load(e, slope) for (e, P), slope in zip(begun, over, strict=True)})
+
+
+def _without_load(p_0: Estimate, slope: float) -> Estimate:
+    """The contraction at which a muscle at the pressure p_0 has no force: that of the test [m]; `slope` in m/Pa."""
+    halves = {name: half and abs(slope) * half for name, half in vars(p_0.parts).items()}
+    return replace(p_0, symbol="x", value=p_0.at["contraction"], unit="m", quantity="length", parts=Parts(**halves))

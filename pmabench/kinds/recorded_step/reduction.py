@@ -5,7 +5,7 @@ Knows trials with one command each and measured pressure and displacement; not w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from pmabench.analysis.shared.motion import nothing_moved
 from pmabench.analysis.shared.onset import LEAST, onset
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.analysis.verdict.offers import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, SHOWN, Motion, extremes, fit_motion, lagged_motions
@@ -394,3 +395,9 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": after, "load": point.get("load", 0.0)},
     )
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and B where the motion rings, at the pressure that the step ends at; each step for itself."""
+    for symbol in ("K", "B"):
+        yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))

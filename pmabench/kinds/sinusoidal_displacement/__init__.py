@@ -5,18 +5,19 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force"),
     Result("H", "loop width", "force"),
-    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W", "loop area, energy lost per cycle", "work", positive=True),
     Result("W_c", "work given while contracting", "work"),
-    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("eta", "work given back, of the work taken up", "ratio", positive=True),
     Result("P_err", "largest error of the pressure", "pressure"),
     Result("F_rms", "rms error of the modelled force", "force"),
     Result("phi", "phase of force before displacement", "angle"),
@@ -60,6 +61,10 @@ KIND = Kind(
     live="pmabench.kinds.sinusoidal_displacement.live:measure",
     moves="displacement",
     compares="force",
+    repeated="pmabench.analysis.shared.sine_loop:stiffness_of",
+    repeated_is="stiffness",
+    word="sine",
+    offers="pmabench.kinds.sinusoidal_displacement.reduction:offers",
     methods=METHODS,
     figures={
         "loop": "pmabench.plotting.loops:loops",
@@ -69,4 +74,11 @@ KIND = Kind(
     published={
         "loop": ("displacement", "force", "pressure"),
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            point=(("frequency", "frequency"), ("mean", "mean"), ("amplitude", "amplitude"), ("pressure", "held")),
+            sine=True,
+        )
+    ),
 )

@@ -16,13 +16,12 @@ import numpy as np
 from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.sine_loop import Sine, moving
+from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, NO_REPEATS, Member
 from pmabench.store.records import Array
 
 METHOD = "loop-work"
-RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
 
 
 def work(sine: Sine) -> tuple[Array, Array]:

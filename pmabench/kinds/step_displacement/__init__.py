@@ -4,10 +4,11 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K", "stiffness", "stiffness", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
     Result("F", "force", "force", headline=True),
     Result("tau_F", "time constant of the force after a step", "time"),
     Result("tau_p", "time constant of the pressure after a step", "time"),
@@ -35,8 +36,20 @@ KIND = Kind(
     live="pmabench.kinds.step_displacement.live:measure",
     moves="displacement",
     compares="force",
+    repeated="pmabench.kinds.step_displacement.relaxation:stiffness_of",
+    repeated_is="stiffness",
+    word="step of displacement",
+    offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
     figures={
         "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("away", "step"), ("any", "back")),
+            point=(("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held")),
+            ramps=True,
+        )
+    ),
 )

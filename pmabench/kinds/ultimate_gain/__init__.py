@@ -6,11 +6,12 @@
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K_u", "ultimate gain", "gain", headline=True),
-    Result("T_u", "ultimate period", "time", headline=True),
+    Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
+    Result("T_u", "ultimate period", "time", headline=True, positive=True),
 )
 METHODS = {
     "open-loop": (
@@ -48,6 +49,10 @@ KIND = Kind(
     live="pmabench.kinds.ultimate_gain.live:measure",
     moves="displacement",
     methods=METHODS,
+    parts={
+        "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
+        "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
+    },
     figures={
         "oscillation": "pmabench.plotting.loops:oscillations",
         "growth": "pmabench.plotting.loops:oscillations",
@@ -55,4 +60,6 @@ KIND = Kind(
     front={
         "growth": "pmabench.plotting.loops:growth_alone",
     },
+    imported=Imported(),
+    loop=True,
 )

@@ -21,7 +21,6 @@ from pmabench.model.loop import SPAN, Loop, loop_at, ultimate
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
 
-KIND = "contraction-relaxation"
 METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 RESPONSE = "regulator-response"

@@ -10,7 +10,7 @@ Knows the samples and what the search wrote down; not how the bench is built.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -326,3 +326,9 @@ def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Ar
         at = (t >= level.t0) & (t <= level.t1)
         command[at] = found.bias + level.gain * (level.aim - x[at])
     return command
+
+
+def of_open_loops(runs: Sequence[RunData]) -> Analysis:
+    """What steps without a loop give alone; what other trials of the runs say is in the findings."""
+    reduced = reduce(runs)
+    return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == open_loop_gain.METHOD))

@@ -3,6 +3,7 @@
 - `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -31,6 +32,8 @@ KIND = Kind(
     live="pmabench.kinds.validation.live:measure",
     moves="displacement",
     compares="displacement",
+    repeated="pmabench.kinds.validation.reduction:mean_in_window",
+    repeated_is="contraction",
     methods=METHODS,
     figures={
         "validation": "pmabench.kinds.validation.figures:validations",
@@ -38,4 +41,5 @@ KIND = Kind(
     front={
         "validation": "pmabench.kinds.validation.figures:validations",
     },
+    imported=Imported(),
 )

@@ -230,3 +230,8 @@ def _trace(step: _Step) -> Trace:
         {"t": "time", **dict.fromkeys(list(columns)[1:], "length")},
         {"pressure": pressure},
     )
+
+
+def mean_in_window(run: RunData, trial: TrialData) -> float | None:
+    """Mean contraction in the window [m]; None where the trial cannot be used."""
+    return None if unusable(run, trial) else float(trial.channels["displacement"][inside_window(run, trial)].mean())

@@ -125,7 +125,7 @@ def inspected(
         thinned = _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))
         where.append(begin + thinned)
         kept.append(_slice(core, thinned))
-    seen = replace(_joined(kept), found=merged.told())
+    seen = replace(_joined(kept), found=merged.all())
     return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)), np.concatenate(where))
 
 
@@ -177,7 +177,7 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
         first = np.arange(len(blocks)) * size
         for at in (blocks.argmin(axis=1), blocks.argmax(axis=1)):
             keep[np.minimum(first + at, rows - 1)] = True
-    edges = np.abs(np.diff(seen.t)) > min(rules.gap, rules.trials.longer_than or np.inf)
+    edges = np.abs(np.diff(seen.t)) > min(rules.file.sampling.gap, rules.trials.longer_than or np.inf)
     edges |= np.diff(seen.t) < 0
     for role, values in seen.values.items():
         if role.endswith("command") and rules.trials.smallest:
@@ -207,7 +207,7 @@ class _Findings:
                 continue
             self._all.setdefault(key, []).append(replace(_moved(each, begin), count=left))
 
-    def told(self) -> list[Found]:
+    def all(self) -> list[Found]:
         """One finding of each kind and channel, the first, and how often it was found."""
         order = {"note": 0, "doubt": 1, "fault": 2}
         merged = []

@@ -1,4 +1,4 @@
-"""What no file tells and what changes results, as plain questions: each with its candidates and what they make of it.
+"""What no file gives and what changes results, as plain questions: each with its candidates and what they make of it.
 
 Pure functions of a guess; writes nothing. Where something may be taken until somebody answers, it is proposed.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
-from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
 from pmabench.store.records import Array
@@ -139,7 +139,7 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
 def pull_of(column: Proposal, guess: Guess) -> Asked | None:
     """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure."""
     pressure = guess.role("pressure")
-    if column.role != "force" or guess.kind != "isometric" or pressure is None:
+    if column.role != "force" or not guess.test.held or pressure is None:
         return None
     P, F = _both(pressure.values, column.values)
     low, high = _ends(P, F)
@@ -177,20 +177,21 @@ def gauge_of(column: Proposal) -> Asked | None:
     if not (AIR[0] <= low <= AIR[1] and top > 1.2 * low):
         return None
     head = f'"{column.name}" never falls below {show(low, "pressure", 4)}: is it absolute'
-    told = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
-    return Asked(_air(column.unit), f"{head}? {told}")
+    text = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
+    return Asked(air(column.unit), f"{head}? {text}")
 
 
-def _air(unit: str) -> str:
+def air(unit: str) -> str:
+    """What turns an absolute pressure into one above the normal pressure of air."""
     return f"{-101325.0 / unit_factor(unit, 'pressure'):.6g} {unit}"
 
 
 def contraction_of(guess: Guess) -> Asked | str:
-    """At which contraction a file was held, where no name tells it; a text where the file does, empty: not needed."""
-    if guess.kind != "isometric" or guess.lacks or guess.tests or any("{contraction}" in form for form in guess.forms):
+    """At which contraction a file was held, where no name gives it; a text where the file does, empty: not needed."""
+    if guess.lacks or guess.tests or not guess.open_point("contraction"):
         return ""
     column = guess.role("displacement")
-    head = "at which contraction was the muscle held? No name tells it"
+    head = "at which contraction was the muscle held? No name gives it"
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
@@ -207,7 +208,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     None where no threshold changes anything.
     """
     pressure, force = guess.role("pressure"), guess.role("force")
-    if guess.kind != "isometric" or pressure is None or force is None:
+    if not guess.test.held or pressure is None or force is None:
         return None
     P, F = _both(pressure.values, force.values)
     if len(P) < 50:
@@ -225,11 +226,11 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
         return None
     known = force.unit if QUANTITY.get(force.unit) == "force" else ""
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
-    told = "; ".join(
+    sentence = "; ".join(
         f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)
     )
     head = "from which force on do samples count? Below it the muscle hangs slack, and the slope moves by"
-    text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {told})"
+    text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {sentence})"
     if not known:
         return Asked("", f"{text}; in N"), []
     return Asked(at[2], text), [at[1], at[3]]
@@ -255,8 +256,8 @@ def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
         ours, theirs = (_seconds(each) for each in (time, other))
         step = max(float(np.max(np.abs(np.diff(_in_seconds(each))), initial=0.0)) for each in (time, other))
         if abs(theirs - ours) > 0.001 * abs(ours) + step:
-            told = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
-            yield Asked("time", f"which clock is right? {told}; the other one then is to be: ignore")
+            text = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
+            yield Asked("time", f"which clock is right? {text}; the other one then is to be: ignore")
 
 
 def _seconds(column: Proposal) -> float:
