@@ -39,20 +39,21 @@ def process(
 ) -> Results:
     """The coefficients of runs, kind by kind; a run that continues others is taken with them.
 
-    `forms`, `bootstrap`, `polish` and `regulator` are for contraction runs, as `pmabench process` has them.
+    `forms`, `bootstrap`, `polish` and `regulator` are for kinds of test that have these options, as in `pmabench
+    process`.
 
     Raises InvalidFile for what is no run, or is of a kind that cannot be reduced; UsageError where none is given, and
     for a form that is none.
     """
-    from pmabench.analysis.reduce import reduce_runs
+    from pmabench.kinds import registry
+    from pmabench.kinds.reduce import reduce_runs
     from pmabench.store.chain import open_chains
 
     if not runs:
         raise UsageError("no run is given; give run folders, or what open_run returned")
     loaded = open_chains([Path(run.data.path if isinstance(run, Run) else run) for run in runs])
     asked = {"forms": list(forms), "bootstrap": bootstrap, "polish": polish, "regulator": regulator}
-    wanted = {"contraction-relaxation": {name: value for name, value in asked.items() if value}}
-    return Results(tuple(reduce_runs(loaded, wanted)), tuple(loaded))
+    return Results(tuple(reduce_runs(loaded, registry.options_for(asked))), tuple(loaded))
 
 
 def open_analysis(*folders: Path | str) -> Results:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.reader import open_run
 
 PRESSURES = [150, 200, 250, 300, 350, 400, 450, 500]

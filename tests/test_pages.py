@@ -22,7 +22,11 @@ TRIES = 3
 KILLED = Command(
     "a run that is killed",
     "pmabench run contraction-relaxation --bench mock-realtime --specimen mas-20-250-paper0",
-    {"until": "contraction-relaxation.*armed", "end": "kill", "add": '--yes --set sweep.repeat.count=1 --skip-warm-up --because "a test"'},
+    {
+        "until": "contraction-relaxation.*armed",
+        "end": "kill",
+        "add": '--yes --set sweep.repeat.count=1 --skip-warm-up --because "a test"',
+    },
 )
 
 

@@ -6,7 +6,7 @@ from math import pi, radians, sin, tan
 
 import pytest
 
-from pmabench.analysis.contraction.contraction_paper1 import DRIVEN, METHODS
+from pmabench.kinds.contraction_relaxation.paper1 import DRIVEN, METHODS
 from pmabench.report.document.tables import polynomials_table
 from pmabench.report.files.analysis_folder import read_analysis, write_analysis
 from tests.test_characterisation import analysed

@@ -99,17 +99,17 @@ def test_no_file_names_a_registry_or_a_machine():
 
 MAPPED = [
     folder.relative_to(ROOT / "pmabench").as_posix()
-    for room in ("analysis", "report")
+    for room in ("analysis", "kinds", "report")
     for folder in sorted({init.parent for init in (ROOT / "pmabench" / room).rglob("__init__.py")})
 ]
 
 
 @pytest.mark.parametrize("room", MAPPED)
 def test_the_map_of_a_room_names_every_module(room):
-    """A newcomer finds everything: figures of one kind of test have a pattern, `_view` goes with its reduction."""
+    """A newcomer finds everything: figures of one kind of test have a pattern."""
     folder = ROOT / "pmabench" / room
     named = set(re.findall(r"`([a-z_0-9]+)(?:\.py)?`", (folder / "__init__.py").read_text()))
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
     modules |= {path.name for path in folder.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    assert {name for name in modules - named if not name.endswith(("_figures", "_plots", "_view"))} == set()
+    assert {name for name in modules - named if not name.endswith(("_figures", "_plots"))} == set()
     assert named - modules <= {"compare", "history"}

@@ -1,13 +1,9 @@
-"""From trials to coefficients: segmentation, fits, uncertainty, tuning rules; pure functions over loaded runs.
+"""What reductions share: results, intervals, verdicts; pure functions over loaded runs. Knows no kind of test.
 
-`reduce.py` is the table: kind of run -> the module whose `reduce(runs, options)` makes the `Analysis` (`results.py`).
-`declared` is what a reduction says that it can give: title, unit, headline.
-`many` reduces many runs at once, `cluster` does so on a Dask cluster. Each folder says what its modules are:
-
-- kinds of test: `contraction`, `driven` (the free end is moved: ramps, steps, sines), `loops` (ultimate gain,
-  positioning, tuning rules, validation), `statics` (at rest: static load, free contraction, isometric, closed volume,
-  arm angle), `recorded` (files of other programs)
+- `results`: the `Analysis`; `declared`: whether it holds what its kind declares; `trial`: what one trial says by itself
+- `imported`: what imports say besides their samples; `tuning`: controller settings
+- `many` reduces many runs at once, `cluster` does so on a Dask cluster
 - a library model fitted to a table: `fitting`
-- what speaks for or against a result, and results beside each other: `verdict`
-- what all of these share: `shared`
+- what speaks for or against a result, and results next to each other: `verdict`
+- parts of reductions: `shared`
 """

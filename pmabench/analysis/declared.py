@@ -1,37 +1,15 @@
-"""What the results of a kind of test are called: each reduction declares symbol, title, unit and headline.
-
-A reduction has them in a table `RESULTS` next to its `reduce`; an analysis carries them, and a result that is not
-declared is an error there. Knows no kind of test.
-"""
+"""Whether what an analysis holds is what its kind of test declares; knows no kind of test."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Curve, Estimate
-
-
-@dataclass(frozen=True)
-class Result:
-    """A coefficient that a kind of test gives, as it is declared: symbol, title, unit, whether it is a headline."""
-
-    symbol: str
-    """As in the field: F_ce, K, B_c."""
-    title: str
-    """In words, as they follow `the`: `stiffness`. The same title in two kinds of test means the same coefficient."""
-    quantity: str
-    """Key of `QUANTITIES`, which has the unit; empty where none is the right one, and `unit` says it."""
-    headline: bool = False
-    """Whether it is a key number: on the terminal, and on the first page of a report."""
-    plot: str = ""
-    """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
-    unit: str = ""
-    """SI unit where no quantity is declared."""
 
 
 def check_declared(
@@ -50,8 +28,8 @@ def check_declared(
     missing = [symbol for symbol in dict.fromkeys(symbols) if symbol not in known]
     if missing:
         raise ValueError(
-            f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the table "
-            "RESULTS of its reduction, with title, quantity and whether it is a headline"
+            f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
+            "record of this kind of test, with title, quantity and whether it is a headline"
         )
     for e in estimates:
         if e.quantity in QUANTITIES and e.unit != QUANTITIES[e.quantity].unit:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.declared import Result, check_declared
+from pmabench.analysis.declared import check_declared
 from pmabench.base.errors import UsageError
+from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.store.records import RunData
 
@@ -238,6 +239,8 @@ class Finding:
     text: str
 
 
+AGREEMENT = "agreement"
+"""Kind of the analysis that compares tests and is none itself."""
 PUBLISHED = "published"
 """Kind of an analysis that holds other people's values and is none itself."""
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Comparison, Difference, Side
     from pmabench.report.figures.overlays import Comparison as Published
 
-AGREEMENT = "agreement"
-"""Kind of the analysis that compares tests of one side already."""
 _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 
 
@@ -49,7 +47,7 @@ def command(
     FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
     """
     from pmabench.analysis.verdict.comparison import Comparison, compare, not_accepted
-    from pmabench.report.words.wording import clean
+    from pmabench.plotting.wording import clean
 
     limits = [_limit(text) for text in accepted]
     pressures = [_quantity("--at", text, "pressure") for text in places]
@@ -141,6 +139,8 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
             raise invalid(path, "holds no analysis; give an analysis folder, a folder of them or a run")
         analyses = [read_analysis(folder) for folder in folders]
         runs = list(dict.fromkeys(run for folder in folders for run in runs_of(folder)))
+    from pmabench.analysis.results import AGREEMENT
+
     analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]
     known = len({run for analysis in analyses for run in analysis.runs}) == len(runs)
     manifests = [_manifest(run) for run in runs]
@@ -234,9 +234,9 @@ def _json(
 def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
+    from pmabench.plotting.wording import clean
     from pmabench.report.pages.comparison_tables import curve_rows, rows_of
     from pmabench.report.terminal import print_grid
-    from pmabench.report.words.wording import clean
 
     console = ui.console(columns=140)
     for side in (left, right):

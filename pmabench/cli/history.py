@@ -239,9 +239,9 @@ def _reference(one: References) -> dict[str, Any]:
 
 
 def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
+    from pmabench.plotting.wording import clean
     from pmabench.report.pages.history_tables import run_rows, value_rows
     from pmabench.report.terminal import print_grid
-    from pmabench.report.words.wording import clean
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):

@@ -11,7 +11,7 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.compile import Mounted, mount
 from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
-from pmabench.protocol.compile import compile_protocol, read_protocol, slower
+from pmabench.kinds.compile import compile_protocol, read_protocol, slower
 from pmabench.protocol.plan import Plan
 from pmabench.protocol.sweep import long_ranges
 

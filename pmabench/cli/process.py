@@ -66,9 +66,12 @@ def command(
     analyses/each, and one table over all of them beside those (all-runs.csv, .parquet, .json). Runs that did not change
     since the last time are not computed again; a run that cannot be used is told at the end and stops no other.
     """
+    from pmabench.kinds import registry
     from pmabench.store.below import ANALYSES, holds_runs
 
-    asked = _asked(forms, bootstrap, regulator, polish)
+    asked = registry.options_for(
+        {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
+    )
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -78,20 +81,21 @@ def command(
         start = runs[0].resolve()
         place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
-        return process_folders(ui, wanted, place, jobs or 1, cluster, {CONTRACTION: asked})
+        return process_folders(ui, wanted, place, jobs or 1, cluster, asked)
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
-    from pmabench.analysis.reduce import verdicts
-    from pmabench.report.words.wording import clean
+    from pmabench.kinds.reduce import verdicts
+    from pmabench.plotting.wording import clean
 
     given = without_analyses(ui, runs)
     loaded = load_runs(given)
-    if asked and all(run.kind != CONTRACTION for run in loaded):
+    if asked and not any(run.kind in asked for run in loaded):
         raise UsageError(
-            f"--form, --bootstrap, --polish and --regulator are for runs of kind {CONTRACTION}; none of these is one"
+            "--form, --bootstrap, --polish and --regulator are for runs of kind "
+            f"{', '.join(asked)}; none of these is one"
         )
-    analyses = analyse(loaded, {CONTRACTION: asked})
+    analyses = analyse(loaded, asked)
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
     folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
@@ -128,8 +132,8 @@ def command(
 def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:
     """The verdict as the first page of the report has it, then each reason why results are not accepted."""
     from pmabench.analysis.verdict.acceptance import limits_of
+    from pmabench.plotting.wording import clean
     from pmabench.report.document.front import verdict_of
-    from pmabench.report.words.wording import clean
 
     limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
     verdict = verdict_of(analyses, runs, failed, accepted=bool(limits))
@@ -142,18 +146,6 @@ def beside(folder: Path) -> Path:
     return folder.parent if folder.name == "runs" else folder
 
 
-def _asked(forms: tuple[str, ...], bootstrap: int | None, regulator: bool, polish: bool) -> dict[str, Any]:
-    """What is asked of the reduction of contraction runs; UsageError for a form that is none."""
-    if forms:
-        from pmabench.analysis.contraction.forms import asked
-
-        asked(forms)
-    told: dict[str, Any] = {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
-    return {name: value for name, value in told.items() if value}
-
-
-CONTRACTION = "contraction-relaxation"
-"""The kind of runs that --form, --bootstrap, --polish and --regulator are for."""
 GUIDED = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found stands in their events."""
 
@@ -231,7 +223,7 @@ def load_runs(paths: Sequence[Path]) -> list[RunData]:
 
 def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
     """One analysis for each kind of run, in the order in which the kinds come; `options` by kind."""
-    from pmabench.analysis.reduce import reduce_runs
+    from pmabench.kinds.reduce import reduce_runs
 
     return reduce_runs(runs, options)
 
@@ -252,9 +244,9 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
+    from pmabench.plotting.rounding import printed
+    from pmabench.plotting.wording import clean
     from pmabench.report.terminal_coefficients import print_coefficients
-    from pmabench.report.words.rounding import printed
-    from pmabench.report.words.wording import clean
 
     console = ui.console()
     print_coefficients(analyses, console)

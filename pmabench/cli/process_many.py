@@ -149,7 +149,7 @@ def _failures(many: Many) -> list[str]:
         told += [f"{what} not be processed:", *failed]
     if not told:
         return []
-    from pmabench.report.words.wording import clean
+    from pmabench.plotting.wording import clean
 
     return [clean(line) for line in told]
 

@@ -86,14 +86,14 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.bench.files.faults import FaultsFile
     from pmabench.bench.files.plant import AnyPlant
     from pmabench.bench.files.truth import TruthFile
-    from pmabench.protocol.campaign import CampaignFile
+    from pmabench.kinds import registry
+    from pmabench.kinds.campaign import CampaignFile
+    from pmabench.kinds.compile import kind_class
     from pmabench.protocol.cascade import CascadeFile
-    from pmabench.protocol.compile import KINDS as PROTOCOLS
-    from pmabench.protocol.compile import kind_class
     from pmabench.store.importers.map_file import MapFile
 
     if kind == "protocol":
-        kinds = tuple(kind_class(name) for name in PROTOCOLS)
+        kinds = tuple(kind_class(name) for name in registry.protocols())
         if len(kinds) == 1:
             return kinds[0].model_json_schema()
         union: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007

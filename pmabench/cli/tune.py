@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.kind import load
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.loops.tuning import AnyRule, Gains
     from pmabench.analysis.results import Analysis, Estimate
+    from pmabench.analysis.tuning import AnyRule, Gains
     from pmabench.model.loop import Loop
 
 
@@ -53,7 +53,7 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
+    from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
     from pmabench.base.errors import UsageError
 
     given = [value is not None for value in (ku, tu)]
@@ -71,7 +71,7 @@ def command(
     where = Where.read(setpoints, load, period)
     contractions = analysis if analysis is not None and holds_model(analysis) else None
     if where.told and not model and contractions is None:
-        raise UsageError("--setpoint, --load and --period are for --model, or an analysis of contraction-relaxation")
+        raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
         rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
     except ValueError as error:
@@ -122,22 +122,25 @@ def command(
 
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
-    """What the open-loop steps of runs give; other ways to K_u in them stand beside it in the findings."""
-    from pmabench.analysis.loops.open_loop_gain import METHOD
-    from pmabench.analysis.loops.ultimate_gain import KIND, reduce
+    """What the open-loop steps of runs give; other ways to K_u in them are in the findings."""
     from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
+    from pmabench.cli.tune_model import models
+    from pmabench.kinds import registry
 
     loaded = load_runs(without_analyses(ui, runs))
+    able = registry.with_part("tune by steps")
     for run in loaded:
-        also = "; for this kind there is --model" if run.kind == "contraction-relaxation" else ""
-        if run.kind != KIND:
-            raise invalid(run.path, f'is a run of kind "{run.kind}"; --steps takes kind {KIND} with "open_loop"{also}')
-    reduced = reduce(loaded)
-    estimates = tuple(e for e in reduced.estimates if e.method == METHOD)
-    if not estimates:
+        if run.kind not in able:
+            also = "; for this kind there is --model" if run.kind in models() else ""
+            kinds = ", ".join(able)
+            raise invalid(run.path, f'is a run of kind "{run.kind}"; --steps takes kind {kinds} with "open_loop"{also}')
+    if len({run.kind for run in loaded}) > 1:
+        raise invalid(runs[0], "the runs are of several kinds of test; give those of one")
+    reduced: Analysis = load(able[loaded[0].kind].parts["tune by steps"])(loaded)
+    if not reduced.estimates:
         raise invalid(runs[0], 'holds no open-loop steps; run a protocol with "open_loop", as ultimate-gain-open-loop')
-    return replace(reduced, estimates=estimates)
+    return reduced
 
 
 def _told(gain: Estimate, period: Estimate) -> str:
@@ -204,7 +207,7 @@ def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[floa
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
-    from pmabench.analysis.loops.tuning import measured_loops
+    from pmabench.analysis.tuning import measured_loops
     from pmabench.base.errors import invalid
     from pmabench.report.files.analysis_folder import read_analysis
 
@@ -219,7 +222,7 @@ Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
 def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
-    from pmabench.analysis.loops.tuning import loop_of
+    from pmabench.analysis.tuning import loop_of
     from pmabench.base.errors import UsageError
 
     if dead_time is None:

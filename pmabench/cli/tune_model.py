@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmabench.base.kind import load
 from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
+    from pmabench.base.kind import Kind
 
-KIND = "contraction-relaxation"
+PART = "tune by model"
+LOOP = ("F_ce", "K", "B_c", "tau_P")
+"""Coefficients that make a loop, with the lag of the regulator."""
 G = 9.80665
 LONGEST, MOST, SLOWEST = 10.0, 1e5, 10.0
 """Set-points [m], loads [N] and sample periods [s] above which nothing is believed."""
@@ -57,10 +61,17 @@ class Where:
 
 
 def holds_model(folder: Path) -> bool:
-    """Whether a folder is an analysis of contractions."""
+    """Whether a folder is an analysis whose coefficients make a loop."""
     from pmabench.report.files.analysis_folder import read_analysis
 
-    return read_analysis(folder).kind == KIND
+    return read_analysis(folder).kind in models()
+
+
+def models() -> dict[str, Kind]:
+    """The kinds of test whose coefficients make a loop."""
+    from pmabench.kinds import registry
+
+    return registry.with_results(*LOOP)
 
 
 def by_folder(folder: Path, where: Where) -> Analysis:
@@ -72,15 +83,17 @@ def by_folder(folder: Path, where: Where) -> Analysis:
 
 def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
     """K_u and T_u by the model that is fitted to runs; they must be of one specimen."""
-    from pmabench.analysis.reduce import reduce_runs, reduction_of
     from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
+    from pmabench.kinds import registry
+    from pmabench.kinds.reduce import reduce_runs, reduction_of
 
     loaded = load_runs(without_analyses(ui, runs))
+    able = models()
     for run in loaded:
-        if reduction_of(run) != KIND:
-            raise invalid(run.path, f'is a run of kind "{reduction_of(run)}"; --model takes kind {KIND}')
-    reduced = [a for a in reduce_runs(loaded, {KIND: {"regulator": True}}) if a.kind == KIND]
+        if reduction_of(run) not in able:
+            raise invalid(run.path, f'is a run of kind "{reduction_of(run)}"; --model takes kind {", ".join(able)}')
+    reduced = [a for a in reduce_runs(loaded, registry.options_for({"regulator": True})) if a.kind in able]
     if len(reduced) != 1:
         raise invalid(runs[0], "the runs are of several specimens; give those of one")
     period = max(1 / run.rate for run in loaded) if where.period is None else where.period
@@ -88,10 +101,13 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
-    from pmabench.analysis.loops.model_gain import by_model
     from pmabench.base.errors import invalid
+    from pmabench.kinds import registry
 
     try:
-        return by_model(analysis, where.setpoints, where.load, where.mass, period)
+        made: Analysis = load(next(iter(registry.with_part(PART).values())).parts[PART])(
+            analysis, where.setpoints, where.load, where.mass, period
+        )
     except ValueError as error:
         raise invalid(path, str(error)) from error
+    return made

@@ -2,8 +2,8 @@
 
 - `follow`: the run folder, read on from where reading stopped; `kept`: samples for curves and trials
 - `channel`: values against limits; `progress`: where the plan is; `state`: all that is known now
-- `expected`, `verdicts`: what the specimen file predicts; the line of a finished trial; `quantities`: its numbers, by
-  rules in `kinds`
+- `expected`, `verdicts`: what the specimen file predicts; the line of a finished trial; `quantities`: its numbers, as
+  its kind of test reads them
 - `wording`, `plot`, `view`: words, curves and the whole picture as text; `lines`: the trials; `plain`: for pipes
 - `console`: the loop that draws and reads keys; `link`: messages between it and the run; `child`: the run's side
 """

@@ -12,9 +12,10 @@ from math import isfinite, sqrt
 import numpy as np
 
 from pmabench.analysis.shared.motion import nothing_moved
+from pmabench.analysis.trial import Expected, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.display.expected import Expected
-from pmabench.display.quantities import Measured, Quick, measure
+from pmabench.display.quantities import measure
+from pmabench.kinds import registry
 from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
 
 FAR = 0.10
@@ -25,26 +26,6 @@ LEAST = 0.01
 """... where they are more than this, relative."""
 USED = ("finished", "failed")
 """Only trials that came to their end have numbers."""
-MOVES = {
-    **dict.fromkeys(
-        (
-            "contraction-relaxation",
-            "static-load",
-            "sinusoidal-displacement",
-            "ultimate-gain",
-            "positioning",
-            "validation",
-            "isobaric-ramp",
-            "step-displacement",
-            "closed-volume",
-            "free-contraction",
-        ),
-        "displacement",
-    ),
-    "isometric-pressurisation": "force",
-    "arm-angle": "angle",
-}
-"""Kind of run -> the channel that changes in each of its trials."""
 DRIVEN = ("frequency", "speed", "step", "amplitude", "lower", "upper", "setpoint")
 """Entries of an operating point that say that the free end is driven."""
 REACHED = (0.02, 3e3)
@@ -185,8 +166,9 @@ def _flagged(trial: TrialData) -> list[str]:
 
 def _not_moved(kind: str, trial: TrialData, expected: Expected | None) -> list[str]:
     """What should have moved in a trial of this kind and did not."""
-    channel = MOVES.get(kind)
-    if channel is None or _holds_still(trial, expected) or not nothing_moved(trial, channel):
+    known = registry.find(kind)
+    channel = known.moves if known else ""
+    if not channel or _holds_still(trial, expected) or not nothing_moved(trial, channel):
         return []
     return [f"{channel} changed by less than its noise: nothing moved"]
 

@@ -28,6 +28,7 @@ from pmabench.guard.wire import Message, Messages, encode, keys
 ANSWERS_WITHIN = 1.0
 """A guard that does not answer for so long [s] is lost."""
 OPENS_WITHIN = 10.0
+ENDS_WITHIN = 5.0
 
 
 def exchange(link: socket.socket, message: Mapping[str, Any], token: str, within: float) -> Message:
@@ -81,6 +82,7 @@ class RemoteGuard:
         self._outputs = {output.name: output for output in bench.outputs}
         self._lock = threading.Lock()
         self._link: socket.socket | None = None
+        self._process: subprocess.Popen[bytes] | None = None
         self._here: dict[str, Any] = {}
         self._safe = False
         self._vent: Vent | None = None
@@ -91,7 +93,7 @@ class RemoteGuard:
         station = Station(self.bench.name)
         given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
         with _log(station) as log:
-            process = subprocess.Popen(
+            process = self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pmabench.guard"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -104,11 +106,12 @@ class RemoteGuard:
                 process.stdin.write(json.dumps(given).encode() + b"\n")
                 process.stdin.flush()
             line = process.stdout.readline()
-        process.returncode = 0  # nobody waits for it: it outlives the engine
         if not line:
+            self._wait()
             raise DeviceError(self.bench.name, f"its guard did not start; see {station.folder / 'guard.log'}")
         self._here = json.loads(line)
         if "busy" in self._here:
+            self._wait()
             raise DeviceError(self.bench.name, self._here["busy"].partition(": ")[2])
         self._link = socket.create_connection(("127.0.0.1", self._here["port"]), timeout=ANSWERS_WITHIN)
         self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -202,13 +205,22 @@ class RemoteGuard:
         return self._vent
 
     def close(self) -> None:
-        """Say good-bye; the guard then ends by itself."""
+        """Have the guard end, and wait for that: it holds the lock of the bench, which the next run needs."""
         with suppress(PmaError):
             self._safe = True
             self.ask("bye")
         if self._link is not None:
             self._link.close()
             self._link = None
+        self._wait()
+
+    def _wait(self) -> None:
+        """Wait until the guard's process has ended, or `ENDS_WITHIN`: where it cannot vent it outlives the engine."""
+        if self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(ENDS_WITHIN)
+            self._process.returncode = self._process.returncode or 0  # no warning of a child that is still there
+            self._process = None
 
     def describe(self) -> dict[str, Any]:
         """Who answered, for the manifest."""

@@ -25,8 +25,6 @@ OF_TRIALS = ("repeat_spread", "first_repeat", "drift")
 """Checks of every kind of test that has one value per trial."""
 OF_FIT = ("free_run", "held_out", "other_direction")
 """Checks of the fit to contraction and relaxation."""
-BESIDE_STATIC = ("contraction-relaxation", "isometric-pressurisation")
-"""Kinds of test whose F_ce can be held against that of static load."""
 IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 """What a specimen file can expect."""
 
@@ -87,8 +85,13 @@ def measures_of(name: str) -> tuple[str, ...]:
     )
 
 
-def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...]) -> None:
-    """Note what cannot be judged: what the kind of test does not give, and limits that do not fit."""
+def find_faults(
+    c: Compilation, accept: Acceptance, gives: tuple[str, ...], checks: tuple[str, ...], *, with_static: bool
+) -> None:
+    """Note what cannot be judged: what the kind of test does not give, and limits that do not fit.
+
+    `with_static`: whether its F_ce can be compared with that of static load.
+    """
     kind = c.document.data.get("kind")
     for name, limits in accept.items():
         able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if gives and checks else ()))
@@ -112,8 +115,12 @@ def find_faults(c: Compilation, accept: Acceptance, gives: tuple[str, ...], chec
                     ("accept", name, measure), f"{name} has no {measure}; expected {' or '.join(fitting)}", key=True
                 )
         for measure in ("of_static", "static_E_n"):
-            if measure in told and name == "F_ce" and kind not in BESIDE_STATIC:
-                c.fault(("accept", name, measure), f'is for {" and ".join(BESIDE_STATIC)}; "{kind}" has none', key=True)
+            if measure in told and name == "F_ce" and not with_static:
+                c.fault(
+                    ("accept", name, measure),
+                    f'compares F_ce with that of static load; "{kind}" has no such comparison',
+                    key=True,
+                )
         if "of_specimen" in told and name in COEFFICIENTS:
             _needs_expected(c, name)
 

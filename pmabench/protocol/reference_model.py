@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pmabench.model.curve import Curve
 
 SPECIMEN = "specimen"
-FROM_LIFT_OFF = "contraction-relaxation"
-"""Kind of analysis whose coefficients make a model."""
 
 
 class RegulatorFile(Strict):
@@ -44,7 +42,7 @@ class ReferenceModel(Strict):
     """Which model is simulated beside the measurement.
 
     `coefficients` is `specimen` (what its file expects), the name of a preset or a plant file with its kind (`paper0
-    ideal`, `muscle.yaml bench`), or the folder of an analysis of contraction-relaxation runs.
+    ideal`, `muscle.yaml bench`), or the folder of an analysis that gives F_ce, K and B_c over pressure.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]
@@ -180,7 +178,7 @@ def _of_specimen(c: Compilation) -> dict[str, Any]:
 
 
 def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
-    analysis = read_folder(c, name, FROM_LIFT_OFF)
+    analysis = read_folder(c, name, ("F_ce", "K", "B_c"))
     primary = analysis.estimates[0].method if analysis.estimates else ""
 
     def known(symbol: str) -> list[tuple[float, float]]:
@@ -224,26 +222,28 @@ def _rising(table: dict[str, list[tuple[float, float]]]) -> dict[str, list[tuple
     return {symbol: sorted(dict(points).items()) for symbol, points in table.items()}
 
 
-def read_folder(c: Compilation, name: str, kind: str) -> Analysis:
-    """The analysis of one kind in a folder (or in the folder of that kind inside it), named in a protocol.
+def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
+    """The analysis in a folder that a protocol names (or in the one folder inside it) that gives what is needed.
 
     A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
     """
     from pmabench.report.files.analysis_folder import ANALYSIS, read_analysis
 
     places = [Path(name), Path(str(c.document.path)).parent / name]
-    tried = [place / part for place in places for part in ("", kind)]
-    folder = next((place for place in tried if (place / ANALYSIS).is_file()), None)
-    if folder is None:
+    folders = [file.parent for place in places for file in (place / ANALYSIS, *sorted(place.glob(f"*/{ANALYSIS}")))]
+    symbols = ", ".join(needed)
+    found = [folder for folder in folders if (folder / ANALYSIS).is_file()]
+    if not found:
         known = [SPECIMEN, *_presets()]
         raise ValueError(
             f'"{name}" is no analysis folder{did_you_mean(name, known)}; '
-            f"process a run of kind {kind} and give its folder"
+            f"process a run that gives {symbols} and name its folder"
         )
     try:
-        analysis = read_analysis(folder)
+        analyses = [read_analysis(folder) for folder in found]
     except InvalidFile as error:
         raise ValueError(str(error)) from error
-    if analysis.kind != kind:
-        raise ValueError(f'"{name}" is an analysis of kind {analysis.kind}; {kind} is needed')
-    return analysis
+    for analysis in analyses:
+        if {*needed} <= {e.symbol for e in analysis.estimates}:
+            return analysis
+    raise ValueError(f'"{name}" is an analysis of kind {analyses[0].kind} and gives no {symbols}')

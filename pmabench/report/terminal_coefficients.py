@@ -6,21 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pmabench.analysis.declared import Result
-from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
+from pmabench.base.kind import Result
+from pmabench.plotting.wording import POINTS, clean, in_order, point_text, spoken, symbol_text
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
-from pmabench.report.words.names import declared
-from pmabench.report.words.wording import (
-    AGREEMENT,
-    POINTS,
-    clean,
-    in_order,
-    kind_title,
-    point_text,
-    spoken,
-    symbol_text,
-)
+from pmabench.report.words.names import declared, kind_title
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -14,9 +14,9 @@ from math import ceil
 import numpy as np
 from scipy.stats import beta
 
-from pmabench.analysis.contraction.campaign import gather
-from pmabench.analysis.contraction.contraction import estimates_of, pool, reduce
 from pmabench.analysis.results import Estimate
+from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, reduce
+from pmabench.kinds.contraction_relaxation.trials import gather
 from pmabench.model.plant import Plant
 from pmabench.model.signal import constant
 from pmabench.store.records import Array, Command, RunData, TrialData

@@ -7,7 +7,7 @@ from pathlib import Path
 from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
-from pmabench.protocol.compile import make_plan
+from pmabench.kinds.compile import make_plan
 from pmabench.protocol.plan import Plan
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData

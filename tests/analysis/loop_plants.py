@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
+from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset
 from pmabench.model.signal import constant

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Curve, Estimate, Parts, withhold
 from pmabench.analysis.verdict.acceptance import limits_of
+from pmabench.kinds.reduce import verdicts
 from pmabench.report.files.analysis_folder import read_analysis, write_analysis
 from tests.analysis.loop_rig import as_run
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.verdict.agreement import agreement
+from pmabench.kinds.reduce import verdicts
 from pmabench.report.document.html import render
 from pmabench.report.words.method_words import described
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.statics.arm_angle import flat_from, reduce
-from pmabench.analysis.statics.arm_angle_view import left_out
+from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.display.quantities import Quick
 from pmabench.display.quantities import measure as line_of
+from pmabench.kinds.arm_angle.reduction import flat_from, reduce
+from pmabench.kinds.arm_angle.view import left_out
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import unexplained
@@ -101,8 +101,8 @@ def test_the_angles_the_flat_and_the_coefficients_are_those_of_the_print(found_i
 
 def test_powers_of_the_load_interpolate_themselves_and_cubics_do_not(ideal):
     """The simulated arm is a polynomial of the load: left out it comes back; a curve without form cannot know that."""
-    from pmabench.analysis.statics.arm_angle import _fitted
-    from pmabench.analysis.statics.arm_stairs import loads_of
+    from pmabench.kinds.arm_angle.reduction import _fitted
+    from pmabench.kinds.arm_angle.stairs import loads_of
 
     loads, _ = loads_of([ideal], ideal.plan["settings"])
     powers, cubics = left_out([_fitted(one) for one in loads])

@@ -5,8 +5,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction.bandwidth import MODEL, STEP, _scatter, of_model, of_step
-from pmabench.analysis.contraction.contraction import reduce
+from pmabench.kinds.contraction_relaxation.bandwidth import MODEL, STEP, _scatter, of_model, of_step
+from pmabench.kinds.contraction_relaxation.reduction import reduce
 from tests.analysis.simulate import LOADS, contraction_run, rig
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.statics.isometric_pressurisation import reduce
+from pmabench.kinds.isometric_pressurisation.reduction import reduce
 from tests.analysis.test_isometric_pressurisation import daerden, run_of
 
 EPS = (0.0, 0.05, 0.1)

@@ -11,12 +11,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction.bootstrap import bootstrap
-from pmabench.analysis.contraction.campaign import gather
-from pmabench.analysis.contraction.contraction import estimates_of, pool
-from pmabench.analysis.contraction.pooled import Fit
-from pmabench.analysis.contraction.segments import Segments
 from pmabench.analysis.results import Estimate
+from pmabench.kinds.contraction_relaxation.bootstrap import bootstrap
+from pmabench.kinds.contraction_relaxation.pooled import Fit
+from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.trials import gather
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study
 

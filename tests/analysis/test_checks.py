@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import contraction
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import (
     VALUES,
@@ -20,6 +19,7 @@ from pmabench.analysis.verdict.checks import (
     trial_checks,
     with_checks,
 )
+from pmabench.kinds.contraction_relaxation import reduction as contraction
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.sine_rig import Muscle51

@@ -6,17 +6,18 @@ from math import pi, radians, sin, tan
 import numpy as np
 import pytest
 
-from pmabench.analysis.statics.closed_stroke import Gas
-from pmabench.analysis.statics.closed_volume import PRINTED, TIGHT, reduce
-from pmabench.analysis.statics.volume_fit import fit_volume, volume_at
+from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
-from pmabench.display.quantities import Quick, measure
+from pmabench.display.quantities import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.closed_volume.fit import fit_volume, volume_at
+from pmabench.kinds.closed_volume.protocol import Diameters
+from pmabench.kinds.closed_volume.reduction import PRINTED, TIGHT, reduce
+from pmabench.kinds.closed_volume.stroke import Gas
+from pmabench.kinds.compile import make_plan
 from pmabench.model.library import MODELS
-from pmabench.protocol.closed_volume import Diameters
-from pmabench.protocol.compile import make_plan
 from pmabench.protocol.plan import Seek
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, planned, recorded
@@ -91,7 +92,7 @@ def test_gauge_pressure_would_be_wrong_by_far_and_is_never_taken(run):
     end = [e for e in volumes(reduce([run])) if e.at["contraction"] == pytest.approx(0.036)]
     assert len(end) == 2
     gas = Gas(pi / 4 * 0.02**2 * 0.2, 0.0, 0.0, 1.0)
-    from pmabench.analysis.statics.closed_stroke import measure as stroke_of
+    from pmabench.kinds.closed_volume.stroke import measure as stroke_of
 
     (trial, *_) = run.trials
     wrong = stroke_of(run, trial, run.plan["settings"]).volumes(gas, leak=False)[0, -1]

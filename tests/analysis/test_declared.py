@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.declared import Result, in_common
-from pmabench.analysis.reduce import REDUCTIONS, results_of
+from pmabench.analysis.declared import in_common
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
+from pmabench.kinds.reduce import results_of
+from pmabench.kinds.registry import all_kinds
 
 STIFF = Result("K", "stiffness", "stiffness", headline=True)
 K = Estimate("K", 6.5e3, "N/m", "stiffness", "m", {"pressure": 3e5})
@@ -22,9 +24,7 @@ def test_what_is_declared_is_taken():
 
 
 def test_an_undeclared_estimate_is_an_error_that_names_it():
-    with pytest.raises(
-        ValueError, match="new-kind: not declared: q; declared are K. Add the result to the table RESULTS"
-    ):
+    with pytest.raises(ValueError, match="new-kind: not declared: q; declared are K. Add the result to the record"):
         analysis(K, replace(K, symbol="q"))
 
 
@@ -61,7 +61,7 @@ def test_a_symbol_declared_twice_is_an_error():
         analysis(K, results=(STIFF, replace(STIFF, title="bulk modulus")))
 
 
-@pytest.mark.parametrize("kind", REDUCTIONS)
+@pytest.mark.parametrize("kind", all_kinds())
 def test_every_reduction_declares_titles_units_and_a_headline(kind):
     declared = results_of(kind)
     assert any(result.headline for result in declared)
@@ -73,7 +73,7 @@ def test_every_reduction_declares_titles_units_and_a_headline(kind):
 
 def test_one_coefficient_has_one_title_in_all_kinds():
     titles = {}
-    for kind in REDUCTIONS:
+    for kind in all_kinds():
         for result in results_of(kind):
             titles.setdefault((result.symbol, result.quantity), set()).add(result.title)
     assert {key: names for key, names in titles.items() if len(names) > 1} == {}

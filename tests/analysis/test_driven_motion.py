@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pmabench.analysis.recorded.driven_motion import respond
+from pmabench.kinds.recorded_step.motion import respond
 
 RNG = np.random.default_rng(7)
 T = np.sort(RNG.uniform(-0.5, 0.8, 400))

@@ -12,14 +12,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction.campaign import Campaign, gather
-from pmabench.analysis.contraction.contraction import pool, reduce
-from pmabench.analysis.contraction.contraction_view import findings
-from pmabench.analysis.contraction.departures import causes, order
-from pmabench.analysis.contraction.intervals import Pooled
-from pmabench.analysis.contraction.weights import weighed
-from pmabench.analysis.reduce import verdicts
 from pmabench.analysis.results import Analysis
+from pmabench.kinds.contraction_relaxation.departures import causes, order
+from pmabench.kinds.contraction_relaxation.intervals import Pooled
+from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
+from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.view import findings
+from pmabench.kinds.contraction_relaxation.weights import weighed
+from pmabench.kinds.reduce import verdicts
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.judged import as_run
 from tests.analysis.simulate import LOADS, PRESSURES, contraction_run, rig

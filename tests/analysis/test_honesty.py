@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import contraction
-from pmabench.analysis.driven import sine
-from pmabench.analysis.loops import ultimate_gain
-from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.student import mean_over
-from pmabench.analysis.statics import static_load
 from pmabench.analysis.verdict import agreement
+from pmabench.kinds.contraction_relaxation import reduction as contraction
+from pmabench.kinds.isometric import reduction as isometric
+from pmabench.kinds.recorded_sine import reduction as recorded_sines
+from pmabench.kinds.recorded_step import reduction as recorded_steps
+from pmabench.kinds.sinusoidal_displacement import reduction as sine
+from pmabench.kinds.static_load import reduction as static_load
+from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData

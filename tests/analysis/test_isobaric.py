@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.driven.isobaric import reduce
-from pmabench.analysis.driven.rubber import fit, rubber_force
-from pmabench.analysis.driven.turns import turns_of
 from pmabench.analysis.results import Analysis
+from pmabench.analysis.shared.turns import turns_of
+from pmabench.kinds.isobaric_ramp.reduction import reduce
+from pmabench.kinds.isobaric_ramp.rubber import fit, rubber_force
 from pmabench.store.records import Flag, RunData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.test_honesty import unexplained

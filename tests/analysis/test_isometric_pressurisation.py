@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs
-from pmabench.analysis.statics import section
-from pmabench.analysis.statics.isometric_pressurisation import (
+from pmabench.kinds.isometric_pressurisation import daerden as section
+from pmabench.kinds.isometric_pressurisation.reduction import (
     CORRECTED,
     METHOD,
     SECTION,
@@ -20,6 +19,7 @@ from pmabench.analysis.statics.isometric_pressurisation import (
     THRESHOLD,
     reduce,
 )
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.model.library.contractor import corrected_force
 from pmabench.model.library.daerden import daerden_force, section_factor
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData

@@ -15,7 +15,7 @@ from os import cpu_count
 import numpy as np
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs, verdicts
+from pmabench.kinds.reduce import reduce_runs, verdicts
 from tests.analysis.judged import as_run
 from tests.judge.campaign import CAUSES, SIZES, campaign, truth
 

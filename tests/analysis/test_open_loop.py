@@ -13,14 +13,15 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from pmabench.analysis.loops.open_loop import examine
-from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis
+from pmabench.analysis.trial import Quick
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
-from pmabench.display.quantities import Quick, measure
+from pmabench.display.quantities import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.ultimate_gain.open_loop import examine
+from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.loop import ultimate
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData

@@ -17,15 +17,16 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
 import pmabench
-from pmabench.analysis.contraction import output_error
-from pmabench.analysis.contraction.campaign import gather
-from pmabench.analysis.contraction.contraction import pool, reduce
-from pmabench.analysis.contraction.output_error import linear, polish
-from pmabench.analysis.contraction.pooled import Fit
-from pmabench.analysis.contraction.segments import Gate, Noise, Samples, cut
-from pmabench.analysis.contraction.stretch import answers
 from pmabench.analysis.results import Analysis
+from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.cli.main import main
+from pmabench.kinds.contraction_relaxation import output_error
+from pmabench.kinds.contraction_relaxation.output_error import linear, polish
+from pmabench.kinds.contraction_relaxation.pooled import Fit
+from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut
+from pmabench.kinds.contraction_relaxation.stretch import answers
+from pmabench.kinds.contraction_relaxation.trials import gather
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.coverage_study import hits, judged_by, table
 from tests.analysis.simulate import contraction_run, rig
@@ -251,7 +252,7 @@ def test_what_the_polish_moves_is_told(monkeypatch: pytest.MonkeyPatch):
     assert pooled is not None
     shifted = np.concatenate((pooled.fit.theta[:-1] * 1.05, pooled.fit.theta[-1:]))
     off = replace(pooled, fit=replace(pooled.fit, theta=shifted))
-    monkeypatch.setattr("pmabench.analysis.contraction.contraction.pool", lambda *_: off)
+    monkeypatch.setattr("pmabench.kinds.contraction_relaxation.reduction.pool", lambda *_: off)
     analysis = reduce([run], {"polish": True})
     (doubt,) = [f for f in analysis.findings if "output error moves" in f.text]
     assert doubt.level == "doubt"

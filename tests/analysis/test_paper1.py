@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmabench.analysis.contraction.contraction_paper1 import DRIVEN, KIND, METHODS, reduce
-from pmabench.analysis.contraction.curves import compare_orders, curve, least, normal_of
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least, normal_of
+from pmabench.kinds.contraction_relaxation.paper1 import DRIVEN, KIND, METHODS, reduce
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData
 
 PRESSURES = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0]) * 1e5
@@ -387,7 +387,7 @@ def test_a_load_beyond_the_braids_force_leaves_no_stiffness():
     st.sampled_from([None, 2, 4, 6, 9]),
 )
 def test_no_curve_is_negative_anywhere_on_its_domain(stiff: list[float], damp: list[float], order: int | None):
-    from pmabench.analysis.contraction.contraction_paper1 import _curves
+    from pmabench.kinds.contraction_relaxation.paper1 import _curves
 
     members = estimates("K", PRESSURES, np.array(stiff)) + estimates("B_r", PRESSURES, np.array(damp))
     curves, findings, _ = _curves(members, {} if order is None else {"K": order, "B_r": order})

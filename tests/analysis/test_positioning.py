@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.loops.position_response import Cycle, cycle_of, respond
-from pmabench.analysis.loops.positioning import reduce
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.engine.laws.position_loop import PositionLoop
+from pmabench.kinds.positioning.reduction import reduce
+from pmabench.kinds.positioning.response import Cycle, cycle_of, respond
 from pmabench.model.described import Described
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy.signal import TransferFunction, lsim
 
-from pmabench.analysis.recorded import isometric, recorded_sines, recorded_steps
-from pmabench.analysis.recorded.imported import import_findings
-from pmabench.analysis.reduce import reduce_runs, verdicts
+from pmabench.analysis.imported import import_findings
+from pmabench.kinds.isometric import reduction as isometric
+from pmabench.kinds.recorded_sine import reduction as recorded_sines
+from pmabench.kinds.recorded_step import reduction as recorded_steps
+from pmabench.kinds.reduce import reduce_runs, verdicts
 from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import Command, Flag, TrialData

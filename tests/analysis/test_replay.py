@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction import replay
-from pmabench.analysis.contraction.pooled import Fit
-from pmabench.analysis.contraction.segments import Noise, Samples
+from pmabench.analysis.shared import replay
+from pmabench.analysis.shared.samples import Noise, Samples
+from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.plant import Plant

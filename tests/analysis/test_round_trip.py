@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs, verdicts
 from pmabench.base.errors import InvalidFile
+from pmabench.kinds.reduce import reduce_runs, verdicts
 from pmabench.notebook import Run
 from pmabench.report.files.export import export_run
 from pmabench.store.importers.guess.guess import guess_files

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.contraction.segments import Gate, Noise, Samples, cut, moved, noise_seen, velocity
+from pmabench.analysis.shared.samples import Noise, Samples
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, moved, noise_seen, velocity
 
 RATE = 500.0
 B, K, F_CE, F_L, TAU = 1500.0, 6000.0, 300.0, 100.0, 0.25

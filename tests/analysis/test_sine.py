@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.driven.sine import reduce
 from pmabench.analysis.results import Analysis
+from pmabench.kinds.sinusoidal_displacement.reduction import reduce
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.presets import preset
 from pmabench.model.signal import constant, sine

@@ -6,7 +6,7 @@ Pressure and force come from the library's driven chamber (plant 5.5: -2.8/+5.6 
 import numpy as np
 import pytest
 
-from pmabench.analysis.driven.sine import reduce
+from pmabench.kinds.sinusoidal_displacement.reduction import reduce
 from pmabench.model.library import MODELS
 from pmabench.model.library.chamber import driven_chamber
 from pmabench.model.library.daerden import daerden_force

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.statics.static_load import reduce
+from pmabench.kinds.reduce import reduce_runs
+from pmabench.kinds.static_load.reduction import reduce
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.simulate import LOADS, contraction_run, rig, static_run
 

@@ -6,9 +6,9 @@ from math import pi, radians, sin, tan
 import numpy as np
 import pytest
 
-from pmabench.analysis.driven.step_displacement import reduce
-from pmabench.analysis.driven.step_relaxation import recovery
 from pmabench.base.errors import InvalidFile
+from pmabench.kinds.step_displacement.reduction import reduce
+from pmabench.kinds.step_displacement.relaxation import recovery
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import unexplained

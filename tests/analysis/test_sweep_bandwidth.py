@@ -6,8 +6,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from pmabench.analysis.recorded.recorded_sines import reduce
-from pmabench.analysis.recorded.sweep_bandwidth import COMMAND, PRESSURE, crossing
+from pmabench.kinds.recorded_sine.bandwidth import COMMAND, PRESSURE, crossing
+from pmabench.kinds.recorded_sine.reduction import reduce
 from pmabench.store.records import TrialData
 from tests.analysis.loop_rig import as_run
 

@@ -7,8 +7,8 @@ from math import degrees
 
 import pytest
 
-from pmabench.analysis.loops.tuning import LOOP_RULES, RULES, facts, plausibility, rules_named, tune
 from pmabench.analysis.results import Estimate, Parts
+from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.loops.ultimate_gain import reduce
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.engine.laws.gain_steps import GainSteps
+from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset
 from pmabench.model.signal import constant

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.loops.validation import COMMANDED, MEASURED, reduce
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.kinds.validation.reduction import COMMANDED, MEASURED, reduce
 from pmabench.model.curve import Curve
 from pmabench.model.described import Described, tabulated_force
 from pmabench.model.plant import Plant

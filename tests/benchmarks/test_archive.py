@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pmabench.analysis.many import Processes
-from pmabench.analysis.recorded.recorded_steps import SHIFTS, fit_motion
+from pmabench.kinds.recorded_step.reduction import SHIFTS, fit_motion
 from pmabench.report.many.many import process_many
 from pmabench.report.many.many_table import write_table
 from pmabench.store.below import tasks_below

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pmabench.analysis.reduce import reduce_runs
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.reduce import reduce_runs
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
 from pmabench.model.regulator import Regulated

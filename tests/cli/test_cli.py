@@ -278,7 +278,7 @@ def test_quiet_is_results_and_errors_only(tmp_path):
     ).output
     assert hazards.startswith("HAZARD: ")
     assert hazards.count("\n") == 1
-    assert "is no kind" in call("check", "static-load", *MOCK, "--set", "kind=x", "-q", code=3).output
+    assert "unknown kind" in call("check", "static-load", *MOCK, "--set", "kind=x", "-q", code=3).output
     assert "taken" not in call("tune", "--ku", "7", "--tu", "9", "-q").output
     assert call("schema", "--all", "--out", tmp_path, "-q").output == ""
 

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.reduce import REDUCTIONS, reduce_runs, reduction_of, verdicts
 from pmabench.cli.main import main
+from pmabench.kinds.reduce import reduce_runs, reduction_of, verdicts
+from pmabench.kinds.registry import all_kinds
 from pmabench.store.chain import open_chains
 from pmabench.store.folder import plain
 from pmabench.store.records import Flag
@@ -90,7 +91,7 @@ def runs(tmp_path_factory):
 
 def test_every_kind_is_here(runs):
     made = {reduction_of(run) for run in runs}
-    assert made == set(REDUCTIONS)
+    assert made == set(all_kinds())
 
 
 def test_process_prints_strict_json_and_nothing_else(runs, tmp_path):

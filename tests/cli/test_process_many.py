@@ -195,7 +195,7 @@ def test_a_stream_that_was_changed_in_place_is_not_taken_for_unchanged(lab):
 
 
 def test_an_error_in_the_program_is_told_with_its_run_and_stops_no_other(lab, monkeypatch):
-    from pmabench.analysis.recorded import recorded_steps
+    from pmabench.kinds.recorded_step import reduction as recorded_steps
 
     reduce = recorded_steps.reduce
     bad = sorted((lab / "runs" / "2018").iterdir())[0]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.display.expected import Expected
-from pmabench.display.quantities import Quick, measure
+from pmabench.analysis.trial import Expected, Quick
+from pmabench.display.quantities import measure
 from pmabench.display.wording import point_text
 from pmabench.store.records import Command, RunData, TrialData
 

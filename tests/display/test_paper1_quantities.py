@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.display.quantities import Quick, measure
+from pmabench.analysis.trial import Quick
+from pmabench.display.quantities import measure
 from tests.analysis.test_paper1 import single_steps, table
 
 

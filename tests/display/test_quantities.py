@@ -6,8 +6,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from pmabench.display.expected import Expected
-from pmabench.display.quantities import Quick, measure
+from pmabench.analysis.trial import Expected, Quick
+from pmabench.display.quantities import measure
 from pmabench.display.verdicts import Verdicts
 from pmabench.store.records import RunData, TrialData
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pmabench.display.expected import Expected
-from pmabench.display.quantities import Quick, measure
+from pmabench.analysis.trial import Expected, Quick
+from pmabench.display.quantities import measure
 from pmabench.store.records import Command, RunData, TrialData
 
 EXPECTED = Expected(

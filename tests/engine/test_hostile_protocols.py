@@ -13,7 +13,7 @@ from pmabench.bench.interface import Block, Identity
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.files.document import Document
-from pmabench.protocol.compile import compile_protocol, read_protocol
+from pmabench.kinds.compile import compile_protocol, read_protocol
 from tests.engine.benches import ROOT, SPECIMEN
 
 CASES = int(os.environ.get("PMABENCH_CASES", "500"))

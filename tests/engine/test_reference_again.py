@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.analysis.contraction.contraction import reduce
 from pmabench.base.errors import Interrupted
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.resume import continue_run, remaining, with_reference
 from pmabench.engine.run import run_plan
+from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.protocol.plan import Ask, Record
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import open_chain

@@ -11,11 +11,11 @@ from pmabench.base.errors import UsageError
 from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.compile import make_plan
 from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
 from pmabench.model.signal import constant
-from pmabench.protocol.compile import make_plan
 from tests.engine.benches import ROOT
 
 M = np.array(

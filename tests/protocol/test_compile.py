@@ -8,8 +8,8 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
-from pmabench.protocol.campaign import plan_campaign
-from pmabench.protocol.compile import make_plan
+from pmabench.kinds.campaign import plan_campaign
+from pmabench.kinds.compile import make_plan
 from pmabench.protocol.driven import predicted_force
 from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
 
@@ -201,7 +201,7 @@ def test_the_demo_campaign_uses_two_benches():
         (("trial.relax.hold_at_end", "-100 s"), "not below zero"),
         (("sweep.repeat.count", "200"), "more than 200000 steps"),
         (("sample_rate", "0.01 Hz"), "greater than or equal to 10"),
-        (("kind", "[a]"), "no kind of protocol"),
+        (("kind", "[a]"), "unknown kind of protocol"),
     ],
 )
 def test_what_a_plan_cannot_be(change, says):

@@ -10,10 +10,10 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.kinds.compile import make_plan
+from pmabench.kinds.sinusoidal_displacement import protocol as sinusoidal_displacement
 from pmabench.model.library import MODELS
 from pmabench.model.library.chamber import driven_chamber
-from pmabench.protocol import sinusoidal_displacement
-from pmabench.protocol.compile import make_plan
 from pmabench.protocol.driven_air import Supply, Tube, peak
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, planned

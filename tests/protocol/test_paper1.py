@@ -9,7 +9,7 @@ import pytest
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.engine.resume import remaining
-from pmabench.protocol.compile import make_plan
+from pmabench.kinds.compile import make_plan
 from pmabench.protocol.plan import Ask, Plan, Record, Set
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -205,9 +205,11 @@ def test_what_is_wrong_is_refused_with_its_place(setting, told):
     assert "--set" in message or ".yaml:" in message
 
 
-def test_an_analysis_of_another_kind_is_refused(tmp_path):
+def test_an_analysis_without_an_ultimate_gain_is_refused(tmp_path):
     folder = ultimate(tmp_path, (0.03, 60e6, 0.36), kind="static-load")
-    assert "is an analysis of kind static-load; ultimate-gain is needed" in refused((GAINS, str(folder)))
+    file = folder / "analysis.json"
+    file.write_text(file.read_text().replace('"K_u"', '"F_ce"'))
+    assert "is an analysis of kind static-load and gives no K_u, T_u" in refused((GAINS, str(folder)))
 
 
 def test_a_damaged_analysis_is_refused(tmp_path):

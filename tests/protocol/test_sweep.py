@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document, Strict, validate
-from pmabench.protocol.contraction_relaxation import ContractionAxes
+from pmabench.kinds.contraction_relaxation.protocol import ContractionAxes
 from pmabench.protocol.sweep import Sweep, expand
 
 

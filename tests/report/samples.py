@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.analysis.reduce import results_of
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.kinds.reduce import results_of
 from pmabench.store.records import ChannelInfo, Event, RunData, TrialData
 
 PRESSURES = tuple(np.arange(150e3, 501e3, 50e3))

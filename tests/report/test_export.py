@@ -20,7 +20,7 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.main import main
 from pmabench.notebook import Results
-from pmabench.report.figures.svg import GREEK
+from pmabench.plotting.svg import GREEK
 from pmabench.report.files.control_model import GRAVITY, control_model, simulated
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset

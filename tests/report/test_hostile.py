@@ -16,6 +16,7 @@ from rich.console import Console
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.cli.main import main
 from pmabench.notebook import Results
+from pmabench.plotting.wording import clean
 from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of
 from pmabench.report.document.html import page_of
@@ -25,7 +26,6 @@ from pmabench.report.files import latex
 from pmabench.report.files.control_model import control_model, control_text
 from pmabench.report.files.export import export_results
 from pmabench.report.terminal_coefficients import print_coefficients
-from pmabench.report.words.wording import clean
 from pmabench.store.notes import Note, add_note
 from tests.store.runs import begin, record
 

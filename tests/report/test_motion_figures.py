@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pmabench.analysis.results import Trace
-from pmabench.report.figures.motion_figures import over_pressure, residuals
+from pmabench.plotting.motion import over_pressure, residuals
 
 
 def free_run(noise, name="a"):

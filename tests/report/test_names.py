@@ -9,8 +9,8 @@ import openpyxl
 import pytest
 from rich.console import Console
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import Analysis, Estimate, Parts, withhold
+from pmabench.base.kind import Result
 from pmabench.report.document import tables
 from pmabench.report.document.content import content_of
 from pmabench.report.document.front import tiles_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Trace
+from pmabench.analysis.results import Analysis, Trace
 from pmabench.analysis.shared.repeats import traces
 from pmabench.report.figures.repeat_figures import repeats
 from tests.report.samples import run
@@ -28,7 +28,7 @@ def of(*trials):
     like = run(KIND)
     made = tuple(trial_at(like.trials[0], i, *trial[:2], **(trial[2] if len(trial) > 2 else {}))
                  for i, trial in enumerate(trials))  # fmt: skip
-    return traces(KIND, [replace(like, trials=made)])
+    return traces("displacement", [replace(like, trials=made)])
 
 
 def test_the_point_with_most_repeats_is_shown():
@@ -43,7 +43,7 @@ def test_trials_of_reference_and_those_that_ended_early_are_no_repeats():
     assert of((1e5, 0.01), (1e5, 0.01, {"status": "aborted"})) == []
     assert of((1e5, 0.01), (2e5, 0.01)) == []
     like = run(KIND)
-    assert traces("recorded-step", [replace(like, trials=(like.trials[0],) * 2)]) == []
+    assert traces("", [replace(like, trials=(like.trials[0],) * 2)]) == []
 
 
 def test_scatter_and_first_repeat_are_those_of_the_numbers():
@@ -52,7 +52,9 @@ def test_scatter_and_first_repeat_are_those_of_the_numbers():
     levels = (20.3e-3, 20.1e-3, 19.9e-3)
     columns = {"t": t} | {f"repeat {n}": np.full(50, x) for n, x in enumerate(levels, 1)}
     quantities = {"t": "time"} | {f"repeat {n}": "length" for n in (1, 2, 3)}
-    (picture,) = repeats([Trace("repeats", "repeats", "300 kPa: 3 repeats", columns, quantities)], True)
+    (picture,) = repeats(
+        [Trace("repeats", "repeats", "300 kPa: 3 repeats", columns, quantities)], Analysis("any", (), simulated=True)
+    )
     assert "Standard deviation between repeats 0.2 mm" in picture.caption
     assert "the first is 0.3 mm rms off the mean of the later ones" in picture.caption
     assert picture.alt.startswith("Contraction over time of 3 repeats at 300 kPa, which scatter by 0.2 mm")

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from pmabench.report.figures.svg import lean, shortened
+from pmabench.plotting.svg import lean, shortened
 
 
 def places(path):

@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
+from pmabench.plotting.rounding import half_width, printed, rounded
+from pmabench.plotting.wording import shown
 from pmabench.report.document import tables
 from pmabench.report.files.csv_files import write_tables
 from pmabench.report.terminal_coefficients import print_coefficients
-from pmabench.report.words.rounding import half_width, printed, rounded
-from pmabench.report.words.wording import shown
 
 from . import samples
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmabench.analysis.recorded.isometric import reduce as isometric
-from pmabench.analysis.recorded.recorded_sines import reduce as sines
-from pmabench.analysis.recorded.recorded_steps import reduce as steps
+from pmabench.kinds.isometric.reduction import reduce as isometric
+from pmabench.kinds.recorded_sine.reduction import reduce as sines
+from pmabench.kinds.recorded_step.reduction import reduce as steps
 from pmabench.store.importers import motion, warm
 from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text

@@ -11,18 +11,6 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 FIGURE = "repeats"
-CHANNELS = {
-    "contraction-relaxation": "displacement",
-    "contraction-relaxation-paper-1": "displacement",
-    "free-contraction": "displacement",
-    "positioning": "displacement",
-    "validation": "displacement",
-    "sinusoidal-displacement": "force",
-    "isobaric-ramp": "force",
-    "isometric-pressurisation": "force",
-    "step-displacement": "force",
-}
-"""Kinds whose trials of one operating point have one course in time -> the channel that tells them apart."""
 POINTS = 360
 MOST = 8
 """Most repeats."""
@@ -32,12 +20,13 @@ HIDDEN = frozenset(("side", "mass", "cycles"))
 Point = tuple[tuple[str, float], ...]
 
 
-def traces(kind: str, runs: Sequence[RunData]) -> list[Trace]:
+def traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     """The repeats of the operating point that has most of them, of several the middle one; none without repeats.
+
+    `channel` is the one in which they differ over time; empty for kinds of test whose trials have no common course.
 
     Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
     """
-    channel = CHANNELS.get(kind, "")
     groups: dict[Point, list[TrialData]] = {}
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:

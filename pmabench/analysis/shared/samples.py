@@ -1,7 +1,8 @@
-"""Samples of a trial of any kind: whether they can be used, their noise, their value on time, a sine in them."""
+"""Samples of a trial of any kind: stretches of them, whether they can be used, their noise, a sine in them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import pi
 
 import numpy as np
@@ -15,6 +16,32 @@ UNUSABLE_SHARE = 0.02
 
 class NotUsable(Exception):
     """A trial that cannot be measured, with the reason."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One stretch of samples on its way into segments: arrays of shape (n,), SI.
+
+    `force` is the measured F_L, None where there is no load cell: then it is `load` [N] moving with `mass` [kg].
+    """
+
+    trial: int
+    t: Array
+    P: Array
+    x: Array
+    force: Array | None
+    ok: NDArray[np.bool_]
+    load: float
+    mass: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation of the white noise of each channel, as seen in the samples [SI]."""
+
+    pressure: float = 0.0
+    displacement: float = 0.0
+    force: float = 0.0
 
 
 def noise_of(y: Array) -> float:

@@ -2,7 +2,7 @@
 
 A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
 themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
-the pooled fit come from `contraction_checks`.
+the pooled fit come from the kind of test.
 """
 
 from __future__ import annotations
@@ -217,8 +217,8 @@ def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
 
 def _sine(run: RunData, trial: TrialData) -> float | None:
     """Stiffness of a sine [N/m]."""
-    from pmabench.analysis.driven.sine_loop import measure
     from pmabench.analysis.shared.samples import NotUsable
+    from pmabench.analysis.shared.sine_loop import measure
 
     try:
         return measure(run, trial, float(_settings(run).get("discard", 1))).stiffness
@@ -228,7 +228,7 @@ def _sine(run: RunData, trial: TrialData) -> float | None:
 
 def _ramp(run: RunData, trial: TrialData) -> float | None:
     """Slope of the mean curve of a slow ramp [N/m]."""
-    from pmabench.analysis.driven.ramp_loop import measure_as_planned
+    from pmabench.analysis.shared.ramp_loop import measure_as_planned
     from pmabench.analysis.shared.samples import NotUsable
 
     try:
@@ -241,7 +241,7 @@ def _ramp(run: RunData, trial: TrialData) -> float | None:
 def _rest(run: RunData, trial: TrialData) -> float | None:
     """Contraction at rest without load [m]."""
     from pmabench.analysis.shared.samples import NotUsable
-    from pmabench.analysis.statics.free_contraction import measure
+    from pmabench.kinds.free_contraction.reduction import measure
 
     try:
         return measure(run, trial).x
@@ -251,8 +251,8 @@ def _rest(run: RunData, trial: TrialData) -> float | None:
 
 def _step(run: RunData, trial: TrialData) -> float | None:
     """Stiffness of the relaxed forces of steps away from the start [N/m]."""
-    from pmabench.analysis.driven.step_relaxation import measure
     from pmabench.analysis.shared.samples import NotUsable
+    from pmabench.kinds.step_displacement.relaxation import measure
 
     try:
         return float(np.mean([step.static for step in measure(run, trial, {}).there]))
@@ -262,8 +262,8 @@ def _step(run: RunData, trial: TrialData) -> float | None:
 
 def _top(run: RunData, trial: TrialData) -> float | None:
     """Largest force of a muscle held at one length [N]."""
-    from pmabench.analysis.statics.isometric_curve import PHASES
-    from pmabench.analysis.statics.isometric_lines import as_test
+    from pmabench.analysis.shared.isometric_lines import as_test
+    from pmabench.kinds.isometric_pressurisation.curve import PHASES
 
     test, _ = as_test(run, trial, PHASES)
     return float(test.F.max()) if test is not None and len(test.F) else None
@@ -271,7 +271,7 @@ def _top(run: RunData, trial: TrialData) -> float | None:
 
 def _window(run: RunData, trial: TrialData) -> float | None:
     """Mean contraction in the window of a validation [m]."""
-    from pmabench.analysis.loops.validation import inside_window, unusable
+    from pmabench.kinds.validation.reduction import inside_window, unusable
 
     if unusable(run, trial):
         return None

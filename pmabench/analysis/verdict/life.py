@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from math import hypot, isfinite
 from typing import Any
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared.reference import stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.analysis.verdict.control_chart import Chart, chart
+from pmabench.base.kind import Result
 from pmabench.base.quantities import in_words, show
 from pmabench.store.records import Event, RunData
 

@@ -14,8 +14,8 @@ from html import escape
 import numpy as np
 
 from pmabench.model.outline import Outline, outline
+from pmabench.plotting.plots import FAINT, INK, QUIET, RED, WARN
 from pmabench.report.cascade.cascade_record import Link, Result
-from pmabench.report.figures.plots import FAINT, INK, QUIET, RED, WARN
 
 WIDTH = 1000.0
 LEFT, RIGHT = 84.0, 112.0

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.plotting import plots
+from pmabench.plotting.plots import FAINT, FULL, HALF, INK, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
+from pmabench.plotting.svg import drawing, to_svg
 from pmabench.report.cascade.cascade_record import Result
-from pmabench.report.figures import plots
-from pmabench.report.figures.plots import FAINT, FULL, HALF, INK, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
-from pmabench.report.figures.svg import drawing, to_svg
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

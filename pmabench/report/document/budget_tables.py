@@ -5,9 +5,10 @@ from __future__ import annotations
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.plotting.rounding import half_width
+from pmabench.plotting.wording import clean, point_text, shown, symbol_text
 from pmabench.report.document.tables import Table, least
-from pmabench.report.words.rounding import half_width
-from pmabench.report.words.wording import clean, kind_title, point_text, shown, symbol_text
+from pmabench.report.words.names import kind_title
 
 TOLD = 0.01
 """Sources with a smaller share of the variance are told together."""

@@ -9,9 +9,9 @@ import pandas as pd
 
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import NAMES, checks_of
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, number, point_shown
 from pmabench.report.document.tables import Table
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, number, point_shown
 
 _RUN = (("nrmse", "NRMSE [%]", 0.01), ("contraction", "contracting [%]", 0.01), ("relaxation", "relaxing [%]", 0.01))
 

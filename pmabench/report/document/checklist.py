@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pmabench.analysis.results import Analysis
+from pmabench.plotting.wording import clean
 from pmabench.report.document.provenance import get
-from pmabench.report.words.wording import clean
 from pmabench.store.records import RunData
 
 

@@ -6,10 +6,11 @@ import re
 from collections.abc import Sequence
 
 from pmabench import __version__
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.results import AGREEMENT, Analysis
+from pmabench.plotting.wording import clean
 from pmabench.report.document import provenance
 from pmabench.report.words.method_words import described
-from pmabench.report.words.wording import AGREEMENT, clean, kind_title
+from pmabench.report.words.names import kind_title
 from pmabench.store.records import RunData
 
 

@@ -12,9 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pmabench import __version__
-from pmabench.analysis.reduce import verdicts
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.results import AGREEMENT, Analysis
 from pmabench.analysis.verdict.acceptance import limits_of
+from pmabench.kinds import registry
+from pmabench.kinds.reduce import verdicts
+from pmabench.plotting import wording
+from pmabench.plotting.pictures import Picture
+from pmabench.plotting.rounding import printed
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.budget_tables import budget_table
 from pmabench.report.document.check_tables import check_tables
@@ -31,11 +35,8 @@ from pmabench.report.document.wide_tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
-from pmabench.report.figures.pictures import Picture
-from pmabench.report.words import wording
 from pmabench.report.words.method_words import described
-from pmabench.report.words.names import distinct
-from pmabench.report.words.rounding import printed
+from pmabench.report.words.names import distinct, kind_title
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -127,7 +128,7 @@ def content_of(
 
     Raises InvalidFile for a published table that matches no figure.
     """
-    order = wording.in_order((a.kind for a in analyses), wording.KINDS)
+    order = wording.in_order((a.kind for a in analyses), registry.all_kinds())
     analyses = sorted(analyses, key=lambda a: order.index(a.kind))
     runs = sorted({run.id: run for run in runs}.values(), key=lambda run: run.id)
     ids = dict.fromkeys([run.id for run in runs] + [run for a in analyses for run in a.runs])
@@ -140,14 +141,14 @@ def content_of(
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = _together(analyses, figures)
-    sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != wording.AGREEMENT]
+    sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
     limits = {run.id: limits_of(run) for run in runs}
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
     findings = tables.findings_table(analyses)
     findings["finding"] = [_named(text, names) for text in findings["finding"]]
     shown, more = first_findings(findings)
     specimens = provenance.specimens(runs)
-    kinds = [wording.kind_title(a.kind) for a in analyses if a.kind != wording.AGREEMENT]
+    kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
     name = (
         wording.clean(title, 200)
         if title
@@ -243,7 +244,7 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     if isinstance(trials, int) and not isinstance(trials, bool):
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
-    section = Section(wording.kind_title(analysis.kind), analysis.simulated, counts)
+    section = Section(kind_title(analysis.kind), analysis.simulated, counts)
     values = [part for table in tables.other_tables(analysis) for part in narrow(table)]
     told = (*values, *check_tables(analysis), *change_tables(analysis))
     section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from pmabench.plotting.wording import clean, number, shown
 from pmabench.report.document.provenance import get, text_of
-from pmabench.report.words.wording import clean, number, shown
 from pmabench.store.records import RunData, TrialData
 
 RATE_OFF = 0.01

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
+from pmabench.plotting import wording
+from pmabench.plotting.rounding import WITHHELD, rounded
 from pmabench.report.document import tables
-from pmabench.report.words import wording
 from pmabench.report.words.names import declared, is_headline
-from pmabench.report.words.rounding import WITHHELD, rounded
 from pmabench.store.records import RunData
 
 TILES = 8
@@ -47,7 +47,7 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
     What is withheld is there without a value.
     """
     found = []
-    analyses = [analysis for analysis in analyses if analysis.kind != wording.AGREEMENT]  # differences, no values
+    analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]  # differences, no values
     for symbol, result in declared(analyses).items():
         for analysis in (a for a in analyses if is_headline(a, symbol)):
             told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]

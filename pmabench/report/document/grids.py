@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from pmabench.report.words.rounding import UNRESOLVED, WITHHELD
+from pmabench.plotting.rounding import UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
 BRIEF = 32

@@ -12,11 +12,11 @@ from typing import Any
 
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import RecordError
+from pmabench.plotting import wording
+from pmabench.plotting.svg import symbol_parts
 from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import LEVELS, Content, content_of
 from pmabench.report.figures import overlays
-from pmabench.report.figures.svg import symbol_parts
-from pmabench.report.words import wording
 from pmabench.store.records import RunData
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from pmabench.analysis.results import Estimate
+from pmabench.plotting.wording import clean
 from pmabench.report.document.tables import note_text
-from pmabench.report.words.wording import clean
 
 BRIEF = 18
 """Letters of what stands beside its number itself."""

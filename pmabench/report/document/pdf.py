@@ -17,12 +17,12 @@ from typing import Any
 from warnings import catch_warnings, simplefilter
 
 from pmabench.base.errors import PmaError, RecordError, UsageError
+from pmabench.plotting.svg import symbol_parts
+from pmabench.plotting.wording import clean
 from pmabench.report.document.content import LEVELS, Content, Numbered
 from pmabench.report.document.grids import Grid
 from pmabench.report.document.pdf_compact import packed
 from pmabench.report.document.run_notes import Said
-from pmabench.report.figures.svg import symbol_parts
-from pmabench.report.words.wording import clean
 
 FONT = "DejaVu Sans"
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import pandas as pd
 
-from pmabench.report.words.wording import POINTS, clean, in_order, kind_title, number, point_shown, shown
+from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
+from pmabench.report.words.names import kind_title
 from pmabench.store.records import RunData
 from pmabench.store.regular import is_regular, sha256_of
 

@@ -11,9 +11,9 @@ from typing import Any, TypeGuard
 import pandas as pd
 
 from pmabench.analysis.results import Analysis
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, point_text, shown, symbol_text
 from pmabench.report.document.tables import Table
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, point_text, shown, symbol_text
 
 SAME = 1e-7
 """Share of a value below which a difference is that of rounding and of where a fit stops."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pmabench.report.words.wording import clean
+from pmabench.plotting.wording import clean
 from pmabench.store.records import RunData
 from pmabench.store.regular import open_regular
 

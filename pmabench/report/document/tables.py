@@ -11,17 +11,14 @@ from typing import Any
 
 import pandas as pd
 
-from pmabench.analysis.declared import Result
-from pmabench.analysis.results import Analysis, Estimate
+from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
+from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.report.words.names import declared
-from pmabench.report.words.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
-from pmabench.report.words.wording import (
-    AGREEMENT,
+from pmabench.plotting.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
+from pmabench.plotting.wording import (
     POINTS,
     clean,
     in_order,
-    kind_title,
     number,
     point_shown,
     point_text,
@@ -29,6 +26,7 @@ from pmabench.report.words.wording import (
     spoken,
     symbol_text,
 )
+from pmabench.report.words.names import declared, kind_title
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}

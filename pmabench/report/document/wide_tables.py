@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import pandas as pd
 
+from pmabench.plotting.wording import POINTS, clean, point_shown
 from pmabench.report.document.tables import Table
-from pmabench.report.words.wording import POINTS, clean, point_shown
 
 MOST = 7.0
 """Most columns of values beside those of the operating point; one without intervals counts as `PLAIN` of one."""

@@ -15,10 +15,11 @@ from typing import Any
 
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.plotting.wording import clean, shown
 from pmabench.report.document.content import Content
 from pmabench.report.document.grids import Grid
 from pmabench.report.files.csv_files import coefficient_rows, curve_rows, estimate_rows, inert
-from pmabench.report.words.wording import clean, kind_title, shown
+from pmabench.report.words.names import kind_title
 
 EPOCH = datetime(2000, 1, 1)
 """What the file says of when it was made: nothing, so that it can be compared."""

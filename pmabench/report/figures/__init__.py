@@ -1,6 +1,6 @@
 """Figures with their tables and alternative text.
 
-`figures` says which ones an analysis has. Each kind of test has its `..._figures`, which name and explain, and draw
-through `plots` and the `..._plots`; `characteristic_figures` brings tests together. `pictures` and `svg` are what every
-figure is; `overlays` are published points.
+`figures` says which ones an analysis has, as its kind of test draws them; `coefficient_figures` (over an operating
+point), `energy_figures` (work of loops), `repeat_figures`; `characteristic_figures` brings tests together; `overlays`
+are published points.
 """

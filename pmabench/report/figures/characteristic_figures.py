@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
-from pmabench.report.figures.pictures import Picture, bound, drawable, has, picture
-from pmabench.report.figures.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import shown
+from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
+from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,10 +30,10 @@ SAME = 1e3
 PULLS = 0.02
 """A force below this share of the largest is that of a slack muscle, and no model is drawn or compared there."""
 MODELS = (
-    ("contraction-relaxation", "measured-pressure", "steps at constant load"),
-    ("isometric-pressurisation", "isometric-sections", "a line through the same forces at each pressure"),
+    ("measured-pressure", "steps at constant load"),
+    ("isometric-sections", "a line through the same forces at each pressure"),
 )
-"""Where F_ce and K of the drawn model come from: kind of test, method, words; the first that is there."""
+"""Where F_ce and K of the drawn model come from: method, words; the first that is there."""
 
 
 def characteristic(analyses: Sequence[Analysis]) -> list[Picture]:
@@ -48,13 +48,13 @@ class _Model:
     def __init__(self, analyses: Sequence[Analysis]) -> None:
         self.words = ""
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
-        for kind, method, words in MODELS:
+        for method, words in MODELS:
             told: dict[str, dict[float, float]] = {
                 symbol: {
                     e.at["pressure"]: e.value
                     for a in analyses
                     for e in a.estimates
-                    if (a.kind, e.method, e.symbol) == (kind, method, symbol)
+                    if (e.method, e.symbol) == (method, symbol)
                     and set(e.at) == {"pressure"}
                     and e.value is not None
                     and not e.coordinate
@@ -81,12 +81,12 @@ class _Model:
         return F_ce, K
 
 
-def _told(analyses: Sequence[Analysis], kind: str, symbol: str, method: str) -> list[Estimate]:
+def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> list[Estimate]:
     found = [
         e
         for a in analyses
         for e in a.estimates
-        if (a.kind, e.symbol, e.method) == (kind, symbol, method) and set(e.at) == {"pressure"} and not e.coordinate
+        if (e.symbol, e.method) == (symbol, method) and set(e.at) == {"pressure"} and not e.coordinate
     ]
     return sorted((e for e in found if e.value is not None), key=lambda e: e.at["pressure"])
 
@@ -101,7 +101,7 @@ def _nominal(analyses: Sequence[Analysis]) -> float:
     for a in analyses:
         value = a.facts.get("nominal_length")
         specimen = a.facts.get("specimen")
-        if a.kind == "isometric-pressurisation" and isinstance(specimen, dict):
+        if value is None and isinstance(specimen, dict):
             value = specimen.get("nominal_length")
         if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
             return float(value)
@@ -110,8 +110,8 @@ def _nominal(analyses: Sequence[Analysis]) -> float:
 
 def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
     """Both ends of what a muscle can do: force without contraction, contraction without force; over pressure."""
-    F_b = _told(analyses, "isometric-pressurisation", "F_b", "blocked")
-    L = _told(analyses, "free-contraction", "L", "free-length")
+    F_b = _over_pressure(analyses, "F_b", "blocked")
+    L = _over_pressure(analyses, "L", "free-length")
     nominal = _nominal(analyses)
     if not F_b or not L or not np.isfinite(nominal):
         return []
@@ -192,7 +192,7 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
         return []
     chosen = _chosen(every, [t.marks["pressure"] for t in slow])
     model, nominal = _Model(analyses), _nominal(analyses)
-    lengths = _told(analyses, "free-contraction", "L", "free-length")
+    lengths = _over_pressure(analyses, "L", "free-length")
     free = [(e.at["pressure"], nominal - (e.value or 0.0)) for e in lengths]
     levels, rows, off = list[Level](), list[dict[str, str]](), list[float]()
     for P in chosen:

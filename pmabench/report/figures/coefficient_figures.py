@@ -8,25 +8,15 @@ from math import floor, log10, nan
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
+from pmabench.base.kind import Result
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import Picture, picture
+from pmabench.plotting.plots import Array, Points
+from pmabench.plotting.rounding import RAISED
+from pmabench.plotting.wording import POINTS, Shown, clean, in_order, number, point_shown, shown, spoken, symbol_text
 from pmabench.report.document.tables import cell, least
-from pmabench.report.figures import plots
-from pmabench.report.figures.pictures import Picture, picture
-from pmabench.report.figures.plots import Array, Points
 from pmabench.report.words.names import declared
-from pmabench.report.words.rounding import RAISED
-from pmabench.report.words.wording import (
-    POINTS,
-    Shown,
-    clean,
-    in_order,
-    number,
-    point_shown,
-    shown,
-    spoken,
-    symbol_text,
-)
 
 TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 """Symbols that are drawn over all tests together, those of one plot together."""

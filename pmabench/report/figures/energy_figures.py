@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
+from pmabench.plotting.pictures import Picture, bound, picture
+from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid
+from pmabench.plotting.wording import in_order, point_shown, point_text, shown
 from pmabench.report.document.tables import cell
-from pmabench.report.figures.pictures import Picture, bound, picture
-from pmabench.report.figures.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid
-from pmabench.report.words.wording import in_order, point_shown, point_text, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

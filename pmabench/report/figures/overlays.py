@@ -15,10 +15,11 @@ import pandas as pd
 from pmabench.analysis.results import PUBLISHED, Analysis, Beside, Estimate, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
+from pmabench.kinds import registry
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, number, point_shown, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import BESIDE
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, number, point_shown, shown
 from pmabench.store.records import Array, RunData
 
 HEADS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -89,7 +90,7 @@ def beside(
         for trace in analysis.traces:
             found = [(table, points) for table in published if (points := _in_trace(table, trace, length)) is not None]
             traces.append(replace(trace, beside=tuple(points for _, points in found)) if found else trace)
-            if trace.figure in FIGURES and _slowest(trace, analysis.traces):
+            if found and trace.figure != LOOPS and _slowest(trace, analysis.traces):
                 compared += [_apart(trace, table, points) for table, points in found]
         told.append(replace(analysis, traces=tuple(traces)))
     drawn = {c.label for c in compared}
@@ -112,7 +113,9 @@ def matchable(analyses: Sequence[Analysis], length: float | None) -> list[str]:
         known = [e for a in analyses for e in a.estimates if _plain(e, symbol)]
         if known:
             found.append(f"{symbol} [{shown(known[0].quantity).unit}] over pressure [kPa]")
-    for figure, (x, y, fixed) in FIGURES.items():
+    for figure, (x, y, fixed) in _figures().items():
+        if figure == LOOPS:
+            continue
         traces = [t for a in analyses for t in a.traces if t.figure == figure and _place(t, fixed) is not None]
         if not traces:
             continue
@@ -124,13 +127,8 @@ def matchable(analyses: Sequence[Analysis], length: float | None) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-FIGURES = {
-    "isometric": ("pressure", "force", "displacement"),
-    "mean-curve": ("displacement", "force", "pressure"),
-    "loop": ("displacement", "force", "pressure"),
-    "rubber": ("displacement", "force", "pressure"),
-}
-"""Kind of trace -> its axes, and what is the same in all of it."""
+LOOPS = "isobaric"
+"""Kind of trace whose loops get published points drawn; it is the mean curve through them that is compared."""
 BINS = 60
 """In which the branches of a trace are averaged."""
 FURTHER = 0.5
@@ -138,6 +136,11 @@ FURTHER = 0.5
 QUANTITY = {name: quantity for name, quantity, _ in HEADS}
 MARKS = {"displacement": "contraction", "pressure": "pressure"}
 """Coordinate -> the mark of a trace that holds it."""
+
+
+def _figures() -> dict[str, tuple[str, str, str]]:
+    """Kind of trace -> its axes, and what is the same in all of it, as kinds of test declare it."""
+    return {figure: axes for kind in registry.all_kinds().values() for figure, axes in kind.published.items()}
 
 
 def _place(trace: Trace, fixed: str) -> float | None:
@@ -188,9 +191,10 @@ def _coefficients(table: Published, other: Analysis, analyses: Sequence[Analysis
 
 def _in_trace(table: Published, trace: Trace, length: float | None) -> Beside | None:
     """The published points of the trace's operating point, on its axes."""
-    if trace.figure not in (*FIGURES, "isobaric"):
+    axes = _figures().get(trace.figure)
+    if axes is None:
         return None
-    x, y, fixed = FIGURES["mean-curve" if trace.figure == "isobaric" else trace.figure]
+    x, y, fixed = axes
     columns = dict(table.columns)
     if "displacement" not in columns and "contraction" in columns and length is not None:
         columns["displacement"] = columns["contraction"] * length
@@ -215,7 +219,7 @@ def _slowest(trace: Trace, traces: Sequence[Trace]) -> bool:
 
 def _apart(trace: Trace, table: Published, points: Beside) -> Comparison:
     """A trace at the published places within it: branches are averaged in narrow bins."""
-    x, y, fixed = FIGURES[trace.figure]
+    x, y, fixed = _figures()[trace.figure]
     known = np.isfinite(trace.columns[x]) & np.isfinite(trace.columns[y])
     own, values = _one_curve(trace.columns[x][known], trace.columns[y][known])
     unit = shown(QUANTITY[fixed])

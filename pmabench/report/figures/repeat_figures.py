@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Trace
-from pmabench.report.figures.pictures import Picture, bound, column, has, numbers, picture, unit_of
-from pmabench.report.figures.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
-from pmabench.report.words.wording import clean
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
+from pmabench.plotting.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
+from pmabench.plotting.wording import clean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 WORDS = {"length": "contraction", "force": "force"}
 
 
-def repeats(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+def repeats(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace with at least two repeats."""
-    return [found for trace in traces if (found := _repeats(trace, simulated)) is not None]
+    return [found for trace in traces if (found := _repeats(trace, analysis.simulated)) is not None]
 
 
 def _repeats(trace: Trace, simulated: bool) -> Picture | None:

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.declared import Result
 from pmabench.analysis.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
 from pmabench.base.errors import RecordError, invalid
+from pmabench.base.kind import Result
+from pmabench.plotting.wording import clean
 from pmabench.report.files.csv_files import write_tables
-from pmabench.report.words.wording import clean
 from pmabench.store.folder import plain
 
 ANALYSIS = "analysis.json"

@@ -15,9 +15,9 @@ import numpy as np
 from pmabench import __version__
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.errors import UsageError
-from pmabench.report.figures.pictures import has
+from pmabench.plotting.pictures import has
+from pmabench.plotting.wording import clean
 from pmabench.report.files.control_law import rates
-from pmabench.report.words.wording import clean
 from pmabench.store.records import Array, RunData
 
 GRAVITY = 9.80665

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.report.words.rounding import WITHHELD
-from pmabench.report.words.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.plotting.rounding import WITHHELD
+from pmabench.plotting.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
 
 FORMULA = tuple("=+-@＝＋－＠")
 """A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""

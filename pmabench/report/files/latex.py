@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from pmabench.report.figures.svg import symbol_parts
-from pmabench.report.words.wording import clean
+from pmabench.plotting.svg import symbol_parts
+from pmabench.plotting.wording import clean
 
 _ESCAPES = {
     "\\": r"\textbackslash{}",

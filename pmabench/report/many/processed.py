@@ -48,7 +48,7 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    from pmabench.analysis.reduce import reduce_runs, specimen_of, verdicts
+    from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.files.analysis_folder import write_analysis
     from pmabench.report.words.names import declared
     from pmabench.store.chain import open_chains

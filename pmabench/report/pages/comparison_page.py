@@ -12,14 +12,14 @@ import pandas as pd
 from pmabench.analysis.results import PUBLISHED, Analysis
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Difference, Side
-from pmabench.report.figures import plots
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import Picture, drawable, picture
+from pmabench.plotting.wording import clean, in_order, spoken, symbol_text
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison
-from pmabench.report.figures.pictures import Picture, drawable, picture
 from pmabench.report.pages.comparison_tables import curve_rows, rows_of
 from pmabench.report.pages.page import Page, TextTable, write_page
 from pmabench.report.words.names import declared
-from pmabench.report.words.wording import clean, in_order, spoken, symbol_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

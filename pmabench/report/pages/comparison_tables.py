@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.comparison import Difference, Side, percent
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, point_text, shown, symbol_text
 from pmabench.report.figures.overlays import Comparison, comparison_table
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, point_text, shown, symbol_text
 
 Rows = tuple[list[str], list[list[str]]]
 """Heads, and rows of text under them."""

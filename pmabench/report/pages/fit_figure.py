@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pmabench.analysis.fitting.model_fit import ModelFit
 from pmabench.base.errors import RecordError
 from pmabench.model.library import OutsideDomain, Parameter
-from pmabench.report.figures import plots
-from pmabench.report.figures.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
-from pmabench.report.figures.svg import drawing, to_svg
-from pmabench.report.words.wording import clean, number, shown
+from pmabench.plotting import plots
+from pmabench.plotting.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
+from pmabench.plotting.svg import drawing, to_svg
+from pmabench.plotting.wording import clean, number, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,12 +11,13 @@ import pandas as pd
 
 from pmabench.analysis.results import Finding
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
-from pmabench.report.figures import plots
-from pmabench.report.figures.pictures import LARGEST, Picture, picture
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import LARGEST, Picture, picture
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, point_text, shown
 from pmabench.report.pages.history_tables import run_rows, value_rows
 from pmabench.report.pages.page import Page, TextTable, write_page
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, kind_title, point_text, shown
+from pmabench.report.words.names import kind_title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

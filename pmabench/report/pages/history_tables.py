@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from pmabench.analysis.verdict.life import Past, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.report.words.rounding import rounded
-from pmabench.report.words.wording import clean, kind_title, point_text, shown, symbol_text
+from pmabench.plotting.rounding import rounded
+from pmabench.plotting.wording import clean, point_text, shown, symbol_text
+from pmabench.report.words.names import kind_title
 
 Rows = tuple[list[str], list[list[str]]]
 """Heads, and rows of text under them."""

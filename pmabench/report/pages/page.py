@@ -14,9 +14,9 @@ from typing import Any
 from pmabench import __version__
 from pmabench.analysis.results import Finding
 from pmabench.base.errors import RecordError
-from pmabench.report.figures.pictures import Picture
-from pmabench.report.figures.svg import symbol_parts
-from pmabench.report.words.wording import clean
+from pmabench.plotting.pictures import Picture
+from pmabench.plotting.svg import symbol_parts
+from pmabench.plotting.wording import clean
 
 
 @dataclass(frozen=True)

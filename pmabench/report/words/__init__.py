@@ -1,1 +1,1 @@
-"""Words and numbers: `names` (coefficients), `wording` (kinds, points), `method_words`, `rounding`."""
+"""Words: `names` (kinds of test, coefficients), `method_words`."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from pmabench.analysis.declared import Result, in_common
-from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.analysis.declared import in_common
+from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
+from pmabench.base.kind import Result
+from pmabench.base.text import clean
+from pmabench.kinds import registry
 
 
 def declared(analyses: Iterable[Analysis]) -> dict[str, Result]:
@@ -64,3 +67,8 @@ def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:
         curves=tuple(curve(c) for c in analysis.curves),
         results=tuple(replace(r, symbol=names.get(r.symbol, r.symbol)) for r in analysis.results),
     )
+
+
+def kind_title(kind: str) -> str:
+    """The kind of test as a heading."""
+    return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))

@@ -1,0 +1,197 @@
+"""One isobaric loop: the branches of its cycles on a common grid of contraction, their gap, mean and work.
+
+Knows one trial of slow ramps; no campaign and no fit over pressure or speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.sine_loop import lost_work
+from pmabench.analysis.shared.turns import Turns, turns_of
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, Command, Flag, RunData, TrialData
+
+POINTS = 81
+"""Points of the grid."""
+FEWEST = 40
+"""Samples that a branch needs between the ends of the grid."""
+TURN = 0.05
+"""Share of the stroke that is left out at each end where the plan does not say."""
+COVERED = 0.9
+"""Share of the grid that all branches must cover."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One trial; grids of shape (n,), branches of shape (cycles, n)."""
+
+    x: Array
+    """Contraction [m], rising: the points of the grid that all branches reach."""
+    contracting: Array
+    """Force [N]."""
+    expanding: Array
+    turns: Turns | None
+    """How the branches turn into each other; None where that does not show."""
+    speed: float
+    """Of the measured displacement [m/s], mean of both directions."""
+    pressure: float
+    """Mean pressure [Pa] on the grid; nan where it is not recorded."""
+    apart: float
+    """Mean pressure while expanding minus while contracting [Pa]; nan where it is not recorded."""
+    given: Array
+    """Work that the muscle gives while contracting [J], shape (cycles,)."""
+    lost: Array
+    """Work lost in the loop [J], -integral of F dx over the whole cycle, shape (cycles,)."""
+    last: tuple[Array, Array]
+    """Displacement [m] and force [N] of the last cycle, as sampled."""
+    noise: float
+    """Of the force [N]."""
+
+    @cached_property
+    def gap(self) -> Array:
+        """Force while expanding minus force while contracting [N]: above 0 where the contracting branch is lower."""
+        return np.asarray(self.expanding - self.contracting)
+
+    @cached_property
+    def raw_mean(self) -> Array:
+        """Mean of both branches [N]: what a model without hysteresis is to give (paper 3)."""
+        return np.asarray(0.5 * (self.expanding + self.contracting))
+
+    @cached_property
+    def mean(self) -> Array:
+        """The same without what the turns at the ends of the stroke leave in it [N]."""
+        return self.raw_mean - self.turns.of_mean(self.x) if self.turns is not None else self.raw_mean
+
+    def cropped(self, x: Array) -> Loop:
+        """The same at the points of the grid that are in `x` alone."""
+        kept = np.isin(np.round(self.x, 9), np.round(x, 9))
+        return replace(self, x=self.x[kept], contracting=self.contracting[:, kept], expanding=self.expanding[:, kept])
+
+    @property
+    def middle_gap(self) -> Array:
+        """The gap at mid stroke [N], the mean of the middle tenth of the grid; shape (cycles,)."""
+        n = self.x.size
+        wide = max(1, n // 20)
+        return np.asarray(np.mean(self.gap[:, n // 2 - wide : n // 2 + wide + 1], axis=1))
+
+    @property
+    def mean_gap(self) -> Array:
+        """The gap's mean over the grid [N], shape (cycles,)."""
+        return np.asarray(np.mean(self.gap, axis=1))
+
+
+def measure(run: RunData, trial: TrialData, discard: int, turn: float) -> Loop:
+    """One trial from its samples: `discard` cycles at the start and `turn` [m] at both ends are left out.
+
+    Sensors' lags are taken off. Raises `NotUsable` where the trial ended early, lacks a channel or whole cycles, or
+    went slack.
+    """
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    missing = [name for name in ("displacement", "force") if name not in trial.channels]
+    if missing:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    cycles = _cycles(trial)[discard:]
+    if not cycles:
+        raise NotUsable("it holds no whole cycle beyond those left out")
+    lower, upper = cycles[0][0].before, cycles[0][0].value
+    grid = np.linspace(lower + turn, upper - turn, POINTS)
+    if not grid[-1] > grid[0]:
+        raise NotUsable("nothing is left of the stroke between its ends")
+    whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
+    bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
+    if bad > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    branches: dict[str, list[Array]] = {"contract": [], "expand": []}
+    pressures: dict[str, list[float]] = {"contract": [], "expand": []}
+    speeds, given, lost = [], [], []
+    last: tuple[Array, Array] = (np.empty(0), np.empty(0))
+    for contract, expand, end in cycles:
+        for phase, begin, until in (("contract", contract.t, expand.t), ("expand", expand.t, end)):
+            rows = _between(trial, begin, until)
+            x, F = values["displacement"][rows], values["force"][rows]
+            moved = (x >= grid[0]) & (x <= grid[-1])
+            if int(moved.sum()) < FEWEST:
+                raise NotUsable(f"fewer than {FEWEST} samples between the ends of a ramp")
+            speeds.append(abs(float(np.polyfit(trial.t[rows][moved], x[moved], 1)[0])))
+            pressures[phase].append(float(np.mean(values["pressure"][rows][moved])))
+            slack = (trial.flags[rows] & np.uint16(Flag.SLACK)) != 0
+            branches[phase].append(on_grid(grid, x, np.where(slack, np.nan, F)))
+        rows = _between(trial, contract.t, end)
+        last = values["displacement"][rows], values["force"][rows]
+        lost.append(lost_work(*last))
+        one = _between(trial, contract.t, expand.t)
+        x, F = values["displacement"][one], values["force"][one]
+        given.append(float(np.sum(0.5 * (F[1:] + F[:-1]) * np.diff(x))))
+    contracting, expanding = np.array(branches["contract"]), np.array(branches["expand"])
+    known = np.isfinite(contracting + expanding).all(axis=0)
+    if known.mean() < COVERED and trial.point.get("pressure", 1.0) > 0:
+        reached = show(float(np.nanmin(values["force"][whole])), "force", 3)
+        raise NotUsable(f"its branches cover {known.mean():.0%} of the stroke; force down to {reached}: slack?")
+    if not known.any():
+        raise NotUsable("the specimen was slack over the whole stroke")
+    gap = (expanding - contracting).mean(axis=0)
+    return Loop(
+        turns=turns_of(grid[known], gap[known], lower, upper),
+        x=grid[known],
+        contracting=contracting[:, known],
+        expanding=expanding[:, known],
+        speed=float(np.mean(speeds)),
+        pressure=float(np.mean(pressures["contract"] + pressures["expand"])),
+        apart=float(np.mean(pressures["expand"]) - np.mean(pressures["contract"])),
+        given=np.array(given),
+        lost=np.array(lost),
+        last=last,
+        noise=noise_of(values["force"][whole]),
+    )
+
+
+def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
+    """`measure` with what `options` say, else the plan, of `discard` and `turn`."""
+    settings = {**(run.plan.get("settings") or {}), **options}
+    stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
+    return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
+
+
+def _cycles(trial: TrialData) -> list[tuple[Command, Command, float]]:
+    """Whole cycles: the ramp that contracts, the ramp that expands, and when that is over [s]."""
+    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp"]
+    found = []
+    for one, two in pairwise(ramps):
+        if one.phase != "contract" or two.phase != "expand":
+            continue
+        rate = two.data.get("rate", 0.0)
+        end = two.t + abs(two.value - two.before) / rate if rate > 0 else float(trial.t[-1])
+        if end <= float(trial.t[-1]) + 2 * float(np.median(np.diff(trial.t))):
+            found.append((one, two, end))
+    return found
+
+
+def _between(trial: TrialData, begin: float, end: float) -> NDArray[np.intp]:
+    return np.flatnonzero((trial.t >= begin - 1e-9) & (trial.t < end - 1e-9) & trial.usable)
+
+
+def on_grid(grid: Array, x: Array, F: Array) -> Array:
+    """Means of `F` about each point of an even `grid`, shape (n,), from samples of one branch; NaN beyond them."""
+    step = grid[1] - grid[0]
+    known = np.isfinite(F)
+    place = np.floor((x[known] - grid[0]) / step + 0.5).astype(int) + 1
+    inside = (place >= 0) & (place < len(grid) + 2)
+    place, x, F = place[inside], x[known][inside], F[known][inside]
+    count = np.bincount(place, minlength=len(grid) + 2)
+    filled = count > 0
+    if filled.sum() < 2:
+        return np.full(grid.shape, np.nan)
+    mean_x = np.bincount(place, x, len(grid) + 2)[filled] / count[filled]
+    mean_F = np.bincount(place, F, len(grid) + 2)[filled] / count[filled]
+    return np.interp(grid, mean_x, mean_F, left=np.nan, right=np.nan)

@@ -1,0 +1,253 @@
+"""One driven sine: harmonics of displacement, force and pressure, area and width of its loop, by cycle and as a whole.
+
+Also the force that a fitted muscle would have given along the same motion. Knows no campaign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import floor, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, three_parameter
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, Flag, RunData, TrialData
+
+RECOVERED = "of isobaric cycles: work given while contracting, over work taken up while expanding; air is not measured"
+"""What eta is, where it is given."""
+MIDDLE = 0.25
+"""The width at mid stroke is read from samples within this share of the amplitude."""
+STILL = 1e-9
+"""An amplitude below this [m] is rounding and no motion."""
+HARMONICS = 5
+"""Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cycles:
+    """What the loop says, cycle by cycle: arrays of shape (cycles,)."""
+
+    ratio: NDArray[np.complex128]
+    """Force over displacement [N/m] at the sine's frequency."""
+    size: Array
+    """Amplitude of the displacement [m]."""
+    area: Array
+    """Work lost in the loop [J]: -integral of F dx."""
+    width: Array
+    """Force while returning minus force while contracting, at mid stroke [N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sine:
+    """One trial, measured over whole cycles. x(t) = mean + Re(X exp(j omega t)), and so on."""
+
+    t: Array
+    x: Array
+    F: Array
+    frequency: float
+    """[Hz]."""
+    mean: float
+    """Of the displacement [m]."""
+    amplitude: float
+    """Of the displacement [m]."""
+    ratio: complex
+    """Force over displacement [N/m]; -K - j (B omega + 4 F_c/(pi A)) for a muscle."""
+    force: float
+    """Mean force [N]."""
+    pressure: float
+    """Mean pressure [Pa]; nan where it is not recorded."""
+    ripple: complex
+    """Amplitude of the pressure at the sine's frequency [Pa], with the displacement's phase as 0."""
+    distortion: float
+    """Rms of what the sine leaves of the displacement, over its own rms [1]."""
+    area: float
+    width: float
+    cycles: Cycles
+
+    @property
+    def omega(self) -> float:
+        """[rad/s]."""
+        return 2 * pi * self.frequency
+
+    @property
+    def speed(self) -> float:
+        """Amplitude of the speed omega A [m/s]."""
+        return self.omega * self.amplitude
+
+    @property
+    def stiffness(self) -> float:
+        """K = -Re(F/x) [N/m]."""
+        return -self.ratio.real
+
+    @property
+    def loss(self) -> float:
+        """-Im(F/x) A = B omega A + 4 F_c/pi [N]."""
+        return -self.ratio.imag * self.amplitude
+
+    @property
+    def phase(self) -> float:
+        """Phase by which the pull leads the extension [rad]: atan(Im/Re)."""
+        return float(np.arctan2(-self.ratio.imag, -self.ratio.real))
+
+
+def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: float = 0.0) -> Sine:
+    """One trial from its samples, the first `discard` cycles left out, the lags of the sensors taken off.
+
+    `force_per_pressure` [N/Pa] takes off the force that pressure at the sine's own frequency makes.
+
+    Raises `NotUsable` where the trial ended early, lacks a channel, went slack, or has too many flagged samples.
+    """
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    frequency = trial.point.get("frequency", 0.0)
+    missing = [name for name in ("displacement", "force") if name not in trial.channels]
+    if missing or frequency <= 0:
+        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else "its point names no frequency")
+    window = _window(trial, frequency, discard)
+    t, x, F = trial.t[window], trial.channels["displacement"][window], trial.channels["force"][window]
+    slack = int(np.count_nonzero(trial.flags[window] & np.uint16(Flag.SLACK)))
+    if slack or F.min() <= 3 * noise_of(F):
+        raise NotUsable(f"the specimen was slack: force down to {show(float(F.min()), 'force', 3)}")
+    good = trial.usable[window]
+    if np.mean(~good) > UNUSABLE_SHARE:
+        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged")
+    t, x, F = t[good], x[good], F[good]
+    lag = {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+    x, F = _ahead(t, x, frequency, lag["displacement"]), _ahead(t, F, frequency, lag["force"])
+    pressure, ripple = float("nan"), 0j
+    if "pressure" in trial.channels:
+        mean, amplitude = three_parameter(t, np.column_stack([trial.channels["pressure"][window][good], x]), frequency)
+        P = complex(amplitude[0]) * (1 + 2j * pi * frequency * lag["pressure"])
+        pressure, ripple = float(mean[0]), P * complex(np.exp(-1j * np.angle(amplitude[1])))
+        if force_per_pressure:
+            F = F - force_per_pressure * np.real(P * np.exp(2j * pi * frequency * t))
+    return evaluate(t, x, F, frequency, pressure, ripple)
+
+
+def _window(trial: TrialData, frequency: float, discard: float) -> slice:
+    """Samples of whole cycles, from the command of the sine on, the first `discard` cycles left out."""
+    command = next((c for c in trial.commands if c.kind == "sine"), None)
+    begin = float(trial.t[0]) if command is None else command.t
+    cycles = trial.point.get("cycles") if command is None else command.data.get("cycles")
+    end = float(trial.t[-1]) + float(np.median(np.diff(trial.t)))
+    if cycles is not None:
+        end = min(end, begin + float(cycles) / frequency)
+    begin += discard / frequency
+    whole = floor((end - begin) * frequency + 0.01)
+    if whole < 1:
+        raise NotUsable("it holds no whole cycle beyond those left out")
+    first, last = np.searchsorted(trial.t, [begin - 1e-9, begin + whole / frequency - 1e-9])
+    if last - first < 12 * whole:
+        raise NotUsable("fewer than 12 samples a cycle")
+    return slice(int(first), int(last))
+
+
+def evaluate(
+    t: Array,
+    x: Array,
+    F: Array,
+    frequency: float,
+    pressure: float = float("nan"),
+    ripple: complex = 0j,
+) -> Sine:
+    """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,)."""
+    omega = 2 * pi * frequency
+    both = np.column_stack([x, F])
+    means, amplitudes = three_parameter(t, both, frequency)
+    X = complex(amplitudes[0])
+    if abs(X) < max(6 * noise_of(x), STILL):
+        raise NotUsable("the displacement does not move above its noise")
+    left = x - means[0] - np.real(X * np.exp(1j * omega * t))
+    whole = max(1, round((t[-1] - t[0]) * frequency))
+    edges = np.searchsorted(t, t[0] + np.arange(whole + 1) / frequency - 1e-9)
+    ratio, size, area, width = [], [], [], []
+    for first, last in pairwise(edges):
+        one = slice(int(first), int(last))
+        _, a = three_parameter(t[one], both[one], frequency)
+        ratio.append(complex(a[1] / a[0]))
+        size.append(abs(complex(a[0])))
+        area.append(lost_work(x[one], F[one]))
+        width.append(_width(t[one], x[one], F[one], float(means[0]), X, omega))
+    return Sine(
+        t=t,
+        x=x,
+        F=F,
+        frequency=frequency,
+        mean=float(means[0]),
+        amplitude=abs(X),
+        ratio=complex(amplitudes[1] / amplitudes[0]),
+        force=float(means[1]),
+        pressure=pressure,
+        ripple=ripple,
+        distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
+        area=lost_work(x, F) / whole,
+        width=_width(t, x, F, float(means[0]), X, omega),
+        cycles=Cycles(np.array(ratio), np.array(size), np.array(area), np.array(width)),
+    )
+
+
+def lost_work(x: Array, F: Array) -> float:
+    """Work lost [J] along a path that is closed from its last sample to its first: -integral of F dx."""
+    ahead, pull = np.append(x[1:], x[0]), np.append(F[1:], F[0])
+    return -float(np.sum(0.5 * (F + pull) * (ahead - x)))
+
+
+def _width(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> float:
+    """Returning minus contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
+    position = (x - mean) / abs(X)
+    contracting = np.real(1j * X * np.exp(1j * omega * t)) > 0
+    middle = np.abs(position) < MIDDLE
+    at: list[float] = []
+    for branch in (middle & ~contracting, middle & contracting):
+        order = min(2, int(branch.sum()) - 1)
+        if order < 0:
+            return float("nan")
+        at.append(float(np.polyfit(position[branch], F[branch], order)[-1]))
+    return at[0] - at[1]
+
+
+def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:
+    """The first five harmonics of `y`, with its mean, and their slope [1/s] at `t` [s]; shapes (n,)."""
+    order = min(HARMONICS, int(0.2 * len(t) / max(1.0, (t[-1] - t[0]) * frequency)))
+    omega = 2 * pi * frequency
+    k = np.arange(1, max(1, order) + 1)
+    turns = np.outer(omega * t, k)
+    waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+    slopes = omega * np.concatenate([-k * np.sin(turns), k * np.cos(turns)], axis=1)
+    fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), waves]), y, rcond=None)
+    return fitted[0] + waves @ fitted[1:], slopes @ fitted[1:]
+
+
+def _ahead(t: Array, y: Array, frequency: float, lag: float) -> Array:
+    """What a sensor with a first-order `lag` [s] was given, y + lag y', where it told `y`; its noise stays as it is."""
+    return y + lag * _harmonics(t, y, frequency)[1] if lag else y
+
+
+def moving(sine: Sine) -> tuple[Array, Array]:
+    """Displacement [m] and its rate [m/s] of a trial without noise, their first five harmonics; shapes (n,)."""
+    return _harmonics(sine.t, sine.x, sine.frequency)
+
+
+def lagless(run: RunData, trial: TrialData, name: str, frequency: float, rows: NDArray[np.intp]) -> Array:
+    """A channel at some of a trial's samples, the lag of its sensor taken off; shape of `rows`."""
+    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
+    return _ahead(trial.t[rows], trial.channels[name][rows], frequency, lag)
+
+
+def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:
+    """Displacement [m] without noise and force [N] of F = const - K x - B x' - F_c sign x' at the trial's times.
+
+    The displacement keeps its first five harmonics; the constant gives the trial's mean force.
+    """
+    x, v = _harmonics(sine.t, sine.x, sine.frequency)
+    F = -K * (x - sine.mean) - B * v - F_c * np.sign(v)
+    return x, F + sine.force - float(three_parameter(sine.t, F[:, None], sine.frequency)[0][0])
+
+
+def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
+    """The trial measured again with the force of a fitted muscle: what the estimator itself adds."""
+    x, F = along(sine, K, B, F_c)
+    return evaluate(sine.t, x, F, sine.frequency)

@@ -1,0 +1,68 @@
+"""What one trial says by itself, and what its specimen's file predicts of it; judges nothing, fits nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pmabench.store.records import Array
+
+DRIFT = 0.02
+"""Share of a step that the last fifth of its hold may still move."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One quantity of a trial [SI]."""
+
+    symbol: str
+    quantity: str
+    value: float | None
+    expected: float | None = None
+    tolerance: float = 0.0
+    """What friction may take away from the prediction [SI]."""
+    noise: float = 0.0
+    """Differences smaller than this between repeats mean nothing [SI]."""
+    assumed: bool = False
+    pooled: bool = False
+    """Whether earlier trials are in it, so that it cannot be held against them."""
+
+
+Found = tuple[list[Measured], list[str]]
+"""Quantities, and what the samples themselves say against the trial."""
+
+
+@dataclass
+class Quick:
+    """What is remembered: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
+
+    ends: dict[float, dict[int, tuple[float, float]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Coefficients at rising `pressure` [Pa], all of shape (n,), with straight lines between: F_ce [N], K [N/m],
+    B_c, B_r [N.s/m]; F_c [N].
+    """
+
+    source: str
+    pressure: Array
+    F_ce: Array
+    K: Array
+    B_c: Array
+    B_r: Array
+    F_c: float
+
+    def at(self, symbol: str, pressure: float) -> float | None:
+        """A coefficient [SI] at a pressure [Pa]; None outside the points."""
+        low, high = float(self.pressure[0]), float(self.pressure[-1])
+        if not low - 1.0 <= pressure <= high + 1.0:
+            return None
+        return float(np.interp(pressure, self.pressure, getattr(self, symbol)))
+
+    def lifts(self, force: float) -> float | None:
+        """Pressure [Pa] at which F_ce is `force` [N]; None outside the points."""
+        if not float(self.F_ce[0]) <= force <= float(self.F_ce[-1]) or np.any(np.diff(self.F_ce) <= 0):
+            return None
+        return float(np.interp(force, self.F_ce, self.pressure))

@@ -1,0 +1,283 @@
+"""Controller settings from an ultimate gain and period: the table of rules, and whether the two can be true; no data.
+
+Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its own table gives 3.195 and 7.5 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from math import inf, isfinite, sqrt
+from typing import Any
+
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
+from pmabench.base.errors import did_you_mean
+from pmabench.base.quantities import show
+from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
+from pmabench.model.simc import SOURCE as SIMC_PAPER
+from pmabench.model.simc import simc
+
+ZIEGLER_NICHOLS = "Ziegler and Nichols, Trans. ASME 64 (1942) 759, ultimate-gain (second, closed-loop) method"
+TYREUS_LUYBEN = "Tyreus and Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One tuning rule: K_p = gain K_u, T_i = integral T_u, T_d = derivative T_u."""
+
+    name: str
+    form: str
+    """`P`, `PI` or `PID`."""
+    gain: float
+    integral: float | None
+    derivative: float | None
+    source: str
+
+    @property
+    def title(self) -> str:
+        """Name and form, for instance `Ziegler-Nichols PI`."""
+        return f"{self.name} {self.form}"
+
+
+RULES: tuple[Rule, ...] = (
+    Rule("Ziegler-Nichols", "P", 0.5, None, None, ZIEGLER_NICHOLS),
+    Rule("Ziegler-Nichols", "PI", 0.45, 1 / 1.2, None, ZIEGLER_NICHOLS),
+    Rule("Ziegler-Nichols", "PID", 0.6, 1 / 2, 1 / 8, ZIEGLER_NICHOLS),
+    Rule("Tyreus-Luyben", "PI", 1 / 3.2, 2.2, None, TYREUS_LUYBEN),
+    Rule("Tyreus-Luyben", "PID", 1 / 2.2, 2.2, 1 / 6.3, TYREUS_LUYBEN),
+)
+
+
+@dataclass(frozen=True)
+class LoopRule:
+    """A rule that needs the loop itself, dead time, lags and gain, and no ultimate gain."""
+
+    name: str
+    form: str
+    """`PI` or `PID`."""
+    source: str
+
+    @property
+    def title(self) -> str:
+        """Name and form, for instance `SIMC PI`."""
+        return f"{self.name} {self.form}"
+
+
+LOOP_RULES: tuple[LoopRule, ...] = (LoopRule("SIMC", "PI", SIMC_PAPER), LoopRule("SIMC", "PID", SIMC_PAPER))
+AnyRule = Rule | LoopRule
+
+FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
+    "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
+}
+"""Unit of K_p: units and quantities of K_i and K_d."""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """What one rule says: the ideal form K_p, T_i, T_d, and the parallel form K_i = K_p/T_i, K_d = K_p T_d."""
+
+    rule: AnyRule
+    K_p: Estimate
+    T_i: Estimate | None
+    T_d: Estimate | None
+    K_i: Estimate | None
+    K_d: Estimate | None
+    margins: Margins | None = None
+    """Where a model of the loop is known."""
+    answer: Answer | None = None
+    """To a simulated set-point step."""
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Those that the rule's form has."""
+        return tuple(e for e in (self.K_p, self.T_i, self.T_d, self.K_i, self.K_d) if e is not None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; infinite margins as None."""
+
+        def told(made: Margins | Answer | None) -> dict[str, Any]:
+            found = {} if made is None else asdict(made)
+            return {name: value if isfinite(value) else None for name, value in found.items()}
+
+        return {
+            "rule": self.rule.title,
+            "name": self.rule.name,
+            "form": self.rule.form,
+            "source": self.rule.source,
+            "gains": {e.symbol: e.to_dict() for e in self.estimates},
+            "margins": told(self.margins) or None,
+            "overshoot": told(self.answer).get("overshoot"),
+            "settling": told(self.answer).get("settling"),
+        }
+
+
+def rules_named(text: str) -> tuple[AnyRule, ...]:
+    """The rules whose name, form or title is `text`, in any case; raises ValueError with the nearest name."""
+    every: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES)
+    wanted = text.casefold().replace("_", "-")
+    chosen = tuple(r for r in every if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
+    if not chosen:
+        raise ValueError(
+            f"no tuning rule {text!r}{did_you_mean(text, {r.name for r in every} | {r.title for r in every})}"
+        )
+    return chosen
+
+
+def tune(
+    K_u: Estimate, T_u: Estimate, rules: Iterable[AnyRule] = (*RULES, *LOOP_RULES), loop: Loop | None = None
+) -> tuple[Gains, ...]:
+    """Settings of every rule from the ultimate gain `K_u` [Pa/m, or any unit] and period `T_u` [s], with intervals.
+
+    Relative half widths of K_u and T_u are added as squares in K_i and K_d, cause by cause: taken as independent.
+    With the model `loop`, each rule also gets its margins and its answer to a simulated set-point step. Rules that
+    need the loop itself are left out where it is not known or not of their kind; theirs have no intervals.
+
+    Raises ValueError where K_u or T_u has no value, or one that is not above 0.
+    """
+    if not K_u.value or not T_u.value or K_u.value <= 0 or T_u.value <= 0:
+        raise ValueError("no settings without an ultimate gain and a period above 0")
+    made = []
+    for rule in rules:
+        if isinstance(rule, Rule):
+            made.append(_apply(rule, K_u, K_u.value, T_u, T_u.value, loop))
+            continue
+        if loop is not None:
+            with suppress(ValueError):
+                made.append(_by_loop(rule, K_u, simc(loop, rule.form), loop))
+    return tuple(made)
+
+
+def _units(K_u: Estimate) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Unit and quantity of K_i and of K_d."""
+    bare = (f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", "")
+    return FOLLOWING.get(K_u.unit, bare)
+
+
+def _apply(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float, loop: Loop | None) -> Gains:
+    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
+    common = replace(K_u, method=rule.title, bias=None, corrected=False, coordinate="")
+
+    def power(symbol: str, factor: float, n: int, m: int, unit: str, quantity: str) -> Estimate:
+        """`factor` K_u^n T_u^m."""
+        value = factor * gain**n * period**m
+        return replace(
+            common, symbol=symbol, value=value, unit=unit, quantity=quantity, parts=_combine(value, K_u, n, T_u, m)
+        )
+
+    K_p = power("K_p", rule.gain, 1, 0, K_u.unit, K_u.quantity)
+    T_i = T_d = K_i = K_d = None
+    if rule.integral is not None:
+        T_i = power("T_i", rule.integral, 0, 1, "s", "time")
+        K_i = power("K_i", rule.gain / rule.integral, 1, -1, unit_i, quantity_i)
+    if rule.derivative is not None:
+        T_d = power("T_d", rule.derivative, 0, 1, "s", "time")
+        K_d = power("K_d", rule.gain * rule.derivative, 1, 1, unit_d, quantity_d)
+    if loop is None:
+        return Gains(rule, K_p, T_i, T_d, K_i, K_d)
+    controller = Controller(
+        K_p=rule.gain * gain,
+        T_i=inf if rule.integral is None else rule.integral * period,
+        T_d=0.0 if rule.derivative is None else rule.derivative * period,
+    )
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, controller), set_point_step(loop, controller))
+
+
+def _by_loop(rule: LoopRule, K_u: Estimate, c: Controller, loop: Loop) -> Gains:
+    """Settings that a rule takes from the loop; units and operating point are those of K_u."""
+    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
+    common = replace(
+        K_u, method=rule.title, bias=None, corrected=False, parts=Parts(), note="from the fitted loop, no interval"
+    )
+    K_p = replace(common, symbol="K_p", value=c.K_p)
+    T_i = replace(common, symbol="T_i", value=c.T_i, unit="s", quantity="time")
+    K_i = replace(common, symbol="K_i", value=c.K_p / c.T_i, unit=unit_i, quantity=quantity_i)
+    T_d = K_d = None
+    if c.T_d > 0:
+        T_d = replace(common, symbol="T_d", value=c.T_d, unit="s", quantity="time")
+        K_d = replace(common, symbol="K_d", value=c.K_p * c.T_d, unit=unit_d, quantity=quantity_d)
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, c), set_point_step(loop, c))
+
+
+def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Parts:
+    """Half widths of K_u^n T_u^m by cause: relative half widths, |n| and |m| times, added as squares."""
+
+    def part(cause: str) -> float | None:
+        terms = []
+        for estimate, exponent in ((K_u, n), (T_u, m)):
+            half: float | None = getattr(estimate.parts, cause)
+            if exponent and estimate.value:
+                if half is None:
+                    return None
+                terms.append(exponent * half / estimate.value)
+        return abs(value) * sqrt(sum(term * term for term in terms))
+
+    return Parts(repeats=part("repeats"), method=part("method"), calibration=part("calibration"))
+
+
+AGREES, DOUBTED = 0.15, 0.5
+"""Relative distance from the model below which a measured value agrees, and above which it cannot be true."""
+
+
+def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
+    """One sentence on whether T_u [s], and K_u [Pa/m] where given, can come from the linear model `loop`.
+
+    T_u is compared with the period of `loop`, and the dead time is named that the measured period would need.
+    """
+    expected = ultimate(loop)
+    lags = ", ".join(f"{abs(complex(lag)):.3g} s" for lag in loop.lags)
+    plant = f"a linear loop with dead time {loop.dead_time * 1e3:.3g} ms and lag{'s' * (len(loop.lags) > 1)} {lags}"
+    off = abs(T_u / expected.period - 1)
+    if off > DOUBTED:
+        needed = dead_time_for(T_u, loop.lags)
+        would = f"{T_u:.3g} s would need a dead time of {needed:.3g} s" if needed > 0 else "no dead time gives it"
+        cycle = "; a cycle so slow is what stiction makes, not an ultimate oscillation" if T_u > expected.period else ""
+        return Finding(
+            "fault",
+            f"T_u = {T_u:.3g} s is impossible for {plant}: that oscillates at {expected.period:.3g} s; {would}{cycle}",
+        )
+    sentence = f"T_u = {T_u:.3g} s, where {plant} gives {expected.period:.3g} s"
+    if K_u is not None:
+        off = max(off, abs(K_u / expected.gain - 1))
+        sentence += f"; K_u = {show(K_u, 'gain', 4)}, where it gives {show(expected.gain, 'gain', 4)}"
+    if off > DOUBTED:
+        return Finding("fault", f"{sentence}: impossible for a linear loop")
+    if off > AGREES:
+        return Finding("doubt", f"{sentence}: more than {AGREES:.0%} apart")
+    return Finding("note", f"{sentence}: they agree")
+
+
+def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> tuple[Loop | None, Finding]:
+    """The loop of `dead_time` and `lags` [s] that oscillates at `K_u`, and whether T_u [s] can be its period.
+
+    None where it cannot. Raises ValueError for times that make no loop, or one that never oscillates.
+    """
+    loop = Loop(1.0, dead_time, tuple(lags))
+    finding = plausibility(T_u, loop)
+    return (replace(loop, gain=ultimate(loop).gain / K_u) if finding.level == "note" else None), finding
+
+
+def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
+    """K_u, T_u and the identified loop (where there is one) at each operating point; of several ways the first told."""
+    loops = {
+        _point(fact["at"]): Loop(
+            fact["gain"],
+            fact["dead_time"],
+            tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"]),
+        )
+        for fact in analysis.facts.get("loops", [])
+    }
+    known = [e for e in analysis.estimates if e.value is not None]
+    periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
+    gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]
+    first = {_point(e.at): e for e in reversed(gains)}
+    return [(e, periods[e.method, point], loops.get(point)) for point, e in sorted(first.items())]
+
+
+def _point(at: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(at.items()))
+
+
+def facts(gains: Iterable[Gains], at: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The settings at one operating point `at` [SI] as plain data, for `Analysis.facts`."""
+    return [{"at": dict(at), **g.to_dict()} for g in gains]

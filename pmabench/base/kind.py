@@ -1,0 +1,78 @@
+"""What a kind of test is: the record that each folder below `pmabench.kinds`, or another package, gives as `KIND`.
+
+Parts are named as "module:name" and loaded where they are used, so that naming a kind imports no numerics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Result:
+    """A coefficient that a kind of test gives, as it is declared: symbol, title, unit, whether it is a headline."""
+
+    symbol: str
+    """As in the field: F_ce, K, B_c."""
+    title: str
+    """In words, as they follow `the`: `stiffness`. The same title in two kinds of test means the same coefficient."""
+    quantity: str
+    """Key of `QUANTITIES`, which has the unit; empty where none is the right one, and `unit` says it."""
+    headline: bool = False
+    """Whether it is a key number: on the terminal, and on the first page of a report."""
+    plot: str = ""
+    """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
+    unit: str = ""
+    """SI unit where no quantity is declared."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of test, or another way to reduce its runs."""
+
+    name: str
+    """As in protocol files and run folders: `static-load`."""
+    title: str
+    """As a heading: `Static load`."""
+    results: tuple[Result, ...]
+    """Its coefficients; columns and figures have their order."""
+    reduction: str
+    """`module:reduce`: (runs, options) -> Analysis."""
+    order: int = 1000
+    """Place among the kinds in reports and lists."""
+    papers: tuple[str, ...] = ()
+    """Where its procedure comes from."""
+    protocol: str = ""
+    """`module:Class` of its protocol file; empty where it is only imported, or another reduction of the same runs."""
+    live: str = ""
+    """`module:measure`: (run, trial, expected, quick) -> what one trial says by itself, for the display."""
+    moves: str = ""
+    """Channel that changes in each of its trials, unless nothing moved."""
+    compares: str = ""
+    """Channel in which the repeats of an operating point are compared over time."""
+    figures: dict[str, str] = field(default_factory=dict)
+    """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
+    front: dict[str, str] = field(default_factory=dict)
+    """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
+    published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
+    options: tuple[str, ...] = ()
+    """Options of its reduction that a user can give."""
+    parts: dict[str, str] = field(default_factory=dict)
+    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
+    methods: dict[str, str] = field(default_factory=dict)
+    """Method of its reduction -> what it does, in a sentence or two."""
+    also: tuple[Kind, ...] = ()
+    """Other ways to reduce its runs, with results of their own."""
+
+    def part(self, what: str) -> Any:
+        """The object that a field of "module:name" names; AttributeError or ImportError where it is not there."""
+        return load(getattr(self, what))
+
+
+def load(target: str) -> Any:
+    """The object named "module:name"."""
+    module, _, name = target.partition(":")
+    return getattr(import_module(module), name)

@@ -1,1 +1,0 @@
-"""What one trial says by itself, by kind, as the analysis sorts them: `contraction`, `driven`, `loops`, `statics`."""

@@ -1,0 +1,9 @@
+"""Kinds of test: one folder for each, with its record `KIND`, its protocol, reduction and live display.
+
+- `registry` finds them; `compile` makes plans of protocol files, `campaign` of several, `reduce` analyses of runs
+- muscles that lift weights: `static_load`, `contraction_relaxation`, `validation`
+- the free end is moved: `isobaric_ramp`, `step_displacement`, `sinusoidal_displacement`, `closed_volume`
+- at rest: `isometric_pressurisation`, `free_contraction`, `arm_angle`
+- in closed loop: `ultimate_gain`, `positioning`
+- files of other programs: `isometric`, `recorded_step`, `recorded_sine`
+"""

@@ -1,0 +1,239 @@
+"""Reduction of an arm's bending angle: both branches over pressure at each load, and paper 2's formula fitted to them.
+
+Knows the rests of each staircase of pressure (`stairs`); words and figure are in `view`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.base.quantities import show
+from pmabench.kinds.arm_angle import RESULTS, view
+from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
+from pmabench.model.library import MODELS
+from pmabench.store.records import Array, RunData
+
+KIND = "arm-angle"
+REST, UP, MEAN, MATRIX = "angle-at-rest", "logistic-up", "logistic-mean", "logistic-loads"
+"""Methods: from the rests alone; paper 2's form through the way up, through the mean of both ways; over all loads."""
+FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
+"""Models of the library."""
+UNKNOWN = ("a", "b", "c", "d")
+UNITS = {"angle": "rad", "pressure": "Pa", "count": "1"}
+LOADS = 5
+"""Loads that the powers of the load in paper 2 need."""
+NEAR = np.radians(1.0)
+"""How near to the largest angle the curve counts as flat [rad]."""
+RESIDUALS = (
+    "repeats part: residuals of the fit; no calibration part, no method part: those of the angle are not carried into "
+    "the coefficients"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """One load: its rests and paper 2's form through them, or why there is none."""
+
+    of: Loaded
+    up: ModelFit | None
+    mean: ModelFit | None
+    why: str = ""
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Bending angle [rad] at the preload and at most, its hysteresis, a, b [rad], c [Pa], d [1] of each load [kg].
+
+    As the paper does it: alpha = a + b / (1 + (p / c)^d) through the way up, its coefficients as powers of the load.
+    Beside it both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
+    `compare` as the plan's settings.
+    """
+    settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
+    compare = settings.get("compare") == "paper-2"
+    loads, dropped = loads_of(runs, settings)
+    scales, channel = Scales.of(runs), "displacement" if settings.get("angle") == "from-displacement" else "angle"
+    fits = [_fitted(one) for one in loads]
+    matrix, why = _matrix(fits)
+    estimates = [estimate for one in fits for estimate in _of_load(one, scales, channel, settings)]
+    estimates += _coefficients(matrix, why, MATRIX, {}, loads)
+    findings = [
+        *view.of_rests(loads, settings),
+        *view.of_fits(fits),
+        *view.of_matrix(matrix, why, fits),
+        *(view.of_paper(fits) if compare else []),
+    ]
+    if estimates and (untold := scales.lack((channel, "pressure"))):
+        findings.append(Finding("note", untold))
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        dropped=dropped,
+        findings=findings,
+        traces=[view.trace(one, compare=compare) for one in fits],
+        facts={
+            "options": dict(options or {}),
+            "trials": sum(len(one.stairs) for one in loads),
+            "loads": len(loads),
+            "residual_rms": None if matrix is None else matrix.residual_rms,
+        },
+    )
+
+
+def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str, Any]) -> list[Estimate]:
+    """What one load tells."""
+    one = fitted.of
+    at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
+    slope = _slopes(one.pressure, one.mean)
+    radius = settings.get("radius")
+    per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
+
+    def angle(symbol: str, values: Array, place: int, method: float) -> Estimate:
+        value, half = float(values.mean()), spread(values)
+        gains = {channel: value, "pressure": float(slope[place] * one.pressure[place])}
+        offsets = {channel: per, "pressure": float(slope[place])}
+        note = sentences(
+            "" if half is not None else "no repeats part: one repeat only",
+            "the radius is taken as exact" if channel == "displacement" else "",
+        )
+        parts = Parts(half, method, scales.part(gains, offsets))
+        return Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
+
+    top = int(np.argmax(one.up.mean(axis=0)))
+    widest = one.widest
+    side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
+    found = [
+        angle("alpha_0", one.up[:, 0], 0, one.drift(0)),
+        angle("alpha_max", one.up[:, top], top, float(np.hypot(one.drift(top), side))),
+        _flat(one, top, scales, names),
+    ]
+    if widest is not None:
+        gaps = one.gaps[:, widest]
+        half, value = spread(gaps), float(gaps.mean())
+        note = "" if half is not None else "no repeats part: one repeat only"
+        parts = Parts(half, 2 * one.drift(widest), scales.part({channel: value}))
+        found.append(Estimate("alpha_H", value, "rad", "angle", REST, at, parts, len(gaps), note=note, trials=names))
+    found += _coefficients(fitted.up, fitted.why, UP, at, [one])
+    if one.both:
+        found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
+    return found
+
+
+def _slopes(P: Array, angle: Array) -> Array:
+    """Angle over pressure at each pressure [rad/Pa]; where two rests read one pressure, that of the whole way."""
+    if len(P) < 2:
+        return np.zeros(len(P))
+    if (np.diff(P) > 0).all():
+        return np.asarray(np.gradient(angle, P))
+    return np.full(len(P), np.ptp(angle) / np.ptp(P))
+
+
+def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Estimate:
+    """The pressure from which on the way up stays within 1 deg of its largest angle, by monotone cubics."""
+    each = [found for row in one.up if (found := flat_from(one.pressure[: top + 1], row[: top + 1])) is not None]
+    at = {"tip_mass": one.mass}
+    if len(each) < len(one.up):
+        note = "the angle at the preload is within 1 deg of the largest"
+        return Estimate("P_flat", None, "Pa", "pressure", REST, at, n=len(one.up), note=note, trials=names)
+    value, half = float(np.mean(each)), spread(each)
+    note = "" if half is not None else "no repeats part: one repeat only"
+    coarse = 0.1 * float(np.diff(one.pressure[: top + 1]).max()) / 2
+    parts = Parts(half, coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
+    return Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
+
+
+def flat_from(P: Array, angle: Array) -> float | None:
+    """The last pressure [Pa] at which `angle` [rad], whose largest is its last, is `NEAR` below that; None if never."""
+    low = np.flatnonzero(angle < angle[-1] - NEAR)
+    if not len(low):
+        return None
+    left, right = float(P[low[-1]]), float(P[low[-1] + 1])
+    curve = PchipInterpolator(P, angle)
+    for _ in range(50):
+        middle = 0.5 * (left + right)
+        left, right = (middle, right) if float(curve(middle)) < angle[-1] - NEAR else (left, middle)
+    return 0.5 * (left + right)
+
+
+# -- paper 2's form ------------------------------------------------------------------------------------------------
+
+
+def _fitted(one: Loaded) -> Fitted:
+    """Paper 2's form at one load, with coefficients of its own."""
+    if len(one.pressure) <= len(UNKNOWN):
+        return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
+    if one.pressure[-1] > view.BARELY * view.HIGHEST:
+        return Fitted(one, None, None, f"no fit: the form holds up to {show(view.HIGHEST, 'pressure')}")
+    try:
+        up = _fit(one.pressure, one.up.mean(axis=0))
+        return Fitted(one, up, _fit(one.pressure, one.mean) if one.both else None)
+    except ValueError:
+        return Fitted(one, None, None, "no fit: no curve of this form comes near these angles")
+
+
+def _fit(P: Array, angle: Array) -> ModelFit:
+    start = {
+        "a": float(angle[-1]),
+        "b": float(angle[0] - angle[-1]),
+        "c": float(np.interp(0.5 * (angle[0] + angle[-1]), np.maximum.accumulate(angle), P)),
+    }
+    columns = {"pressure": np.clip(P, 0.0, view.HIGHEST)}
+    return fit_model(MODELS[FORM], "angle", columns, {}, angle, UNKNOWN, start=start)
+
+
+def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
+    """Paper 2's 20 numbers: the coefficients as powers of the load, through the ways up of all loads at once."""
+    used = [(one.of, one.up) for one in fits if one.up is not None]
+    if len(used) < LOADS:
+        return None, f"no powers of the load: {len(used)} loads with a fit, {LOADS} are needed"
+    model = MODELS[FORM_LOADS]
+    w = np.array([one.mass for one, _ in used])
+    most = next(p.high for p in model.parameters if p.name == "load")
+    if w.max() > most * (1 + 1e-9):
+        return None, f"no powers of the load: they hold up to {most:g} kg"
+    start: dict[str, float] = {}
+    for i, row in enumerate(UNKNOWN):
+        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], LOADS - 1)
+        start |= {f"{row}_{n}": float(power) for n, power in enumerate(powers)}
+    columns = {
+        "pressure": np.concatenate([np.clip(one.pressure, 0.0, view.HIGHEST) for one, _ in used]),
+        "load": np.concatenate([np.full(len(one.pressure), min(one.mass, most)) for one, _ in used]),
+    }
+    measured = np.concatenate([one.up.mean(axis=0) for one, _ in used])
+    try:
+        return fit_model(model, "angle", columns, {}, measured, list(start), start=start), ""
+    except ValueError:
+        return None, "no powers of the load: the fit finds no start at which the form holds"
+
+
+def _coefficients(
+    fit: ModelFit | None, why: str, method: str, at: Mapping[str, float], loads: Sequence[Loaded]
+) -> list[Estimate]:
+    """The coefficients of a fit, those without an interval as not identifiable."""
+    model = MODELS[FORM_LOADS if method == MATRIX else FORM]
+    quantities = {p.name: p.quantity for p in model.parameters}
+    names = tuple(stair.trial.name for one in loads for stair in one.stairs)
+    found = []
+    for name in model.fitted:
+        quantity = quantities[name]
+        power = name.partition("_")[2]
+        per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
+        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
+        if half is not None:
+            note = sentences(per, note, RESIDUALS)
+        found.append(
+            Estimate(
+                "alpha_b", value, UNITS[quantity], quantity, method, at, Parts(repeats=half), len(names), note=note,
+                trials=names, coordinate=name,
+            )
+        )  # fmt: skip
+    return found

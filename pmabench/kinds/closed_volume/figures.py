@@ -1,0 +1,55 @@
+"""Figure of a closed volume: V over contraction from each start pressure, and the curve through all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import degrees
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.base.quantities import show
+from pmabench.plotting import plots
+from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
+from pmabench.plotting.plots import Points
+
+NAMES = ("contraction", "volume", "half")
+PRESSURES = 4
+
+
+def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One figure with the volumes of all start pressures."""
+    able = [t for t in traces if has(t, "contraction", "volume")]
+    chosen = spread(able, PRESSURES)
+    if not chosen:
+        return []
+    points = [_points(trace, i) for i, trace in enumerate(chosen)]
+    labels = (unit_of(chosen[0], "contraction").label("contraction ε"), unit_of(chosen[0], "volume").label("V"))
+    marks = chosen[0].marks
+    curve = ""
+    if {"D_0", "theta_0", "alpha"} <= set(marks):
+        curve = (
+            "; line: V(ε) of paper 3 through all of them, "
+            f"D0 {show(marks['D_0'], 'length', 4)}, θ0 {degrees(marks['theta_0']):.4g}°, α {marks['alpha']:.4g}"
+        )
+    caption = (
+        "Marks: volumes from the absolute pressure of the air shut in, what leaked taken out, with 95 % intervals, "
+        f"from each pressure at which the valve shut{curve}. The pressures share volume at the start, dead volume and "
+        f"room, so the marks differ by less than the intervals.{how_many(chosen, able)}"
+    )
+    every = np.concatenate([p.y for p in points])
+    least, most = float(np.nanmin(every)), float(np.nanmax(every))
+    alt = f"{labels[1]} over {labels[0]} from {len(points)} start pressures, {least:.4g} to {most:.4g}."
+    draw = bound(plots.coefficients, points, *labels)
+    table = numbers([(p.label, t) for p, t in zip(points, chosen, strict=True)], NAMES)
+    return [picture(draw, "Volume over contraction", caption, alt, table, wide=False, simulated=analysis.simulated)]
+
+
+def _points(trace: Trace, i: int) -> Points:
+    x, y = column(trace, "contraction"), column(trace, "volume")
+    half = column(trace, "half") if "half" in trace.columns else np.full(len(x), np.nan)
+    curve = None
+    if i == 0 and "curve" in trace.columns:
+        curve = (x, column(trace, "curve"), np.zeros(len(x)))
+    told = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
+    return Points(f"from {told}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)

@@ -1,0 +1,120 @@
+"""What drifted while a campaign ran, and what it does to a pooled fit: the specimen and the zeros of channels.
+
+The specimen by its reference trials, a zero by the check at the end of a run. Nobody knows what drifted in a specimen
+whose stroke did: its compliance or its force; nor when a zero went. Each cause is fitted both ways, the larger counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmabench.analysis.shared.reference import compared
+from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.records import Array, RunData, TrialData
+
+SPECIMEN = "drift of the specimen"
+NO_REFERENCE = "no reference trial was done again"
+NO_CHECK = "the record tells no zero at the end"
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One cause of drift: change of theta when it is taken away, shape (ways, p), or why that is not known."""
+
+    name: str
+    ways: Array | None
+    note: str = ""
+
+
+def causes(
+    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
+    noise: float,
+) -> tuple[Cause, ...]:  # fmt: skip
+    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`."""
+
+    def change(other: Segments, channel: str = "", by: Array | None = None) -> Array:
+        begun = fit if by is None or channel != "pressure" else fit.followed(0.0, float(np.mean(by)))
+        return np.asarray(begun.again(other, noise).theta - fit.theta)
+
+    found = []
+    off = _specimen(runs, trials)
+    if off is None:
+        found.append(Cause(SPECIMEN, None, NO_REFERENCE))
+    else:
+        each = off[segments.trial]
+        shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
+        pull = fit.values("F_ce", segments.pressure)
+        # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
+        weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
+        found.append(Cause(SPECIMEN, np.array([change(shrunk), change(weaker)])))
+    for channel in channels:
+        if channel == "displacement":
+            continue  # nobody knows of its zero: the specimen keeps it
+        name = f"drift of the zero of {channel}"
+        ends = _zero_ends(runs, trials, channel)
+        if ends is None:
+            found.append(Cause(name, None, NO_CHECK))
+            continue
+        whole, growing = (-by[segments.trial] for by in ends)
+        ways = [change(_offset(segments, channel, by), channel, by) for by in (whole, growing)]
+        found.append(Cause(name, np.array(ways)))
+    return tuple(found)
+
+
+def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
+    """Relative change of the stroke at each trial, straight lines between reference trials; shape (trials,)."""
+    known = compared(runs)
+    if not known:
+        return None
+    order = {run.id: place for place, run in enumerate(_by_time(runs))}
+    begun = {(order.get(t.run, 0), float(t.t[0])) for t in trials} | {
+        (order.get(one.trial.run, 0), float(one.trial.t[0])) for one in known
+    }
+    place = {key: number for number, key in enumerate(sorted(begun))}
+    at: dict[int, list[float]] = {0: [0.0]}
+    for one in known:
+        at.setdefault(place[order.get(one.trial.run, 0), float(one.trial.t[0])], []).append(one.off)
+    places = sorted(at)
+    values = [float(np.mean(at[p])) for p in places]
+    return np.interp([place[order.get(t.run, 0), float(t.t[0])] for t in trials], places, values)
+
+
+def _by_time(runs: Sequence[RunData]) -> list[RunData]:
+    return sorted(runs, key=lambda run: str(run.manifest.get("started_utc", "")))
+
+
+def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
+    """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
+    whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
+    told = False
+    for run in runs:
+        end = next(zero_drifts(run, channel), None)
+        mine = np.array([trial.run == run.id for trial in trials])
+        if end is None or not mine.any():
+            continue
+        told = True
+        begins = np.array([float(trial.t[0]) for trial in trials])[mine]
+        whole[mine] = end
+        growing[mine] = end * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9)
+    return (whole, growing) if told else None
+
+
+def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
+    """What the zero of a channel read at each check at the end of a run, less that at the begin [SI]."""
+    for event in run.events:
+        if event.kind == "zero-check":
+            zero = (event.data.get("channels") or {}).get(channel)
+            drift = zero.get("drift") if isinstance(zero, dict) else None
+            if isinstance(drift, int | float) and np.isfinite(drift):
+                yield float(drift)
+
+
+def _offset(segments: Segments, channel: str, by: Array) -> Segments:
+    """The segments with `by` (n,) [SI] added to what a channel read."""
+    if channel == "pressure":
+        return replace(segments, P=segments.P + by[:, None], P_mid=segments.P_mid + by[:, None])
+    return segments.pulled(np.where(segments.mass > 0, 0.0, by))

@@ -1,0 +1,287 @@
+"""Beside the pooled fit: the papers' exponentials (method `step-exponential`), dead times, bandwidth of contraction.
+
+Knows trials and what the primary method found; computes no interval of the latter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Curve, Estimate, Finding, Parts
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.onset import KINDS, dead_times
+from pmabench.analysis.shared.student import half_width, mean_over
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation import bandwidth
+from pmabench.kinds.contraction_relaxation.curves import curve
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
+from pmabench.kinds.contraction_relaxation.regulator_response import responses
+from pmabench.kinds.contraction_relaxation.segments import Gate
+from pmabench.kinds.contraction_relaxation.steps import Regression, Step, regress, steps_of, stiffness
+from pmabench.kinds.contraction_relaxation.trials import Campaign
+
+METHOD = "step-exponential"
+KNOWN_F_CE = "step-exponential, F_ce known"
+ONSET = "onset"
+UNITS = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+ONCE = "no repeats part: each load and pressure was tested once"
+SINGLE = "no repeats part: too few points for scatter about their line"
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """An estimate, and its change per relative change and per offset of the channels but the pressure."""
+
+    estimate: Estimate
+    gains: Mapping[str, float]
+    offsets: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What stands beside the primary method."""
+
+    estimates: tuple[Estimate, ...]
+    curves: tuple[Curve, ...]
+    findings: tuple[Finding, ...]
+    table: list[dict[str, Any]]
+    """Each step of each trial."""
+
+
+def compare(
+    campaign: Campaign, primary: Fit, found: Sequence[Estimate], options: Mapping[str, Any], moved: set[int]
+) -> Beside:
+    """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
+    scales = Scales.of(campaign.runs)
+    steps = [
+        step
+        for number in sorted(moved)
+        for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
+    ]
+    reference = {(e.symbol, e.at["pressure"]): e.value for e in found if "pressure" in e.at}
+
+    def force_at(P: float) -> float | None:
+        known = options.get("static")
+        if known:
+            return float(known["intercept"]) + float(known["slope"]) * P
+        return None if reference.get(("F_ce", P)) is None else float(primary.values("F_ce", np.array([P]))[0])
+
+    raw = [
+        entry
+        for P in campaign.tested
+        for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
+    ]
+    estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
+    curves = []
+    for symbol in SYMBOLS:
+        members = [e for e in estimates if e.symbol == symbol and e.method == METHOD]
+        through = curve(members, 1) if members else None
+        if through is not None:
+            curves.append(through)
+    table = [
+        {
+            "trial": campaign.name(step.trial),
+            "phase": step.phase,
+            "load": step.load,
+            "pressure": step.pressure,
+            "x_inf": step.fit.end,
+            "t_d": step.fit.t_d,
+            "tau": step.fit.tau,
+            "misfit_rms": step.fit.rms,
+        }
+        for step in steps
+    ]
+    ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
+    regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
+    widths = bandwidth.estimates(campaign, found, regulator)
+    return Beside(
+        (*ordered, *_dead_times(campaign, moved), *widths),
+        tuple(curves),
+        (*_findings(estimates), *bandwidth.findings(widths)),
+        table,
+    )
+
+
+def _at(
+    campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], F_ce: float | None
+) -> list[_Raw]:
+    """All of the papers' coefficients at one pressure [Pa]; `F_ce` [N] from elsewhere, None where not told."""
+    contract = [step for step in steps if step.phase == "contract"]
+    relax = [step for step in steps if step.phase == "relax"]
+    result: list[_Raw] = []
+
+    def add(
+        symbol: str, value: float, parts: Parts, among: Sequence[Step], gains: Mapping[str, float],
+        offsets: Mapping[str, float], note: str = "", method: str = METHOD,
+    ) -> None:  # fmt: skip
+        unit, quantity = UNITS.get(symbol, ("s", "time"))
+        names = tuple(dict.fromkeys(campaign.name(step.trial) for step in among))
+        found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
+        result.append(_Raw(replace(found, note=note), gains, offsets))
+
+    regression: Regression | None = None
+    half_K: float | None = None
+    if contract:
+        loads = np.array([step.load for step in contract])
+        x = np.array([step.fit.end for step in contract])
+        regression = regress(loads, x)
+    if contract and F_ce is not None:
+        one = stiffness(loads, x, F_ce)
+        lever = float(x.sum() / (x @ x))
+        gains, offsets = {"displacement": -one.K}, {"displacement": -one.K * lever}
+        if campaign.cell and not options.get("static"):
+            gains["force"], offsets["force"] = F_ce * lever, lever
+        half = half_width(one.se_K, one.n - 1)
+        add("K", one.K, Parts(half), contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)
+    if regression is not None:
+        half, half_K = (half_width(se, regression.n - 2) for se in (regression.se_F_ce, regression.se_K))
+        note = "" if half is not None else SINGLE
+        add("F_ce", regression.F_ce, Parts(half), contract, {"displacement": 0.0}, {"displacement": regression.K}, note)
+        add("K", regression.K, Parts(half_K), contract, {"displacement": -regression.K}, {}, note)
+    for symbol, members in (("c", contract), ("r", relax)):
+        if not members:
+            continue
+        of_loads = [step.load for step in members]
+        tau, half, ends = mean_over([step.fit.tau for step in members], of_loads)
+        several = len(set(of_loads)) > 1
+        note = _spread("the loads", ends) if several else "no method part: one load"
+        once = "" if half is not None else ONCE
+        parts = Parts(half, max(ends[1] - tau, tau - ends[0]) if several else None)
+        add(f"tau_{symbol}", tau, parts, members, {}, {}, sentences(once, note))
+        if regression is not None:
+            both = None if half is None or half_K is None else hypot(regression.K * half, tau * half_K)
+            gains = {"displacement": -regression.K * tau}
+            add(f"B_{symbol}", regression.K * tau, Parts(both), members, gains, {}, once or ("" if half_K else SINGLE))
+    return result
+
+
+def _calibrated(raw: Sequence[_Raw], scales: Scales) -> list[Estimate]:
+    """The estimates with their calibration part; the weights are taken as exact.
+
+    The pressure counts by the slope of the coefficient over the pressures tested: it is told for a pressure that is
+    off by an offset o and a gain g, and so off itself by (o + g P) times that slope.
+    """
+    result = []
+    for one in raw:
+        e = one.estimate
+        alike = [r.estimate for r in raw if (r.estimate.symbol, r.estimate.method) == (e.symbol, e.method)]
+        gains, offsets, alone = dict(one.gains), dict(one.offsets), ""
+        if len(alike) > 1:
+            P = [other.at["pressure"] for other in alike]
+            slopes = np.gradient(np.array([other.value for other in alike]), np.array(P))
+            offsets["pressure"] = float(slopes[P.index(e.at["pressure"])])
+            gains["pressure"] = offsets["pressure"] * e.at["pressure"]
+        else:
+            alone = "calibration part without that of the pressure: one pressure only"
+        part = scales.part(gains, offsets)
+        lack = "" if part is not None else scales.lack(gains, offsets)
+        result.append(replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, alone, lack)))
+    return result
+
+
+def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float | None]) -> Estimate:
+    """The estimate with its distance to the primary method as bias, not taken off, and as method part."""
+    if estimate.symbol not in SYMBOLS:
+        return estimate
+    known = reference.get((estimate.symbol, estimate.at["pressure"]))
+    if known is None or estimate.value is None:
+        note = "no method part: measured-pressure gives no value to hold it against"
+        return replace(estimate, note=sentences(estimate.note, note))
+    bias = estimate.value - known
+    note = sentences(estimate.note, "bias: against measured-pressure")
+    return replace(estimate, bias=bias, parts=replace(estimate.parts, method=abs(bias)), note=note)
+
+
+def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
+    """How far the papers' way lies from the primary method."""
+    parts = []
+    for symbol in ("B_c", "B_r", "K"):
+        off = [
+            100 * e.bias / (e.value - e.bias)
+            for e in estimates
+            if e.symbol == symbol and e.method == METHOD and e.bias is not None and e.value is not None
+        ]
+        if off:
+            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
+    forces = [e.bias for e in estimates if e.symbol == "F_ce" and e.method == METHOD and e.bias is not None]
+    if forces:
+        parts.append(f"F_ce {min(forces):+.2g} to {max(forces):+.2g} N")
+    if not parts:
+        return ()
+    text = f"step-exponential against measured-pressure: {', '.join(parts)}; it takes the pressure for a step"
+    return (Finding("note", text + " and holds friction for a smaller F_ce"),)
+
+
+def _spread(over: str, ends: tuple[float, float]) -> str:
+    low, high = (show(end, "time", 3) for end in ends)
+    return f"mean over {over}, from {low} to {high}: the method part reaches to the farther end"
+
+
+def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
+    """Dead times of the contractions, per pressure and over all; those of motion only from trials that did move.
+
+    The motion waits for the pressure to exceed what the load asks for: loads are unlike conditions for it, pressures
+    are for all of them. The method part reaches to the farthest condition: a mean over them is not that of one.
+    """
+    found: dict[str, list[tuple[int, float]]] = {}
+    for number, trial in enumerate(campaign.trials):
+        command = next((c for c in trial.commands if c.output == "pressure" and c.phase == "contract"), None)
+        if command is None:
+            continue
+        samples = campaign.samples[number]
+        channels = {"pressure": samples.P, "displacement": samples.x}
+        for kind, value in dead_times(samples.t, channels, samples.ok, command.t).items():
+            if number in moved or not kind.endswith("motion"):
+                found.setdefault(kind, []).append((number, value))
+    estimates = []
+    for kind in KINDS:
+        members = found.get(kind, [])
+        tested = sorted({campaign.trials[number].point["pressure"] for number, _ in members})
+        groups: list[tuple[dict[str, float], list[tuple[int, float]]]] = [
+            ({"pressure": P}, [m for m in members if campaign.trials[m[0]].point["pressure"] == P]) for P in tested
+        ]
+        if len(tested) > 1:
+            groups.append(({}, members))
+        for at, group in groups:
+            estimates.append(_dead_time(campaign, kind, at, group))
+    return estimates
+
+
+def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Sequence[tuple[int, float]]) -> Estimate:
+    """One kind of dead time at one pressure, or over all of them; `group` holds trial numbers and times [s]."""
+    numbers = [number for number, _ in group]
+    motion = kind.endswith("motion")
+    conditions = [float(campaign.cells[n]) if motion else campaign.trials[n].point["pressure"] for n in numbers]
+    mean, half, ends = mean_over([value for _, value in group], conditions)
+    over = "the loads" if at else "loads and pressures" if motion else "the pressures"
+    note = _spread(over, ends) if len(set(conditions)) > 1 else ""
+    reach = max(ends[1] - mean, mean - ends[0])
+    between, skewed = _between(campaign, kind)
+    found = Estimate(
+        symbol="t_d",
+        value=mean,
+        unit="s",
+        quantity="time",
+        method=ONSET,
+        at=at,
+        parts=Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed),
+        n=len(group),
+        note=sentences(ONCE if half is None else "", note),
+        trials=tuple(campaign.name(number) for number in numbers),
+        coordinate=kind,
+    )
+    return skew.settled(found, between, skewed)
+
+
+def _between(campaign: Campaign, kind: str) -> tuple[str, float]:
+    """What a kind of dead time lies between, and how far their clocks may be apart [s]."""
+    if kind == "pressure-to-motion":
+        return "pressure and displacement", skew.apart(campaign.runs, ("pressure", "displacement"))
+    channel = "displacement" if kind.endswith("motion") else "pressure"
+    return f"command and {channel}", skew.off(campaign.runs, channel)

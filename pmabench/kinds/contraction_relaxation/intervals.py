@@ -1,0 +1,314 @@
+"""How far the coefficients of a pooled fit can be trusted, by cause; knows no protocol.
+
+*Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
+where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
+once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: see
+`drift`. A `Source` each, which add up to the parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.results import Parts, Source
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.replay import Stretches
+from pmabench.analysis.shared.samples import Noise
+from pmabench.kinds.contraction_relaxation.drift import Cause
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.records import Array
+
+if TYPE_CHECKING:
+    from pmabench.kinds.contraction_relaxation.form import Form
+
+NORMAL = 1.96
+"""Half width of a 95 % interval by its standard deviation."""
+CHANNELS = ("pressure", "displacement", "force")
+NO_NOISE = Noise()
+SCATTER = "noise, and scatter between trials"
+UNTOLD = "the record tells no uncertainty"
+FEW = 10
+"""With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hiding:
+    """A departure from the form that the data do not exclude: one of its ways is there, or none."""
+
+    name: str
+    part: str
+    """Field of `Parts` that it belongs to."""
+    change: Array
+    """Change of theta by each way at the largest size that could hide, shape (p, ways)."""
+    likely: Array
+    """How likely each way is by the data, shape (ways,); they add up to less than 1, the rest is that none is there."""
+
+    seen: bool
+    """It is significant: then it shifts the value one way, and adds to the half width of all else as it is."""
+
+    def half(self, combination: Array) -> float:
+        """Root of the mean square change of a linear combination (p,) over the ways."""
+        return sqrt(float((combination @ self.change) ** 2 @ self.likely))
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """Interval parts of `theta` by source, half widths of 95 % intervals, and the bias to take off; shape (p,) each."""
+
+    bias: Array
+    covariance: Array
+    """For the repeats part, shape (p, p)."""
+    steps: Mapping[str, Array]
+    """The part of it that the steps of a channel's values make, shape (p, p) each."""
+    mean_error: Array
+    """Half width of the mean bias of the replays."""
+    form: Array
+    """What straight lines between the knots leave of a bend."""
+    shifts: Mapping[str, Array]
+    """Change of theta by each cause of calibration error at its 95 % bound."""
+    untold: tuple[str, ...]
+    """Channels of whose calibration the record tells nothing."""
+    skews: Array
+    """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
+    drifts: tuple[Cause, ...]
+    excess: Mapping[str, float]
+    """Scatter between trials by the scatter from noise, as variance ratio, for each symbol."""
+    within: bool
+    """True where that scatter is within cells, between repeats."""
+    hides: tuple[Hiding, ...] = ()
+    """Departures from the form that could hide."""
+
+    def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
+        """Interval parts and bias of a linear combination (p,) of the coefficients."""
+        parts, bias, _ = self.budget(combination, extra_method)
+        return parts, bias
+
+    def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
+        """The same, and every source behind them, largest first."""
+        variance = max(0.0, float(combination @ self.covariance @ combination))
+        steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
+        unsure = float(np.linalg.norm(combination * self.mean_error))
+        shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
+        shrink = min(1.0, variance / max(1e-300, sum(steps.values())))
+        bias = float(combination @ self.bias)
+        found = [
+            Source(SCATTER, "repeats", "A", NORMAL * sqrt(max(0.0, variance - shrink * sum(steps.values())))),
+            *(Source(f"steps of {name}", "repeats", "B", NORMAL * sqrt(shrink * v)) for name, v in steps.items()),
+            Source("bias of the fit, taken off", "method", "B", abs(bias)),
+            Source("how few replays tell the bias", "method", "A", unsure),
+            Source("straight lines between pressures", "method", "B", abs(float(combination @ self.form))),
+            *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
+            *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
+            *(Source(f"calibration of {n}", "calibration", "B", None, UNTOLD) for n in self.untold),
+            *(_drift(cause, combination) for cause in self.drifts),
+            *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
+            Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
+        ]  # fmt: skip
+        if len(self.skews):
+            skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
+            found.append(Source("time between the streams", "skew", "B", skew))
+        found += self._shifts(combination, parts_of(found).combined or 0.0)
+        found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
+        return parts_of(found), bias, tuple(found)
+
+    def _shifts(self, combination: Array, rest: float) -> list[Source]:
+        """Lines of significant departures, such that all squares add up to `rest` and the sizes of the departures."""
+        halves = [(one, one.half(combination)) for one in self.hides if one.seen]
+        total, squares = sum(half for _, half in halves), sum(half**2 for _, half in halves)
+        more = sqrt((total**2 + 2 * total * rest) / squares) if squares else 1.0
+        return [Source(one.name, one.part, "B", half * more) for one, half in halves]
+
+
+def _drift(cause: Cause, combination: Array) -> Source:
+    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination)))
+    return Source(cause.name, "drift", "B", half, cause.note)
+
+
+def parts_of(sources: Sequence[Source]) -> Parts:
+    """The parts that a budget adds up to."""
+
+    def of(part: str) -> float | None:
+        halves = [s.half for s in sources if s.part == part and s.half is not None]
+        return sqrt(sum(half * half for half in halves)) if halves else None
+
+    return Parts(of("repeats"), of("method"), of("calibration"), of("skew") or 0.0, of("drift") or 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """A pooled fit with its segments and its trust."""
+
+    segments: Segments
+    fit: Fit
+    noise: Array
+    """Of each segment [N], that the channels explain; shape (n,)."""
+    trust: Trust
+    trust_of: Callable[[Solved, NDArray[np.bool_], Array], Trust]
+    """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
+    work: Stretches
+    """The strokes that were replayed."""
+    form: Form
+    """Whether the data have the form of the fit."""
+
+    @property
+    def expected(self) -> float:
+        """Root mean square of the residual that the noise of the channels explains [N]."""
+        return rms_of(self.noise)
+
+
+def assess(
+    segments: Segments,
+    fit: Solved,
+    noise: Array,
+    cells: NDArray[np.intp],
+    replays: Sequence[Array],
+    scales: Scales,
+    skews: Array,
+    shaken: Noise = NO_NOISE,
+    steps: Noise = NO_NOISE,
+    drifts: tuple[Cause, ...] = (),
+) -> Trust:
+    """All parts for a fit.
+
+    Parameters
+    ----------
+    noise
+        Standard deviation of each segment [N] that the channels explain, shape (n,).
+    cells
+        Cell number of each trial number in `segments.trial`.
+    replays
+        Theta of fits to replays of `fit`.
+    scales
+        How well the channels are known.
+    skews, drifts
+        As in `Trust`.
+    shaken
+        Noise of the channels, for what neighbouring segments share of it.
+    steps
+        The part of the channels' noise that the steps of their values make.
+    """
+    bias, spread = _replayed(fit, replays)
+    expected = rms_of(noise)
+    channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
+    more = max(1.0, fit.rms / expected)
+    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, shaken)
+    analytic = np.diag(covariance)
+    seen = analytic
+    if len(replays) > 1:
+        seen = 0.5 * (analytic + (more * spread) ** 2)
+    between, freedom, within = _between(segments, fit, cells)
+    stretch = student.ppf(0.975, freedom) / NORMAL
+    ratio = between / np.maximum(seen, 1e-300)
+    excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
+    pooled = np.ones(len(fit.theta))
+    for symbol, ratio_of in excess.items():
+        pooled[fit.columns(symbol)] = ratio_of
+    widen = np.maximum(1.0, 0.5 * (pooled + ratio))
+    scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
+    return Trust(
+        bias=bias,
+        covariance=covariance * np.outer(scale, scale),
+        steps={
+            name: fit.scatter(segments, replace(NO_NOISE, **{name: size}))
+            for name, size in vars(steps).items()
+            if size > 0
+        },
+        mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
+        form=fit.bends(segments, expected),
+        shifts=_calibration(segments, fit, expected, scales),
+        untold=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
+        skews=skews,
+        drifts=drifts,
+        excess=excess,
+        within=within,
+    )
+
+
+def _covariance(fit: Solved, noise: Array) -> Array:
+    """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
+    even = rms_of(noise) ** 2
+    uneven = _scores(fit, noise) - even * (fit.design.T @ fit.design)
+    return even * fit.inverse + fit.inverse @ uneven @ fit.inverse
+
+
+def _scores(fit: Solved, noise: Array) -> Array:
+    """A' diag(noise^2) A, shape (p, p)."""
+    return np.asarray((fit.design * noise[:, None] ** 2).T @ fit.design)
+
+
+def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean and standard deviation of what replays come back with, less what went in."""
+    if not replays:
+        return np.zeros(len(fit.theta)), np.zeros(len(fit.theta))
+    off = np.array(replays) - fit.theta
+    return off.mean(axis=0), off.std(axis=0, ddof=1) if len(off) > 1 else np.zeros(len(fit.theta))
+
+
+def _between(segments: Segments, fit: Solved, cells: NDArray[np.intp]) -> tuple[Array, Array, bool]:
+    """Variance of theta from the scatter between trials, its degrees of freedom (p,), and whether within cells.
+
+    The bootstrap over trials (resampling their normal equations) in its limit of many draws: the variance of
+    inverse @ sum of the trials' scores A'r. Within a cell, scores count from their mean, with n/(n - 1). Degrees of
+    freedom as by Satterthwaite, from how unequally the trials bear on a coefficient.
+    """
+    trials, rows = np.unique(segments.trial, return_inverse=True)
+    scores, bearing = (np.zeros((len(trials), len(fit.theta))) for _ in range(2))
+    np.add.at(scores, rows, fit.design * fit.residual[:, None])
+    np.add.at(bearing, rows, (fit.design @ fit.inverse) ** 2)
+    effective = bearing.sum(axis=0) ** 2 / np.maximum(1e-300, (bearing**2).sum(axis=0))
+    own = cells[trials]
+    _, cell, count = np.unique(own, return_inverse=True, return_counts=True)
+    total, freedom = len(trials), len(trials) - len(count)
+    within = freedom >= FEW
+    if within:
+        means = np.zeros((len(count), scores.shape[1]))
+        np.add.at(means, cell, scores)
+        n = count[cell]
+        repeated = n > 1
+        off = (scores - (means / count[:, None])[cell])[repeated] * np.sqrt(n[repeated] / (n[repeated] - 1))[:, None]
+        off *= np.sqrt(total / int(repeated.sum()))
+    else:
+        freedom = max(1, total - 1)
+        off = scores * np.sqrt(total / freedom)
+    return np.sum((off @ fit.inverse) ** 2, axis=0), np.maximum(1.0, effective * freedom / total), within
+
+
+def _pooled(fit: Solved, symbol: str, ratio: Array, segments: Segments) -> float:
+    """Mean of `ratio` over the coefficients of a symbol that rest on samples."""
+    columns = fit.columns(symbol)
+    if symbol == "F_c":
+        return float(ratio[columns][0]) if fit.friction else 1.0
+    weight = np.sum(fit.design[:, columns] ** 2, axis=0)
+    solid = weight > 0.05 * weight.max()
+    return float(np.mean(ratio[columns][solid])) if solid.any() else 1.0
+
+
+def _calibration(segments: Segments, fit: Solved, expected: float, scales: Scales) -> dict[str, Array]:
+    """Shift of theta with each channel's offset, then gain, off by its expanded uncertainty: the mean of both ways."""
+    shifts = {}
+    for channel in CHANNELS:
+        offset, gain = scales.offsets.get(channel, 0.0), scales.gains.get(channel, 0.0)
+        for name, by in (("offset", (0.0, offset)), ("gain", (gain, 0.0))):
+            if any(by):
+                up, down = (_off(segments, fit, channel, way * by[0], way * by[1], expected) for way in (1.0, -1.0))
+                shifts[f"{channel}, {name}"] = 0.5 * (up - down)
+    return shifts
+
+
+def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: float, expected: float) -> Array:
+    """Theta had a channel read (1 + gain) times as much, plus `offset` [SI]."""
+    begun = fit.followed(gain, offset) if channel == "pressure" else fit
+    return begun.again(segments.shifted(channel, gain, offset), expected).theta
+
+
+def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:
+    """Theta of the same fit to `count` replays; `replay(seed)` gives the segments of one."""
+    return [fit.again(replay(seed), expected).theta for seed in range(count)]

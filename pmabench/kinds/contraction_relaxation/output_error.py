@@ -1,0 +1,200 @@
+"""The pooled coefficients polished by output error: the contraction that they make is held against the measured one.
+
+Each stretch of consecutive segments, in which the muscle moves one way, is simulated (`stretch`) from a free start,
+driven by the measured pressure and force. Rows are the means of segments. Their errors hang together, for the muscle
+shapes the noise of pressure and force; so rows are whitened by their covariance. Gauss-Newton, begun at the pooled
+fit: maximum likelihood where noise is all that differs (Ljung, System Identification, 7.4). Knows segments; no trial
+point, no interval, no protocol.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmabench.analysis.shared.samples import Noise
+from pmabench.kinds.contraction_relaxation.pooled import (
+    FEWEST_KNOTS,
+    FLOOR,
+    NONE,
+    SYMBOLS,
+    Fit,
+    place,
+    prior_of,
+    sizes_of,
+)
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.stretch import Stretch, answers
+from pmabench.store.records import Array
+
+MOST_STEPS = 25
+"""Steps of Gauss-Newton after which it counts as not converged."""
+WHOLE = 6
+"""After so many the steps are halved: weights that follow the fit can make it swing about its end."""
+SETTLED = 1e-4
+"""Mean square of a step in units of the covariance, that of the residual, at which it has converged: 1 % of a standard
+deviation."""
+HALVINGS = 4
+"""How often a step that makes it worse is halved."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Polished(Fit):
+    """A fit by output error; rows of `design` and `residual` are whitened, in units of `unit` for what noise makes."""
+
+    unit: float
+    """[N], what noise leaves of a segment in the pooled fit."""
+    noise: Noise
+    """Of the channels, for the whitening."""
+    starts: int
+    """Free start values of stretches; they take as many degrees of freedom."""
+    misses: Array
+    """Mean measured less simulated contraction of each segment [m], shape (n,); nan for one in no stretch."""
+    expected: Array
+    """Standard deviation of it that noise makes [m], shape (n,)."""
+    begun: Fit
+    """The pooled fit."""
+    steps: int = 0
+    converged: bool = False
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared rows, in units of what noise makes."""
+        return float(self.residual @ self.residual) / self.unit**2
+
+    @property
+    def rms(self) -> float:
+        """See `Solved`; `unit` where noise explains it."""
+        told = int(np.isfinite(self.misses).sum())
+        free = max(1.0, told - self.starts - float(np.sum(self.design @ self.inverse * self.design)))
+        return float(np.sqrt(self.residual @ self.residual / free))
+
+    def again(self, segments: Segments, noise: float) -> Polished:
+        """See `Solved`: one step from here, which is enough for what changes little; rows are those of before it."""
+        there = linear(segments, self)
+        return there.moved(there.newton(segments))
+
+    def bends(self, segments: Segments, noise: float) -> Array:
+        """See `Solved`."""
+        kept = np.setdiff1d(self.knots, self.halves)
+        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
+            return np.zeros(len(self.theta))
+        values = [self.values(symbol, kept) for symbol in SYMBOLS]
+        coarse = replace(self, theta=np.concatenate((*values, [self.theta[-1]])), knots=kept, halves=NONE)
+        coarse = coarse.again(segments, noise).again(segments, noise)
+        fine = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
+        return np.asarray((np.concatenate((*fine, [coarse.theta[-1]])) - self.theta) / 3.0)
+
+    def scatter(self, segments: Segments, noise: Noise) -> Array:
+        """See `Solved`."""
+        found = np.zeros((len(self.theta), len(self.theta)))
+        for one in answers(segments, self):
+            white = np.linalg.inv(_root(one, self, segments))
+            scores = self.unit * self.design[one.rows].T @ white
+            found += scores @ one.covariance(noise) @ scores.T
+        return np.asarray(self.inverse @ found @ self.inverse)
+
+    def shared(self, segments: Segments, noise: Noise) -> Array:
+        """See `Solved`: nothing, rows are whitened."""
+        return np.zeros((len(self.theta), len(self.theta)))
+
+    def change(self, columns: Array) -> Array:
+        """See `Solved`: as much as of the pooled fit, whose equation of motion is the same."""
+        return self.begun.change(columns)
+
+    def newton(self, segments: Segments) -> Array:
+        """The step of Gauss and Newton from here, shape (p,)."""
+        prior = _prior(segments, self.design, self)
+        return np.asarray(self.inverse @ (self.design.T @ self.residual - prior.T @ (prior @ self.theta)))
+
+    def moved(self, by: Array) -> Polished:
+        """The same with `by` (p,) added to theta; rows are those of before."""
+        return replace(self, theta=self.theta + by)
+
+
+def polish(segments: Segments, fit: Fit, noise: Noise, unit: float) -> Polished:
+    """The fit by output error that is begun at `fit`; `noise` of the channels, `unit` [N] as in `Polished`."""
+    begun = Polished(
+        fit.theta, fit.inverse, fit.design, fit.residual, fit.friction, fit.knots, fit.halves,
+        fit.added,
+        unit=unit, noise=noise, starts=0, misses=NONE, expected=NONE, begun=fit,
+    )  # fmt: skip
+    now = linear(segments, begun)
+    for number in range(1, MOST_STEPS + 1):
+        step = now.newton(segments) * (1.0 if number <= WHOLE else 0.5)
+        size = float(np.mean(step**2 / np.diag(now.inverse))) / max(unit, now.rms) ** 2
+        for _ in range(HALVINGS):
+            then = linear(segments, now.moved(step))
+            if then.cost <= 1.05 * now.cost:
+                break
+            step = 0.5 * step
+        now = replace(then, steps=number)
+        if size < SETTLED:
+            return replace(now, converged=bool(np.isfinite(now.theta).all()))
+    return now
+
+
+def linear(segments: Segments, fit: Polished) -> Polished:
+    """`fit` with rows, and what belongs to them, of these segments at its theta."""
+    n, p = len(segments), len(fit.theta)
+    design, residual = np.zeros((n, p)), np.zeros(n)
+    misses, expected = np.full(n, np.nan), np.full(n, np.nan)
+    measured = segments.x[:, _middle(segments)].mean(axis=1)
+    starts = 0
+    for one in answers(segments, fit):
+        root = _root(one, fit, segments)
+        miss = measured[one.rows] - one.mean
+        white = np.linalg.inv(root) @ np.column_stack((_regressors(one, fit), miss, one.start))
+        free, triangle = np.linalg.qr(white[:, p + 1 :])
+        begin = np.linalg.solve(triangle, free.T @ white[:, p])
+        white = white[:, : p + 1] - free @ (free.T @ white[:, : p + 1])
+        design[one.rows], residual[one.rows] = fit.unit * white[:, :p], fit.unit * white[:, p]
+        misses[one.rows] = miss - one.start @ begin
+        taken = np.linalg.solve(triangle.T, one.start.T)
+        expected[one.rows] = np.sqrt(np.maximum(0.0, np.sum(root**2, axis=1) - np.sum(taken**2, axis=0)))
+        starts += one.start.shape[1]
+    if not fit.friction:
+        design[:, -1] = 0.0
+    prior = _prior(segments, design, fit)
+    normal = design.T @ design + prior.T @ prior
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    return replace(
+        fit, design=design, residual=residual, inverse=inverse, starts=starts, misses=misses, expected=expected
+    )
+
+
+def _middle(segments: Segments) -> slice:
+    """Samples of `x` that are those of the segment itself."""
+    reach = (segments.x.shape[1] - segments.v.shape[1]) // 2
+    return slice(reach, segments.x.shape[1] - reach)
+
+
+def _prior(segments: Segments, design: Array, fit: Polished) -> Array:
+    """The weak prior of the pooled fit."""
+    return prior_of(segments, design, fit.knots, fit.unit)
+
+
+def _root(one: Stretch, fit: Polished, segments: Segments) -> Array:
+    """Lower triangular root of the covariance of a stretch's means [m], shape (n, n)."""
+    least = FLOOR * sizes_of(segments)[0] * np.sqrt(one.samples)
+    covariance = one.covariance(fit.noise, least)
+    covariance += 1e-9 * np.mean(np.diag(covariance)) * np.eye(len(one.mean))
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def _regressors(one: Stretch, fit: Polished) -> Array:
+    """Change of the means of a stretch by theta [m per unit], shape (n, p)."""
+    k = len(fit.knots)
+    left, share = place(one.P, fit.knots)
+    hats = np.zeros((len(one.P), k))
+    rows = np.arange(len(one.P))
+    hats[rows, left], hats[rows, left + 1] = 1 - share, share
+    found = np.zeros((len(one.mean), 4 * k + 1))
+    found[:, :k] = one.answer @ hats
+    found[:, k : 2 * k] = -(one.answer * one.x) @ hats
+    damping = 2 * k if one.way > 0 else 3 * k
+    found[:, damping : damping + k] = -(one.answer * one.v) @ hats
+    found[:, -1] = -one.way * one.answer.sum(axis=1)
+    return found

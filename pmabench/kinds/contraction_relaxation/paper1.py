@@ -1,0 +1,392 @@
+"""Paper 1's reduction of single steps: S and D over pressure, in both conventions of F_ce, each a method of its own.
+
+S = (F_ce - L) / x_max, D = tau S (paper 1 section 3); K is the paper's S, B_c and B_r its D. F_ce comes from the braid
+(eqs. 5-10), at x = 0 or at x_max: the plan says which of the two is told first. Beside them `measured-pressure`, which
+does not take the pressure for a step. D of relaxation carries the pressure *before* the release: a reduction only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.samples import Samples
+from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.base.errors import invalid
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
+from pmabench.kinds.contraction_relaxation import paper1_view as view
+from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least
+from pmabench.kinds.contraction_relaxation.known_force import fit_known_force
+from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, read
+from pmabench.kinds.contraction_relaxation.segments import moved
+from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.store.records import Array, RunData
+
+KIND = "contraction-relaxation-paper-1"
+METHODS = {"x0": "paper-1-x0", "xmax": "paper-1-xmax"}
+DRIVEN = "measured-pressure-x0"
+LOWEST = 100e3
+"""Paper 1's S and D are declared invalid below this pressure [Pa]."""
+SYMBOLS = {"K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+GIVEN = "F_ce from the braid's geometry, whose error is in no part"
+START = "by the pressure before the release: a reduction only, no coefficient at that pressure"
+OTHER = "F_ce at x_max: not to be mixed with values at x = 0"
+ONCE = "no repeats part: each step was made once"
+VENTED = (
+    "not identifiable: the step to 0 leaves this pressure at once; relax in steps (`relax.by`) for B_r over pressure"
+)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """The steps of one direction at one pressure."""
+
+    pressure: float
+    steps: tuple[Step, ...]
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """K [N/m], B_c, B_r [N.s/m] at every pressure by two conventions of F_ce, polynomials, model against test.
+
+    Geometry, convention and orders stand in the plan's `reduction`; runs whose plan says otherwise are dropped.
+    """
+    settings = dict(_told(runs[0]) or {}) | dict(options or {})
+    braid, chosen, orders = _asked(runs[0], settings)
+    alike = [run for run in runs if _told(run) == _told(runs[0])]
+    dropped = [
+        Dropped(trial.name, trial.point, "another geometry, convention or order than in the first run: reduce it apart")
+        for run in runs
+        if run not in alike
+        for trial in run.trials
+    ]
+    campaign, unusable = gather(alike)
+    dropped += unusable
+    steps: list[Step] = []
+    if campaign is not None:
+        for number, trial in enumerate(campaign.trials):
+            step = read(campaign.samples[number], trial)
+            if isinstance(step, Step) and step.pressure < LOWEST * (1 - 1e-9):
+                step = f"below {show(LOWEST, 'pressure')}, where paper 1's S and D do not hold"
+            if isinstance(step, str):
+                dropped.append(Dropped(trial.name, trial.point, step))
+            else:
+                steps.append(step)
+    if campaign is None or not any(step.way > 0 for step in steps):
+        fault = Finding("fault", "no contraction can be read: there is no S, and no D without it")
+        return Analysis.of(
+            KIND,
+            runs,
+            results=PAPER_1_RESULTS,
+            dropped=dropped,
+            findings=[fault],
+            facts={"options": settings, "trials_used": 0},
+        )
+    up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
+    driven = _driven(campaign, up, braid)
+    estimates: list[Estimate] = []
+    for at in sorted(METHODS, key=lambda name: name != chosen):
+        estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else None)
+    curves, findings, compared_orders = _curves([*estimates, *driven], orders)
+    stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
+    compared = view.compare(campaign, steps, curves, stiff, braid, chosen)
+    return Analysis.of(
+        KIND,
+        runs,
+        results=PAPER_1_RESULTS,
+        estimates=(*estimates, *driven, *_vented(driven, down), *compared.estimates),
+        curves=curves,
+        dropped=dropped,
+        findings=(
+            *_convention(chosen),
+            *_biased(estimates),
+            *_creep(campaign, steps),
+            *findings,
+            *compared.findings,
+            *skew.findings(alike, campaign.channels, campaign.skew, driven),
+        ),
+        traces=compared.traces,
+        facts={
+            "options": settings,
+            "trials": sum(len(run.trials) for run in runs),
+            "trials_used": len(steps),
+            "orders": compared_orders,
+            "steps": [
+                {
+                    "trial": campaign.name(s.trial),
+                    "from": 0.0 if s.way > 0 else s.pressure,
+                    "to": s.pressure if s.way > 0 else 0.0,
+                    "load": s.load,
+                    "x_max": s.stroke,
+                    "t_d": s.t_d,
+                    "tau": s.tau,
+                }
+                for s in steps
+            ],
+        },
+    )
+
+
+def _told(run: RunData) -> Any:
+    return (run.plan.get("settings") or {}).get("reduction")
+
+
+def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[str, int]]:
+    """Geometry, convention and orders; InvalidFile where the plan does not tell them as `check` leaves them."""
+    try:
+        braid, chosen = Braid.of(settings), str(settings.get("F_ce_at", "x0"))
+        orders = {str(symbol): int(order) for symbol, order in dict(settings.get("orders") or {}).items()}
+        if chosen not in METHODS or not all(x > 0 for x in vars(braid).values()) or any(n < 1 for n in orders.values()):
+            raise ValueError
+    except (KeyError, TypeError, ValueError) as error:
+        text = (
+            'the plan\'s "reduction" tells no radius, nominal_length, braid_angle above 0, F_ce_at x0 or xmax, '
+            "and orders from 1 on; was it made by hand? Make the run's plan with `pmabench check`"
+        )
+        raise invalid(run.path, text) from error
+    return braid, chosen, orders
+
+
+def _grouped(steps: Sequence[Step]) -> list[_Group]:
+    pressures = sorted({step.pressure for step in steps})
+    return [_Group(P, tuple(s for s in steps if s.pressure == P)) for P in pressures]
+
+
+def _by_paper(
+    campaign: Campaign,
+    up: Sequence[_Group],
+    down: Sequence[_Group],
+    braid: Braid,
+    at: str,
+    driven: Sequence[Estimate] | None,
+) -> list[Estimate]:
+    """K, B_c, B_r at every pressure in one convention; with `driven` the distance to it as bias and method part."""
+    scales = Scales.of(campaign.runs)
+    estimates: list[Estimate] = []
+    stiff: dict[float, Estimate] = {}
+    for group in up:
+        values = [braid.stiffness(s.held, s.stroke, s.load, at) for s in group.steps]
+        K = _estimate(campaign, "K", group, values, at)
+        B = _estimate(campaign, "B_c", group, [s.tau * S for s, S in zip(group.steps, values, strict=True)], at)
+        if min(values) <= 0:
+            note = "not identifiable: by its geometry the muscle has no pull above the load left at x_max"
+            K, B = (replace(e, value=None, parts=Parts(), note=note) for e in (K, B))
+        else:
+            tau = float(np.mean([s.tau for s in group.steps]))
+            K, B = _calibrated(K, group, braid, at, scales, 1.0), _calibrated(B, group, braid, at, scales, tau)
+            B = _sampled(campaign, B, tau)
+            stiff[group.pressure] = K
+        estimates += [_against(K, driven), _against(B, driven)]
+    for group in down:
+        S = stiff.get(group.pressure)
+        if S is None or S.value is None:
+            blank = _estimate(campaign, "B_r", group, [0.0] * len(group.steps), at)
+            note = "not identifiable: there is no S of a contraction to this pressure"
+            estimates.append(replace(blank, value=None, parts=Parts(), note=note))
+            continue
+        taus = [s.tau for s in group.steps]
+        mean = float(np.mean(taus))
+        B = _estimate(campaign, "B_r", group, [tau * S.value for tau in taus], at, START)
+        halves = (B.parts.repeats, S.parts.repeats)
+        repeats = None if None in halves else hypot(halves[0] or 0.0, mean * (halves[1] or 0.0))
+        calibration = None if S.parts.calibration is None else mean * S.parts.calibration
+        B = replace(B, parts=replace(B.parts, repeats=repeats, calibration=calibration))
+        estimates.append(_sampled(campaign, B, mean))
+    return sorted(estimates, key=lambda e: list(SYMBOLS).index(e.symbol))
+
+
+def _estimate(
+    campaign: Campaign, symbol: str, group: _Group, values: Sequence[float], at: str, note: str = ""
+) -> Estimate:
+    """Mean over the repeats and loads of a group, with what these say of its interval."""
+    mean, half, _ = mean_over(values, [s.load for s in group.steps])
+    unit, quantity = SYMBOLS[symbol]
+    return Estimate(
+        symbol,
+        mean,
+        unit,
+        quantity,
+        METHODS[at],
+        {"pressure": group.pressure},
+        Parts(repeats=half),
+        len(values),
+        note=sentences(note, GIVEN, OTHER if at == "xmax" else "", ONCE if half is None else ""),
+        trials=tuple(campaign.name(s.trial) for s in group.steps),
+    )
+
+
+def _calibrated(e: Estimate, group: _Group, braid: Braid, at: str, scales: Scales, factor: float) -> Estimate:
+    """The estimate with the part of the channels' calibrations: d S / d P and d S / d x, times `factor`."""
+    P, x, load = (float(np.mean([getattr(s, name) for s in group.steps])) for name in ("held", "stroke", "load"))
+    by_P = factor * (braid.stiffness(P * 1.001, x, load, at) - braid.stiffness(P * 0.999, x, load, at)) / (0.002 * P)
+    by_x = factor * (braid.stiffness(P, x * 1.001, load, at) - braid.stiffness(P, x * 0.999, load, at)) / 0.002
+    gains, offsets = {"displacement": by_x, "pressure": by_P * P}, {"pressure": by_P}
+    part = scales.part(gains, offsets)
+    lack = "" if part is not None else scales.lack(gains, offsets)
+    return replace(e, parts=replace(e.parts, calibration=part), note=sentences(e.note, lack))
+
+
+def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
+    """With what the sampling leaves open of tau, half a period at both of its ends, as method part."""
+    part = abs(e.value or 0.0) * hypot(0.5, 0.5) / campaign.rate / tau
+    return replace(e, parts=replace(e.parts, method=part))
+
+
+def _against(e: Estimate, driven: Sequence[Estimate] | None) -> Estimate:
+    """With the distance to the fit with the measured pressure as bias, not taken off, and in the method part."""
+    other = next((d for d in driven or () if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
+    if other is None or other.value is None or e.value is None:
+        return e
+    bias = e.value - other.value
+    parts = replace(e.parts, method=hypot(bias, e.parts.method or 0.0))
+    return replace(e, bias=bias, parts=parts, note=sentences(e.note, "bias: against measured-pressure"))
+
+
+def _driven(campaign: Campaign, up: Sequence[_Group], braid: Braid) -> list[Estimate]:
+    """K and B_c with the measured pressure, F_ce at x = 0; repeats are fitted apart, their scatter is the interval."""
+    tested = np.array([group.pressure for group in up])
+    members = sorted({s.trial for group in up for s in group.steps})
+    samples = {n: campaign.samples[n] for n in members}
+    found = _fitted(campaign, samples, tested, braid)
+    late = dict.fromkeys(found, 0.0)
+    for names, bound in skew.causes(campaign.runs, campaign.channels).items():
+        ways = [
+            _fitted(campaign, {n: moved(one, names, way * bound) for n, one in samples.items()}, tested, braid)
+            for way in (1.0, -1.0)
+        ]
+        for key, values in found.items():
+            changes = [abs(float(np.mean(again[key]) - np.mean(values))) for again in ways if key in again]
+            late[key] += max(changes, default=0.0)
+    estimates = []
+    for (symbol, P), fitted in sorted(found.items(), key=lambda item: (list(SYMBOLS).index(item[0][0]), item[0][1])):
+        mean, half = mean_with_half(fitted)
+        names = tuple(campaign.name(s.trial) for group in up if group.pressure == P for s in group.steps)
+        e = Estimate(
+            symbol,
+            mean,
+            *SYMBOLS[symbol],
+            DRIVEN,
+            {"pressure": P},
+            Parts(half, skew=late[symbol, P]),
+            len(names),
+            note=sentences(GIVEN, ONCE if half is None else ""),
+            trials=names,
+        )
+        estimates.append(skew.settled(e, "pressure and displacement", campaign.skew))
+    return estimates
+
+
+def _fitted(
+    campaign: Campaign, samples: Mapping[int, Samples], tested: Array, braid: Braid
+) -> dict[tuple[str, float], list[float]]:
+    """Symbol and pressure [Pa] -> the values of all rounds of repeats."""
+    found: dict[tuple[str, float], list[float]] = {}
+    for repeat in sorted({campaign.trials[n].repeat for n in samples}):
+        chosen = [one for n, one in samples.items() if campaign.trials[n].repeat == repeat]
+        for P, values in fit_known_force(chosen, campaign.rate, tested, lambda P: braid.force(P, 0.0)).items():
+            for symbol, value in zip(("K", "B_c"), values, strict=True):
+                found.setdefault((symbol, P), []).append(value)
+    return found
+
+
+def _vented(driven: Sequence[Estimate], down: Sequence[_Group]) -> list[Estimate]:
+    """B_r by the measured pressure: none, and why."""
+    if not driven:
+        return []
+    return [
+        Estimate("B_r", None, "N.s/m", "damping", DRIVEN, {"pressure": group.pressure}, note=VENTED) for group in down
+    ]
+
+
+def _curves(
+    estimates: Sequence[Estimate], orders: Mapping[str, int]
+) -> tuple[list[Curve], list[Finding], list[dict[str, Any]]]:
+    """A line and a polynomial in z through each coefficient of each method; none that is negative on its domain."""
+    curves: list[Curve] = []
+    findings: list[Finding] = []
+    compared: list[dict[str, Any]] = []
+    for method, symbol in dict.fromkeys((e.method, e.symbol) for e in estimates):
+        known = [e for e in estimates if (e.method, e.symbol) == (method, symbol) and e.value is not None]
+        if len(known) < 2:
+            continue
+        what = f"{symbol} by {method}"
+        P, y = np.array([e.at["pressure"] for e in known]), np.array([e.value for e in known], dtype=np.float64)
+        scores = compare_orders(P, y)
+        given = orders.get(symbol)
+        ranked = [given] if given else sorted(scores, key=lambda order: scores[order][0])
+        if given and len(P) <= given:
+            text = f"a polynomial of order {given} through {what} needs {given + 1} pressures, there are {len(P)}"
+            findings.append(Finding("doubt", text))
+            ranked = []
+        fitted = [c for order in ranked if (c := _sound(known, order, True)) is not None]
+        if ranked and not fitted:
+            text = f"no polynomial through {what}: it would fall below 0 between the tested pressures"
+            findings.append(Finding("doubt", text))
+        line = _sound(known, 1, False)
+        curves += [c for c in (line, fitted[0] if fitted else None) if c is not None]
+        compared.append(
+            {
+                "symbol": symbol,
+                "method": method,
+                "order": len(fitted[0].terms) - 1 if fitted else None,
+                "given": given is not None,
+                "aicc": {str(order): score for order, (score, _) in scores.items()},
+                "held_out_rms": {str(order): rms for order, (_, rms) in scores.items()},
+            }
+        )
+    return curves, findings, compared
+
+
+def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | None:
+    """The curve, if it is above 0 on its whole domain: no damping is negative."""
+    found = curve(known, order, normalised=normalised)
+    if found is None:
+        return None
+    terms = np.array([term.value for term in found.terms], dtype=np.float64)
+    low, high = ((end - found.centre) / found.scale for end in found.domain)
+    return found if least(terms, (low, high)) > 0 else None
+
+
+def _convention(chosen: str) -> list[Finding]:
+    text = (
+        f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "
+        "stands beside it: S, D and F_ce of one must not be used with those of the other"
+    )
+    return [Finding("note", text)]
+
+
+def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
+    """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
+    parts = []
+    for symbol in ("K", "B_c"):
+        off = [
+            100 * e.bias / (e.value - e.bias)
+            for e in estimates
+            if e.symbol == symbol and e.bias is not None and e.value is not None
+        ]
+        if off:
+            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
+    if not parts:
+        return []
+    text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"
+    return [Finding("note", text + ", as it must for B_r, which no second method can tell here")]
+
+
+def _creep(campaign: Campaign, steps: Sequence[Step]) -> list[Finding]:
+    """Steps that had not come to rest."""
+    moving = [s for s in steps if abs(s.creeps) > STILL]
+    if not moving:
+        return []
+    worst = max(moving, key=lambda s: abs(s.creeps))
+    text = (
+        f"{len(moving)} of {len(steps)} steps still moved at their end, {campaign.name(worst.trial)} by "
+        f"{100 * abs(worst.creeps):.2g} % of its stroke: x_max and tau come out short; hold longer"
+    )
+    return [Finding("doubt", text)]

@@ -1,0 +1,364 @@
+"""The pooled fit: one least squares over all segments of a campaign; knows no trial, no interval, no protocol.
+
+    F_L = F_ce(P) - K(P) x - B(P) x' - F_c sign(x'),   B = B_c contracting, B_r relaxing
+
+(paper 0, with Coulomb friction), every coefficient a polygon over pressure: its values at knots, with straight
+lines between. Linear in all of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.samples import Noise
+from pmabench.kinds.contraction_relaxation.segment_noise import covariance
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.records import Array
+
+SYMBOLS = ("F_ce", "K", "B_c", "B_r")
+BEND = 0.2
+"""How far a knot may lie off the line between its neighbours, as a share of the coefficient's size: a weak prior
+(one standard deviation) that counts only where the samples say next to nothing."""
+EXCESS = 1.5
+"""A stretch between knots gets one more knot where its mean square residual is this many times that of the noise."""
+GAIN = 0.03
+"""Least relative fall of the sum of squares for which one more knot is kept."""
+CHANCE = 8.0
+"""The same in units of what its coefficients take away by chance, in a run of few segments: the best place is taken."""
+FEWEST_KNOTS = 3
+"""A fit whose stretches are not halved has at least so many."""
+MOST_KNOTS = 8
+"""Most knots that are added."""
+PLACES = 5
+"""Places in a stretch that are tried for a knot, twice: the second time between the neighbours of the best."""
+FLOOR = 1e-4
+"""Least noise, as a share of the typical force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved(ABC):
+    """A solved least squares of segments, whatever forms its coefficients have over pressure.
+
+    `theta` (p,) holds the unknowns of F_ce [N], K [N/m], B_c, B_r [N.s/m], then F_c [N] and what else there is.
+    """
+
+    theta: Array
+    inverse: Array
+    """Inverse of the normal matrix, shape (p, p); times the squared noise it is the covariance."""
+    design: Array
+    residual: Array
+    """[N], one per segment."""
+    friction: bool
+    """False: all segments go one way, and F_c cannot be told from F_ce."""
+
+    @abstractmethod
+    def columns(self, symbol: str) -> slice:
+        """Places of the unknowns of one of `SYMBOLS` or F_c in `theta`."""
+
+    @abstractmethod
+    def row(self, symbol: str, P: float) -> Array:
+        """What theta is to be multiplied by for a coefficient at P [Pa], shape (p,)."""
+
+    @abstractmethod
+    def values(self, symbol: str, P: Array) -> Array:
+        """A coefficient [SI] at pressures P [Pa] of any shape."""
+
+    @abstractmethod
+    def again(self, segments: Segments, noise: float) -> Solved:
+        """The same fit to other segments, whose residual should be `noise` [N]."""
+
+    @abstractmethod
+    def followed(self, gain: float, offset: float) -> Solved:
+        """The same where pressure reads (1 + gain) times as much, plus `offset` [Pa]: a bend that a knot was put at
+        is then read elsewhere, and the knot goes with it; tested pressures stay where they are.
+        """
+
+    @abstractmethod
+    def bends(self, segments: Segments, noise: float) -> Array:
+        """What the forms leave of a bend in each unknown, shape (p,)."""
+
+    def change(self, columns: Array) -> Array:
+        """Change of theta by forces [N] at the segments that the form does not have; (n, m) gives (p, m)."""
+        return np.asarray(self.inverse @ (self.design.T @ columns))
+
+    def scatter(self, segments: Segments, noise: Noise) -> Array:
+        """Covariance of theta by this noise of the channels of the segments that were fitted, shape (p, p)."""
+        own, _ = noise_covariance(segments, self, noise)
+        alone = self.inverse @ ((self.design * own[:, None]).T @ self.design) @ self.inverse
+        return np.asarray(alone + self.shared(segments, noise))
+
+    def shared(self, segments: Segments, noise: Noise) -> Array:
+        """What of `scatter` comes from samples that neighbouring segments share, shape (p, p)."""
+        _, after = noise_covariance(segments, self, noise)
+        cross = (self.design[1:] * after[:, None]).T @ self.design[:-1]
+        return np.asarray(self.inverse @ (cross + cross.T) @ self.inverse)
+
+    @property
+    def coulomb(self) -> float:
+        """Coulomb friction [N], 0 where it cannot be told."""
+        return float(self.theta[self.columns("F_c")][0]) if self.friction else 0.0
+
+    @cached_property
+    def rms(self) -> float:
+        """Root mean square residual [N], with the degrees of freedom that the fit took."""
+        free = max(1.0, len(self.residual) - float(np.sum(self.design @ self.inverse * self.design)))
+        return float(np.sqrt(self.residual @ self.residual / free))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Solved):
+    """Every coefficient a polygon: `theta` holds their values at the `knots` [Pa], then F_c [N]."""
+
+    knots: Array
+    halves: Array = field(default_factory=lambda: np.empty(0))
+    """Those of them [Pa] that only halve a stretch."""
+    added: Array = field(default_factory=lambda: np.empty(0))
+    """Those of them [Pa] that were put where the residual asked for one."""
+
+    def index(self, symbol: str, knot: int = 0) -> int:
+        """Place of a coefficient in `theta`."""
+        return SYMBOLS.index(symbol) * len(self.knots) + knot if symbol in SYMBOLS else len(self.theta) - 1
+
+    def columns(self, symbol: str) -> slice:
+        """See `Solved`."""
+        start = self.index(symbol)
+        return slice(start, start + (len(self.knots) if symbol in SYMBOLS else 1))
+
+    def row(self, symbol: str, P: float) -> Array:
+        """See `Solved`."""
+        found = np.zeros(len(self.theta))
+        if symbol not in SYMBOLS:
+            found[-1] = 1.0
+            return found
+        left, share = place(np.array([P]), self.knots)
+        start = self.index(symbol, int(left[0]))
+        found[start : start + 2] = 1 - share[0], share[0]
+        return found
+
+    def at(self, P: float) -> int:
+        """Number of the knot at pressure P [Pa]."""
+        return int(np.argmin(np.abs(self.knots - P)))
+
+    def values(self, symbol: str, P: Array) -> Array:
+        """See `Solved`."""
+        left, share = place(P, self.knots)
+        values = self.theta[self.columns(symbol)]
+        return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
+
+    def again(self, segments: Segments, noise: float) -> Fit:
+        """See `Solved`."""
+        return solve(segments, self.knots, noise, self.halves, self.added)
+
+    def followed(self, gain: float, offset: float) -> Fit:
+        """See `Solved`."""
+        there = follow(self.added, gain, offset)
+        return replace(self, knots=carried(self.knots, self.added, there), added=there)
+
+    def bends(self, segments: Segments, noise: float) -> Array:
+        """A third of what it changes to halve no stretch (Richardson): errors of straight lines go with length^2."""
+        kept = np.setdiff1d(self.knots, self.halves)
+        if len(kept) < FEWEST_KNOTS or len(kept) == len(self.knots):
+            return np.zeros(len(self.theta))
+        coarse = solve(segments, kept, noise)
+        values = [coarse.values(symbol, self.knots) for symbol in SYMBOLS]
+        return np.asarray((np.concatenate((*values, [coarse.theta[-1]])) - self.theta) / 3.0)
+
+
+def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
+    """Left neighbour among the knots, and the way to the right one as a share; lines go on beyond the ends."""
+    left = np.clip(np.searchsorted(knots, P, side="right") - 1, 0, len(knots) - 2)
+    return left, (P - knots[left]) / (knots[left + 1] - knots[left])
+
+
+def spread(P: Array, by: Array, knots: Array) -> Array:
+    """Sums over the second axis of hat functions at P (n, w) times `by` (n, w); shape (n, len(knots))."""
+    left, share = place(P, knots)
+    n, k = len(P), len(knots)
+    rows = np.arange(n)[:, None] * k + left
+    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), n * k).astype(np.float64)
+    total += np.bincount(rows.ravel() + 1, (by * share).ravel(), n * k)
+    return total.reshape(n, k)
+
+
+def design_of(segments: Segments, knots: Array) -> Array:
+    """Regressors, shape (n, 4 k + 1), in the order of `Fit.theta`."""
+    weights = np.broadcast_to(segments.weights, segments.P.shape)
+    damping = spread(segments.P_mid, segments.v / segments.v.shape[1], knots)
+    contracting = segments.way[:, None] > 0
+    return np.hstack(
+        [
+            spread(segments.P, weights, knots),
+            -spread(segments.P, weights * segments.x, knots),
+            -np.where(contracting, damping, 0.0),
+            -np.where(contracting, 0.0, damping),
+            -segments.way[:, None],
+        ]
+    )
+
+
+NONE = np.empty(0)
+
+
+def follow(added: Array, gain: float, offset: float) -> Array:
+    """Where knots [Pa] go when pressure reads (1 + gain) times as much, plus `offset` [Pa]."""
+    return np.asarray(added * (1 + gain) + offset)
+
+
+def carried(knots: Array, old: Array, new: Array) -> Array:
+    """The knots [Pa] with `new` in place of `old`, in the same order; as they are where that would change."""
+    there = knots.copy()
+    there[np.isin(knots, old)] = new
+    return there if (np.diff(there) > 0).all() else knots
+
+
+def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE) -> Fit:
+    """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
+    design = design_of(segments, knots)
+    friction = bool((segments.way > 0).any() and (segments.way < 0).any())
+    if not friction:
+        design[:, -1] = 0.0
+    prior = prior_of(segments, design, knots, noise)
+    normal = design.T @ design + prior.T @ prior
+    scale = np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    theta = inverse @ (design.T @ segments.force)
+    return Fit(
+        theta,
+        inverse,
+        design,
+        segments.force - design @ theta,
+        friction,
+        knots,
+        halves,
+        added,
+    )
+
+
+def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
+    """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
+    k, p = len(knots), design.shape[1]
+    sizes = sizes_of(segments)
+    noise = max(noise, FLOOR * sizes[0])
+    rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * sizes[0])])]
+    for number, size in enumerate(sizes):
+        bend = np.zeros((k - 2, p))
+        bend[:, number * k : (number + 1) * k] = bent(knots) * (noise / (BEND * size))
+        rows.append(bend)
+    return np.vstack(rows)
+
+
+def bent(knots: Array) -> Array:
+    """Rows that tell how far each inner knot lies off the line between its neighbours, shape (k - 2, k)."""
+    k = len(knots)
+    rows = np.zeros((k - 2, k))
+    for j in range(1, k - 1):
+        share = (knots[j] - knots[j - 1]) / (knots[j + 1] - knots[j - 1])
+        rows[j - 1, j - 1 : j + 2] = share - 1, 1, -share
+    return rows
+
+
+def sizes_of(segments: Segments) -> tuple[float, float, float, float]:
+    """Typical sizes of F_ce [N], K [N/m], B_c and B_r [N.s/m]: of the forces, by displacement and by speed."""
+    force = rms_of(segments.force) or 1.0
+    x, v = rms_of(segments.x), rms_of(segments.v)
+    return force, force / x, force / v, force / v
+
+
+def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
+    """Standard deviation of the residual of each segment from the noise of the channels alone [N], shape (n,)."""
+    return np.asarray(np.sqrt(noise_covariance(segments, fit, noise)[0]))
+
+
+def noise_covariance(segments: Segments, fit: Solved, noise: Noise) -> tuple[Array, Array]:
+    """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
+    pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
+    """
+    P = segments.pressure
+    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
+    return covariance(segments, force_by_pressure(segments, fit), fit.values("K", P), damping, noise)
+
+
+def force_by_pressure(segments: Segments, fit: Solved) -> Array:
+    """Change of F_ce - K x with the pressure at each segment [N/Pa], shape (n,)."""
+    P, step = segments.pressure, 1e3
+    x = segments.x @ segments.weights
+    slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
+    slope = (slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step)
+    return np.asarray(slope)
+
+
+def first_knots(tested: Array, commanded: Array) -> Array:
+    """The tested and the commanded pressures [Pa], those half way between, and two below the least tested one.
+
+    Commanded pressures below the tested ones count as far down as the tested ones lie apart; below a single tested
+    pressure, down to its half.
+    """
+    tested = np.unique(tested)
+    gap = float(np.min(np.diff(tested))) if len(tested) > 1 else 0.5 * float(tested[0])
+    low = max(0.0, float(tested[0]) - gap)
+    within = commanded[(commanded >= low) & (commanded <= tested[-1])]
+    near = 0.2 * gap
+    chosen = [float(P) for P in tested]
+    for P in np.unique(np.concatenate((within, [low]))):
+        if min(abs(P - other) for other in chosen) > near:
+            chosen.append(float(P))
+    chosen.sort()
+    return np.unique(np.concatenate((chosen, 0.5 * (np.array(chosen[1:]) + np.array(chosen[:-1])))))
+
+
+def fit(segments: Segments, knots: Array, noise: Noise) -> tuple[Fit, Array]:
+    """The pooled fit with knots added where the residual asks for them, and the noise of each segment [N], shape (n,).
+
+    `knots` [Pa] as `first_knots` gives them, every other one half way between its neighbours.
+
+    A coefficient that bends sharply between two knots leaves a residual there; a knot in the worst such stretch, where
+    the sum of squares is least, is kept if that falls by more than `GAIN`, and by far more than by chance.
+    """
+    floor = FLOOR * float(np.sqrt(np.mean(segments.force**2)))
+    solved = solve(segments, knots, floor)
+    for _ in range(MOST_KNOTS):
+        expected = rms_of(np.maximum(floor, expected_noise(segments, solved, noise)))
+        stretch = _worst_stretch(segments, solved, expected)
+        if stretch is None:
+            break
+        finer = _with_knot(segments, solved, stretch, expected)
+        gain = max(GAIN, CHANCE * len(SYMBOLS) / max(1, len(segments) - len(finer.theta)))
+        if finer.residual @ finer.residual > (1 - gain) * (solved.residual @ solved.residual):
+            break
+        solved = finer
+    each = np.maximum(floor, expected_noise(segments, solved, noise))
+    return solve(segments, solved.knots, rms_of(each), knots[1::2], np.setdiff1d(solved.knots, knots)), each
+
+
+def rms_of(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
+    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
+    low, high = stretch
+    found: list[tuple[float, Fit]] = []
+    for _ in range(2):
+        apart = (high - low) / (PLACES + 1)
+        for P in low + apart * np.arange(1, PLACES + 1):
+            found.append((float(P), solve(segments, np.sort(np.append(solved.knots, P)), expected)))
+        place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
+        low, high = place_of - apart, place_of + apart
+    return best
+
+
+def _worst_stretch(segments: Segments, solved: Fit, expected: float) -> tuple[float, float] | None:
+    """The stretch between knots [Pa] with the largest sum of squares in excess of the noise; None for none."""
+    k = len(solved.knots)
+    left, _ = place(segments.pressure, solved.knots)
+    count = np.bincount(left, minlength=k - 1)
+    power = np.bincount(left, solved.residual**2, k - 1)
+    excess = np.where((count >= 20) & (power > EXCESS * expected**2 * count), power - expected**2 * count, 0.0)
+    worst = int(np.argmax(excess))
+    return (float(solved.knots[worst]), float(solved.knots[worst + 1])) if excess[worst] > 0 else None

@@ -1,0 +1,238 @@
+"""Reduction of contraction-relaxation runs: K, B_c, B_r, F_ce and F_c over pressure, by two methods side by side.
+
+`measured-pressure` (primary) is the pooled fit of `pooled`, driven by the pressure that was measured;
+`step-exponential` is the papers' way. Knows the samples and the plan's commands; not how the bench is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
+from pmabench.analysis.shared import reference, replay, skew
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable, Samples
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, free_run, joint_forms, view
+from pmabench.kinds.contraction_relaxation import polish as contraction_polish
+from pmabench.kinds.contraction_relaxation.curves import curve
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
+from pmabench.kinds.contraction_relaxation.regulator_response import regulator
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
+from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
+from pmabench.kinds.contraction_relaxation.values import FEWEST, Told, values
+from pmabench.store.records import Array, RunData
+
+KIND = "contraction-relaxation"
+METHOD = "measured-pressure"
+REPLAYS = 10
+"""Replays of the fitted muscle, for the bias of the estimator and its scatter."""
+AFTER = 0.15
+"""Time that a replay goes on after the last segment of a stroke [s]."""
+OF_THE_FORM = (*SYMBOLS, "F_c", "f_b")
+"""Symbols whose values assume it; times are read off the samples."""
+ORDERS = {"F_ce": (1,), "K": (1, 2), "B_c": (1,), "B_r": (1,)}
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
+
+    M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short
+    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
+
+    `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
+    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
+    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
+    `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
+    error beside them.
+    """
+    options = options or {}
+    campaign, dropped = gather(runs)
+    pooled, reason = None, "no trial moves: there is nothing to fit"
+    try:
+        pooled = pool(campaign, options) if campaign is not None else None
+    except NotUsable as why:
+        reason = str(why)
+    if campaign is None or pooled is None:
+        findings = [] if campaign is None and dropped else [Finding("fault", reason)]
+        if campaign is not None:
+            dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
+        facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
+        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
+    estimates, curves = estimates_of(campaign, pooled)
+    joint = joint_forms.compare(campaign, pooled, options)
+    polished = contraction_polish.compare(campaign, pooled, estimates, options)
+    beside = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
+    dropped += _unmoved(campaign, pooled)
+    draws = int(options.get("bootstrap", 0))
+    resampled = view.resampled(campaign, pooled, estimates, draws) if draws else None
+    response, described = regulator(campaign) if options.get("regulator") else ([], [])
+    runs_free = free_run.free_runs(campaign, pooled, estimates)
+    every = (*estimates, *joint.estimates, *polished.estimates, *beside.estimates)
+    reported = withheld(every, pooled.form)
+    gone = {e.symbol for e in reported if e.withheld}
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=(*reported, *response),
+        curves=[curve for curve in (*curves, *joint.curves, *beside.curves) if curve.symbol not in gone],
+        dropped=dropped,
+        findings=(
+            *view.findings(campaign, pooled, estimates),
+            *skew.findings(runs, campaign.channels, campaign.skew, every),
+            *([view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
+            *joint.findings,
+            *polished.findings,
+            *beside.findings,
+            *described,
+            *reference.findings(runs),
+        ),
+        traces=view.overlays(campaign, runs_free),
+        facts={
+            "options": dict(options),
+            "trials": sum(len(run.trials) for run in runs),
+            **view.facts(campaign, pooled, runs_free),
+            "steps": beside.table,
+            **({"joint": joint.facts} if joint.facts else {}),
+            **({"output_error": polished.facts} if polished.facts else {}),
+            **({"bootstrap": resampled} if resampled else {}),
+        },
+    )
+
+
+def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
+    """The estimates without the values whose form the data contradict; other methods follow the first one."""
+    reasons: dict[tuple[str, float | None], str] = {}
+    hidden = found.hides(estimates)
+    result = []
+    for place, e in enumerate(estimates):
+        key = (e.symbol, e.at.get("pressure"))
+        why = found.reason or reasons.get(key) or hidden.get(place, "")
+        if e.symbol not in OF_THE_FORM or e.value is None or not why:
+            result.append(e)
+            continue
+        reasons[key] = why
+        result.append(withhold(e, why))
+    return result
+
+
+def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
+    """The pooled fit with its trust; None where nothing moves, NotUsable where the fit itself would not move."""
+    gate = Gate(speed=float(options.get("speed", Gate.speed)))
+    tested = np.array(campaign.tested)
+    commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
+    knots = first_knots(tested, commanded)
+    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+
+    def segments_of(samples: Sequence[Samples]) -> Segments:
+        found = cut(samples, campaign.rate, gate)
+        return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+
+    segments = segments_of(campaign.samples)
+    if len(segments) < 2 * FEWEST:
+        return None
+    solved, noise = fit(segments, knots, campaign.noise)
+    work = replay.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+
+    def first(late: Segments) -> Array:
+        """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
+        again, _ = fit(late, knots, campaign.noise)
+        polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
+        return np.concatenate((*polygons, [again.coulomb]))
+
+    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
+        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
+        run = replay.run(other, work.P, work.dt, work.load, work.mass, work.x)
+        mine = segments.where(rows)
+
+        def replayed(seed: int) -> Segments:
+            seen_again = segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
+            if len(seen_again) < 2 * FEWEST:
+                raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
+            return seen_again
+
+        replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
+        skews = _skews(campaign, segments_of, again, other)
+        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
+        scales = Scales.of(campaign.runs)
+        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
+
+    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
+        alone = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
+        return form.hiding(found, Scales.of(campaign.runs), segments.where(rows), other, alone, rows)
+
+    trust = trusted(solved, np.ones(len(segments), bool), noise, first)
+    found, trust = form.examine(campaign, segments, solved, trust, noise)
+    return Pooled(segments, solved, noise, trust, trust_of, work, found)
+
+
+def _skews(
+    campaign: Campaign, segments_of: Callable[[Sequence[Samples]], Segments], again: Callable[[Segments], Array],
+    solved: Solved,
+) -> Array:  # fmt: skip
+    """Change of theta by the clock of each stream at its bound, both ways; shape (clocks, courses, p)."""
+
+    def changed(channels: tuple[str, ...], by: Array) -> Array:
+        late = [moved(samples, channels, float(one)) for samples, one in zip(campaign.samples, by, strict=True)]
+        return again(segments_of(late)) - solved.theta
+
+    clocks = skew.causes(campaign.runs, campaign.channels)
+    courses = [way * course for course in skew.courses(campaign.trials) for way in (1.0, -1.0)]
+    shifts = [[changed(names, bound * course) for course in courses] for names, bound in clocks.items()]
+    return np.array(shifts).reshape(len(clocks), len(courses), len(solved.theta))
+
+
+def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice]]:
+    """The strokes that have segments, each up to a moment after its last one."""
+    pieces = []
+    for number in np.unique(segments.trial):
+        samples, trial = campaign.samples[number], campaign.trials[number]
+        begins = np.searchsorted(samples.t, segments.t[segments.trial == number])
+        for rows in strokes(trial):
+            mine = begins[(begins >= rows.start) & (begins < rows.stop)]
+            if len(mine):
+                stop = int(mine.max()) + segments.v.shape[1] + round(AFTER * campaign.rate)
+                pieces.append((samples, slice(rows.start, min(rows.stop, stop))))
+    return pieces
+
+
+def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
+    """The primary method's coefficients at the tested pressures, and curves through them."""
+    told = Told(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
+    estimates = values(told)
+    curves: list[Curve] = []
+    for symbol in SYMBOLS:
+        known = [e for e in estimates if e.symbol == symbol and e.value is not None]
+        places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
+        for order in ORDERS[symbol]:
+            through = curve(known, order, pooled.trust, places)
+            if through is not None:
+                curves.append(through)
+    return estimates, curves
+
+
+def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:
+    """Trials without a segment, and why: the load is more than the muscle lifts, or it moves too little."""
+    used = set(pooled.segments.trial.tolist())
+    dropped = []
+    for number, trial in enumerate(campaign.trials):
+        if number in used:
+            continue
+        samples = campaign.samples[number]
+        P, load = trial.point["pressure"], trial.point.get("load", 0.0)
+        pull = float(pooled.fit.values("F_ce", np.array([P]))[0])
+        if load >= pull:
+            reason = f"the load, {show(load, 'force', 4)}, is not below F_ce = {show(pull, 'force', 4)}"
+        elif not samples.ok.any():
+            reason = "no sample of its strokes is usable"
+        else:
+            moved = float(np.ptp(samples.x[samples.ok]))
+            reason = f"too little motion: {show(moved, 'length', 3)} with F_ce - F_L = {show(pull - load, 'force', 3)}"
+        dropped.append(Dropped(campaign.name(number), trial.point, reason))
+    return dropped

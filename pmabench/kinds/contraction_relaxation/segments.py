@@ -1,0 +1,287 @@
+"""Cuts trials into short gated segments, the rows of the pooled fit; knows samples and loads, no coefficient.
+
+A segment is a stretch of about 40 ms in which the muscle moves one way, faster than a gate, off its support, without a
+flagged sample. Averages over it stand for the equation of motion in weak form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.samples import Noise, Samples, noise_of
+from pmabench.store.records import Array, RunData, TrialData
+
+UNTOLD_MASS = 0.5
+"""Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
+FEWEST_STILL = 8
+"""Fewest samples at rest that tell of noise."""
+LEVELS = 20
+"""A channel takes at least so many values before the least distance between two is the step of its converter."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What counts as a segment."""
+
+    length: float = 0.04
+    """[s]"""
+    reach: float = 0.008
+    """Half the window of the velocity x' = (x(t + reach) - x(t - reach)) / (2 reach) [s]."""
+    speed: float = 2e-3
+    """Least |x'| [m/s]; above the speeds at which stiction passes into sliding friction."""
+    lift: float = 50e-6
+    """Least contraction that counts as off the support [m]."""
+
+    def samples(self, rate: float) -> tuple[int, int]:
+        """Samples of a segment and of the reach, at `rate` [Hz]."""
+        return max(4, round(self.length * rate)), max(1, round(self.reach * rate))
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Segments of a whole campaign, one per row.
+
+    `P` [Pa] and `x` [m] have shape (n, w) and are averaged with `weights` (w,): the mean over the segment, smoothed as
+    the velocity is. `P_mid`, `v` [m/s] and `F_mid`, F_L as a cell measured it or the weight [N], have shape (n, s) and
+    are averaged evenly. The others have shape (n,): `force` is the mean F_L [N], smoothed alike, with M x'' added where
+    F_L is a weight and no cell measures it, `mass` that M [kg], 0 with a cell; `way` is +1 contracting, -1 relaxing;
+    `trial` the number of the trial, `t` its first time [s]. `dt` is the sampling period [s].
+    """
+
+    trial: NDArray[np.intp]
+    t: Array
+    way: Array
+    P: Array
+    x: Array
+    P_mid: Array
+    v: Array
+    F_mid: Array
+    force: Array
+    mass: Array
+    weights: Array
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.way)
+
+    @property
+    def pressure(self) -> Array:
+        """Mean pressure of each segment [Pa], shape (n,)."""
+        return self.P @ self.weights
+
+    def where(self, rows: NDArray[np.bool_]) -> Segments:
+        """Only some of the rows."""
+        return replace(
+            self,
+            trial=self.trial[rows],
+            t=self.t[rows],
+            way=self.way[rows],
+            P=self.P[rows],
+            x=self.x[rows],
+            P_mid=self.P_mid[rows],
+            v=self.v[rows],
+            F_mid=self.F_mid[rows],
+            force=self.force[rows],
+            mass=self.mass[rows],
+        )
+
+    def shifted(self, channel: str, gain: float, offset: float) -> Segments:
+        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI]."""
+        if channel == "pressure":
+            return replace(self, P=self.P * (1 + gain) + offset, P_mid=self.P_mid * (1 + gain) + offset)
+        if channel == "displacement":
+            return replace(self, x=self.x * (1 + gain) + offset, v=self.v * (1 + gain))
+        cell = self.mass <= 0
+        return replace(
+            self,
+            force=np.where(cell, self.force * (1 + gain) + offset, self.force),
+            F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + offset, self.F_mid),
+        )
+
+    def pulled(self, by: Array) -> Segments:
+        """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
+        return replace(self, force=self.force + by, F_mid=self.F_mid + by[:, None])
+
+
+def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
+    """A trial's samples; a channel that the record calls late by `sensor_lag` is taken that much later."""
+
+    def channel(name: str) -> Array:
+        lag = run.channels[name].sensor_lag if name in run.channels else 0.0
+        return _later(trial.t, trial.channels[name], lag) if lag else trial.channels[name]
+
+    P, x = channel("pressure"), channel("displacement")
+    force = channel("force") if "force" in trial.channels else None
+    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", UNTOLD_MASS)
+    return _finite(Samples(number, trial.t, P, x, force, trial.usable, load, mass))
+
+
+def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
+    """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
+
+    Displacement, which tells the segments, stays where it is: in its place the others move the other way. No sample
+    becomes unusable by it, so that the same segments come of both: beside a hole values stay as they are.
+    """
+
+    def later(values: Array, by: float) -> Array:
+        taken = _later(samples.t, values, by)
+        return np.where(np.isfinite(taken), taken, values)
+
+    if "displacement" in channels:
+        channels, by = [name for name in ("pressure", "force") if name not in channels], -by
+    P = later(samples.P, by) if "pressure" in channels else samples.P
+    force = samples.force
+    if force is not None and "force" in channels:
+        force = later(force, by)
+    return _finite(replace(samples, P=P, force=force))
+
+
+def _later(t: Array, values: Array, by: float) -> Array:
+    """Values [SI] at t + by [s], linear between neighbours; nan where samples are missing there."""
+    taken = np.interp(t + by, t, values)
+    right = np.clip(np.searchsorted(t, t + by), 1, len(t) - 1)
+    width = t[right] - t[right - 1]
+    taken[width > 1.5 * float(np.median(np.diff(t)))] = np.nan
+    return taken
+
+
+def _finite(samples: Samples) -> Samples:
+    """The samples, of which those with a number in every channel are usable."""
+    ok = samples.ok & np.isfinite(samples.P) & np.isfinite(samples.x)
+    return replace(samples, ok=ok if samples.force is None else ok & np.isfinite(samples.force))
+
+
+def velocity(t: Array, x: Array, reach: int) -> Array:
+    """Mean velocity [m/s] over `reach` samples on both sides of each sample; 0 at the ends; shape (n,)."""
+    v = np.zeros(len(t))
+    if len(t) > 2 * reach:
+        v[reach:-reach] = (x[2 * reach :] - x[: -2 * reach]) / (t[2 * reach :] - t[: -2 * reach])
+    return v
+
+
+def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
+    """All segments of the stretches, in their order, contracting before relaxing in each."""
+    n, m = gate.samples(rate)
+    weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
+    parts = [_cut_one(samples, n, m, gate, weights) for samples in stretches]
+    found = [part for part in parts if part is not None]
+    if not found:
+        none = np.empty(0)
+        wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
+        first = np.empty(0, np.intp)
+        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, 1 / rate)
+    trial, t, way, P, x, P_mid, v, F_mid, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
+
+
+def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tuple[Array, ...] | None:
+    """Columns of `Segments` of one stretch, in the order of their declaration."""
+    v = velocity(samples.t, samples.x, m)
+    usable = samples.ok & (samples.x > gate.lift)
+    starts: list[Array] = []
+    ways: list[Array] = []
+    for way in (1.0, -1.0):
+        inside = np.concatenate(([False], usable & (way * v > gate.speed), [False]))
+        edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
+        for first, last in edges:
+            begin = first + 2 * m + 1
+            count = (last - m - begin) // n
+            if count > 0:
+                starts.append(begin + n * np.arange(count))
+                ways.append(np.full(count, way))
+    if not starts:
+        return None
+    start, way_of = np.concatenate(starts), np.concatenate(ways)
+    middle = start[:, None] + np.arange(n)
+    around = start[:, None] + np.arange(-m, n + m)
+    mass = np.zeros(len(start))
+    if samples.force is not None:
+        force, F_mid = samples.force[around] @ weights, samples.force[middle]
+    else:
+        F_mid = np.full(middle.shape, samples.load)
+        mass += samples.mass
+        gained = v[start + n] - v[start - 1]
+        force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
+    number = np.full(len(start), samples.trial)
+    P, x = samples.P[around], samples.x[around]
+    return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], F_mid, force, mass
+
+
+def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
+    """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
+
+    Of these rows the longest run of usable samples counts.
+    Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
+    `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
+    rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
+    """
+
+    def typical(name: str) -> float:
+        values, k = [], (every or {}).get(name, 1)
+        for samples, rows in zip(stretches, still, strict=True):
+            column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
+            if column is not None and rows.stop - rows.start >= FEWEST_STILL * k:
+                seen = max(noise_of(column[rows][first::k]) for first in range(k))
+                values.append(np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0)))
+        return float(np.median(values)) if values else 0.0
+
+    return Noise(typical("P"), typical("x"), typical("force"))
+
+
+def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
+    """White noise that makes means of `over` samples scatter as they do in the rows `still`; not below `least`.
+
+    More than `noise_seen` where noise is smooth from sample to sample, as that of a filter or between interpolated
+    samples.
+    """
+
+    def typical(name: str) -> float:
+        values = []
+        for samples, rows in zip(stretches, still, strict=True):
+            column = getattr(samples, name)
+            if column is not None:
+                whole = column[_unbroken(samples.ok, rows)]
+                means = whole[: len(whole) // over * over].reshape(-1, over).mean(axis=1)
+                values.append(np.sqrt(over) * noise_of(means))
+        return float(np.median(values)) if values else 0.0
+
+    return Noise(
+        max(least.pressure, typical("P")), max(least.displacement, typical("x")), max(least.force, typical("force"))
+    )
+
+
+def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
+    """The longest run of usable samples within `rows`, which have a start and a stop."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], ok[rows], [False])).astype(np.int8)))
+    if not len(edges):
+        return slice(0, 0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    first = range(len(ok))[rows].start
+    return slice(first + int(edges[2 * longest]), first + int(edges[2 * longest + 1]))
+
+
+def steps_seen(stretches: Sequence[Samples], every: Mapping[str, int] | None = None) -> Noise:
+    """The part of `noise_seen` that the steps of each channel's values alone make: width over the root of 12."""
+
+    def typical(name: str) -> float:
+        columns = [(getattr(samples, name), samples.ok) for samples in stretches]
+        widths = [_step(column[ok]) for column, ok in columns if column is not None and ok.any()]
+        return float(np.sqrt((every or {}).get(name, 1)) * np.median(widths) / np.sqrt(12.0)) if widths else 0.0
+
+    return Noise(typical("P"), typical("x"), typical("force"))
+
+
+def _step(column: Array) -> float:
+    """Smallest step between values: that of a coarse converter, next to nothing where noise fills it.
+
+    0 for fewer than `LEVELS` values: a quantity that jumps says nothing of its converter.
+    """
+    levels = np.unique(column)
+    if len(levels) < LEVELS:
+        return 0.0
+    steps = np.diff(levels)
+    return float(steps[steps > 1e-9 * (levels[-1] - levels[0])].min())

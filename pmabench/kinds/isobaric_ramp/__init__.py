@@ -1,0 +1,73 @@
+"""Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
+
+- `reduction`, made of `cell` and `rubber`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("F", "force", "force", headline=True),
+    Result("H", "loop width", "force"),
+    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W_c", "work given while contracting", "work"),
+    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("F_e", "force of the rubber without pressure", "force"),
+    Result("A", "size of the rubber term", "force"),
+    Result("B1", "contraction at which the rubber term is 0 again", "ratio"),
+    Result("B2", "pole of the rubber term", "ratio"),
+)
+METHODS = {
+    "mean-curve": (
+        "Mean of the contracting and the expanding branch at constant pressure (paper 3), taken to speed 0 by a line "
+        "over the speed. How the branches turn into each other is fitted to the gap between them, exponentially over "
+        "the way, and taken off. K is minus the slope of a line through it, F_ce its force at x = 0."
+    ),
+    "mean-curve, turns left in": (
+        "As mean-curve, the plain mean of the branches, as paper 3 has it: near the ends it still holds how one branch "
+        "turns into the other."
+    ),
+    "mean-curve, local": "As mean-curve, at places along the stroke by a cubic through the points around each.",
+    "loop-gap": (
+        "Force while expanding minus force while contracting at mid stroke, above 0 where the contracting branch is the"
+        " lower one: 2 F_c + (B_c + B_r) v, a straight line over the speed v. What is left at speed 0 is true "
+        "hysteresis. W is the area of the loop, W_c the work given while contracting, eta its share of what is taken up"
+        " while expanding; air is not measured, so eta is no efficiency of the drive."
+    ),
+    "loop-gap, mean over the stroke": "As loop-gap, the mean of the gap over the stroke.",
+    "loop-gap, open loop": (
+        "As loop-gap, the gap that the loop would open to on a long stroke, from the fit of how the branches turn into "
+        "each other."
+    ),
+    "rubber term": (
+        "F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8) by least squares through the mean curve at 0 kPa, ε by the "
+        "nominal length."
+    ),
+}
+KIND = Kind(
+    name="isobaric-ramp",
+    title="Isobaric ramps",
+    order=50,
+    results=RESULTS,
+    reduction="pmabench.kinds.isobaric_ramp.reduction:reduce",
+    papers=("paper 3, isobaric loops",),
+    protocol="pmabench.kinds.isobaric_ramp.protocol:IsobaricRamp",
+    live="pmabench.kinds.isobaric_ramp.live:measure",
+    moves="displacement",
+    compares="force",
+    methods=METHODS,
+    figures={
+        "isobaric": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "mean-curve": "pmabench.kinds.isobaric_ramp.figures:loops",
+        "rubber": "pmabench.kinds.isobaric_ramp.figures:rubber",
+    },
+    published={
+        "mean-curve": ("displacement", "force", "pressure"),
+        "isobaric": ("displacement", "force", "pressure"),
+        "rubber": ("displacement", "force", "pressure"),
+    },
+)

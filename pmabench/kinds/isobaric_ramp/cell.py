@@ -1,0 +1,420 @@
+"""The loops of one pressure and stroke at all their speeds: mean curve, stiffness, gap, work, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import hypot, isnan
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Estimate, Finding, Parts, Trace
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_half, weighted_line
+from pmabench.analysis.shared.ramp_loop import Loop
+from pmabench.analysis.shared.sine_loop import RECOVERED
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, RunData, TrialData
+
+CURVE, RAW, LOCAL = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
+GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
+PLACES = 5
+"""Places along the stroke at which force and stiffness are told."""
+WINDOW = 0.06
+"""Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
+BENT = 0.02
+"""Rms of the mean curve about a straight line, as a share of its range, that is worth a sentence."""
+BENT_NOTE = "the mean curve is bent: the interval reaches to the slope at any place of the stroke"
+UNEVEN = 0.05
+"""Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
+GUESSED = 1.5
+"""dF/dP may be so many times F/P, which is taken where one pressure was tested."""
+LONGEST_TRACE = 1500
+BETWEEN = "displacement and force"
+CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+NO_REPEATS = "no repeats part: too few loops"
+ONE_SPEED = "one speed only: hysteresis and damping cannot be told apart"
+AT_SPEED = "one speed only: half the difference of the dampings times the speed is still in it"
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One usable trial, measured."""
+
+    run: RunData
+    trial: TrialData
+    loop: Loop
+
+    @property
+    def speed(self) -> float:
+        """As it was asked for [m/s]."""
+        return float(self.trial.point.get("speed", self.loop.speed))
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """All trials of one pressure and stroke; `x` [m] is what of the grid all of them reach, shape (n,)."""
+
+    at: Mapping[str, float]
+    members: Sequence[Member]
+    x: Array
+    skew: float
+    """Bound on the time between displacement and force [s]."""
+
+    @classmethod
+    def of(cls, at: Mapping[str, float], members: Sequence[Member]) -> Cell:
+        """Crop the loops to what all of them reach."""
+        x = members[0].loop.x
+        for member in members[1:]:
+            x = x[np.isin(np.round(x, 9), np.round(member.loop.x, 9))]
+        known = [member for member in members if member.loop.turns is not None]
+        slowest = min(known, key=lambda m: m.speed).loop.turns if known else None
+        # hysteresis knows no rate: where the turns do not show they are those of the slowest loop
+        loops = [m.loop if m.loop.turns is not None else replace(m.loop, turns=slowest) for m in members]
+        if len(x):
+            loops = [loop.cropped(x) for loop in loops]
+        cropped = [Member(m.run, m.trial, loop) for m, loop in zip(members, loops, strict=True)]
+        apart = skew.apart([m.run for m in members], ("displacement", "force"))
+        return cls(at, cropped, x if len(x) else members[0].loop.x, apart)
+
+    @property
+    def pressure(self) -> float:
+        """Set pressure [Pa]."""
+        return self.at["pressure"]
+
+    @property
+    def middle(self) -> float:
+        """[m]."""
+        return float(0.5 * (self.x[0] + self.x[-1]))
+
+    @property
+    def one_speed(self) -> bool:
+        """Whether all trials have the same speed."""
+        return len({member.speed for member in self.members}) == 1
+
+    def over_speed(self, of: Callable[[Loop], Array]) -> Line:
+        """The line of a quantity of shape (cycles,) over speed; at one speed its mean, without a slope.
+
+        Intervals by the scatter of trials or by that of cycles, if wider.
+        """
+        values = [of(member.loop) for member in self.members]
+        speeds = np.array([member.speed for member in self.members])
+        if self.one_speed:
+            means = np.array([float(np.mean(v)) for v in values])
+            return Line(float(means.mean()), float("nan"), mean_half(means, values), None)
+        by_trial = weighted_line(speeds, speeds, np.array([float(np.mean(v)) for v in values]))
+        each = np.repeat(speeds, [len(v) for v in values])
+        by_cycle = weighted_line(each, each, np.concatenate(values))
+        return Line(
+            by_trial.start,
+            by_trial.slope,
+            _wider(by_trial.half_start, by_cycle.half_start),
+            _wider(by_trial.half_slope, by_cycle.half_slope),
+        )
+
+    @cached_property
+    def gap(self) -> Line:
+        """Of the gap at mid stroke [N] over speed."""
+        return self.over_speed(lambda loop: loop.middle_gap)
+
+    @cached_property
+    def curve(self) -> Array:
+        """Mean curve at speed 0 (at the only speed, where there is one) [N], shape (n,)."""
+        speeds = np.array([member.speed for member in self.members])
+        means = np.array([member.loop.mean.mean(axis=0) for member in self.members])
+        if self.one_speed:
+            return np.asarray(means.mean(axis=0))
+        design = np.column_stack([np.ones_like(speeds), speeds])
+        return np.asarray(np.linalg.lstsq(design, means, rcond=None)[0][0])
+
+    def force_at(self, x: float) -> float:
+        """Of the mean curve [N] at a contraction [m]."""
+        return _local(self.x, self.curve, x)[0]
+
+    @property
+    def bent(self) -> bool:
+        """Whether the mean curve is no straight line."""
+        left = self.curve - np.polyval(np.polyfit(self.x, self.curve, 1), self.x)
+        return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(self.curve))
+
+    @property
+    def change(self) -> float:
+        """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
+        if not self.bent:
+            return 0.0
+        straight = float(np.polyfit(self.x, self.curve, 1)[0])
+        places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
+        slopes = [_local(self.x, self.curve, place)[1] for place in places]
+        return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
+
+    @property
+    def upside_down(self) -> bool:
+        """Whether the contracting branch is the upper one, by more than scatter."""
+        return any(
+            float(m.loop.middle_gap.mean()) < -max(2 * float(m.loop.middle_gap.std()), 0.5 * m.loop.noise, 1e-6)
+            for m in self.members
+        )
+
+    # -- estimates ------------------------------------------------------------------------------------------------
+
+    def estimates(self, scales: Scales, dF_dP: float | None) -> list[Estimate]:
+        """K and F_ce of the mean curve, its force and stiffness along the stroke, gap and work.
+
+        Calibration, to first order: forces ~ F (and x where they fall with it), K ~ F/x, work ~ F x; forces are told
+        for a pressure that may be off, too.
+        """
+        x, P = self.x, self.pressure
+        lower = min(m.trial.point.get("lower", x[0]) for m in self.members)
+        upper = max(m.trial.point.get("upper", x[-1]) for m in self.members)
+        slope = {} if dF_dP is None or P <= 0 else {"pressure": dF_dP}
+        told: list[Estimate] = []
+
+        def estimate(
+            symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], per_length: float, *,
+            at: Mapping[str, float] | None = None, extra: float = 0.0, note: str = "", moves: float = 0.0,
+            offsets: Mapping[str, float] | None = None, skewed: float = 0.0,
+        ) -> None:  # fmt: skip
+            line = self.over_speed(of)
+            gains = {"force": line.start} | ({"displacement": per_length * line.start} if per_length else {})
+            if moves:
+                gains["displacement"] = moves
+            if offsets:
+                gains |= {name: change * P for name, change in offsets.items()}
+            part = scales.part(gains, offsets)
+            alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and symbol != "K" else ""
+            parts = Parts(line.half_start, extra, part, skewed)
+            told.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
+
+        newton, stiffness, joule = ("N", "force"), ("N/m", "stiffness"), ("J", "work")
+        uneven = self._uneven(dF_dP)
+        kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
+        for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
+            estimate(
+                "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
+                extra=self.change, note=BENT_NOTE if self.bent else "",
+            )  # fmt: skip
+            if lower <= 0 <= upper and P > 0:
+                estimate(
+                    "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0], 0,  # type: ignore[misc]
+                    extra=self._window_error(0.0)[0], note="force of the mean curve at x = 0", offsets=slope,
+                )  # fmt: skip
+        for place in np.linspace(x[0], x[-1], PLACES):
+            at = {**self.at, "contraction": round(float(place), 7)}
+            error = self._window_error(float(place))
+            K_here = -_local(x, self.curve, float(place))[1]
+            estimate(
+                "F", newton, LOCAL, lambda loop, p=float(place): _locals(x, loop.mean, p)[0], 0, at=at,  # type: ignore[misc]
+                extra=error[0], moves=-K_here * float(place), offsets=slope,
+            )  # fmt: skip
+            estimate(
+                "K", stiffness, LOCAL, lambda loop, p=float(place): -_locals(x, loop.mean, p)[1], -1, at=at,  # type: ignore[misc]
+                extra=error[1],
+            )  # fmt: skip
+        K = -float(np.polyfit(x, self.curve, 1)[0])
+        told += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
+        stroke = float(upper - lower)
+        for speed in sorted({member.speed for member in self.members}):
+            mine = [member for member in self.members if member.speed == speed]
+            here = {**self.at, "speed": speed}
+            late = 2 * abs(K) * speed * self.skew
+            work = {"force": 1, "displacement": 1}
+            # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
+            corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
+            rows: tuple[_Row, ...] = (
+                ("H", newton, GAP, lambda loop: loop.middle_gap, {"force": 1}, uneven, late),
+                ("W", joule, GAP, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
+                ("W_c", joule, GAP, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
+            )  # fmt: skip
+            for symbol, kind, method, of, by, extra, skewed in rows:
+                values = [of(member.loop) for member in mine]
+                means = np.array([float(v.mean()) for v in values])
+                value = float(means.mean())
+                part = scales.part({name: value * share for name, share in by.items()})
+                parts = Parts(mean_half(means, values), extra, part, skewed)
+                note = CYCLES if len(mine) == 1 else ""
+                told.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
+            taken = float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in mine]))
+            if min(float(np.min(m.loop.given + m.loop.lost)) for m in mine) > 0:  # unpressed, it may take up nothing
+                values = [m.loop.given / (m.loop.given + m.loop.lost) for m in mine]
+                means = np.array([float(v.mean()) for v in values])
+                value, doubt = float(means.mean()), (uneven * stroke + corners) / taken
+                part = scales.part({}, {"force": stroke * (1 - value) / taken})
+                parts = Parts(mean_half(means, values), doubt, part, late * stroke / taken)
+                note = sentences(CYCLES if len(mine) == 1 else "", RECOVERED)
+                told.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
+        return told
+
+    def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float) -> list[Estimate]:
+        """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
+        newton, damping = ("N", "force"), ("N.s/m", "damping")
+        still = {**self.at, "speed": 0.0}
+        told = []
+        ways: list[tuple[str, Callable[[Loop], Array]]] = [
+            (GAP, lambda loop: loop.middle_gap),
+            (MEAN_GAP, lambda loop: loop.mean_gap),
+        ]
+        if all(member.loop.turns is not None for member in self.members):
+            ways.append((OPEN, _open_gap))
+        for method, of in ways:
+            line = self.over_speed(of)
+            if self.one_speed:
+                none = Parts()
+                told += [
+                    self._estimate("H", None, newton, method, still, none, ONE_SPEED),
+                    self._estimate("B", None, damping, method, self.at, none, ONE_SPEED),
+                ]
+                continue
+            start, slope = line.start, line.slope
+            force = scales.part({"force": start})
+            note = "gap at speed 0: true hysteresis"
+            told.append(self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note))
+            both = scales.part({"force": slope / 2, "displacement": -slope / 2})
+            half = None if line.half_slope is None else line.half_slope / 2
+            speeds = [member.speed for member in self.members]
+            least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
+            parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
+            told.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
+            half = None if line.half_start is None else line.half_start / 2
+            friction = Parts(half, uneven / 2, scales.part({"force": start / 2}))
+            told.append(self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0"))
+        return told
+
+    def _estimate(
+        self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
+        parts: Parts, note: str, n: int | None = None,
+    ) -> Estimate:  # fmt: skip
+        trials = tuple(member.trial.name for member in self.members if "speed" not in at or n is None
+                       or member.speed == at["speed"])  # fmt: skip
+        if value is not None and parts.repeats is None:
+            note = sentences(NO_REPEATS, note)
+        found = Estimate(symbol, value, *kind, method, dict(at), parts, len(trials), note=note, trials=trials)
+        return skew.settled(found, BETWEEN, self.skew)
+
+    def _window_error(self, place: float) -> tuple[float, float]:
+        """What the width of the cubic makes of force [N] and slope [N/m] at a place."""
+        wide, narrow = _local(self.x, self.curve, place), _local(self.x, self.curve, place, WINDOW / 2)
+        return 2 * abs(wide[0] - narrow[0]), 2 * abs(wide[1] - narrow[1])
+
+    def _uneven(self, dF_dP: float | None) -> float:
+        """What of the gap unequal pressure of the two branches may be worth [N]."""
+        apart = max((abs(m.loop.apart) for m in self.members if not isnan(m.loop.apart)), default=0.0)
+        return apart * self._force_per_pressure(dF_dP)
+
+    def _rising(self, dF_dP: float | None) -> float:
+        """How fast what unequal pressure of the branches may be worth rises with the speed [N.s/m]."""
+        known = [(m.speed, m.loop.apart) for m in self.members if not isnan(m.loop.apart)]
+        if self.one_speed or len({speed for speed, _ in known}) < 2:
+            return 0.0
+        speeds, aparts = np.array(known).T
+        guessed = GUESSED if dF_dP is None else 1.0
+        return guessed * abs(float(np.polyfit(speeds, aparts, 1)[0])) * self._force_per_pressure(dF_dP)
+
+    def _force_per_pressure(self, dF_dP: float | None) -> float:
+        """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
+        if dF_dP is not None:
+            return abs(dF_dP)
+        return abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
+
+    # -- the rest -------------------------------------------------------------------------------------------------
+
+    def findings(self) -> list[Finding]:
+        """What catches the eye."""
+        where, told = show(self.pressure, "pressure"), []
+        fit = np.polyfit(self.x, self.curve, 1)
+        if fit[0] >= 0:
+            text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
+            told.append(Finding("fault", text))
+        if self.one_speed:
+            told.append(Finding("note", f"at {where}, {ONE_SPEED}"))
+        for member in self.members:
+            gap = abs(float(member.loop.middle_gap.mean()))
+            guess = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
+            worth = abs(member.loop.apart) * guess
+            if worth > UNEVEN * gap and worth > member.loop.noise:
+                apart = show(member.loop.apart, "pressure", 3)
+                told.append(
+                    Finding(
+                        "doubt",
+                        f"trial {member.trial.name}: the pressure is {apart} higher while expanding than while "
+                        f"contracting, worth about {show(worth, 'force', 2)} of the gap: slower, or a larger regulator",
+                    )
+                )
+        return told
+
+    def traces(self) -> list[Trace]:
+        """The last cycle of the first trial at each speed; mean curve and gap over contraction."""
+        name = "-".join(f"{value:g}" for value in self.at.values())
+        where = show(self.pressure, "pressure")
+        found = []
+        for speed in sorted({member.speed for member in self.members}):
+            member = next(m for m in self.members if m.speed == speed)
+            x, F = member.loop.last
+            stride = max(1, -(-len(x) // LONGEST_TRACE))
+            found.append(
+                Trace(
+                    f"isobaric-{name}-{speed:g}",
+                    "isobaric",
+                    f"{where}: isobaric loop at {show(speed, 'speed')}",
+                    {"displacement": x[::stride], "force": F[::stride]},
+                    {"displacement": "length", "force": "force"},
+                    {**self.at, "speed": speed, "H": float(member.loop.middle_gap.mean())},
+                )
+            )
+        slowest = min(self.members, key=lambda m: m.speed).loop
+        found.append(
+            Trace(
+                f"mean-curve-{name}",
+                "mean-curve",
+                f"{where}: mean of the branches",
+                {"displacement": self.x, "force": self.curve, "gap": slowest.gap.mean(axis=0)},
+                {"displacement": "length", "force": "force", "gap": "force"},
+                {**self.at, "H": float(self.gap.start)},
+            )
+        )
+        return found
+
+    def facts(self) -> dict[str, Any]:
+        """Numbers of the cell, plain data."""
+        return {
+            "at": dict(self.at),
+            "speeds": sorted({member.speed for member in self.members}),
+            "cycles": [len(member.loop.lost) for member in self.members],
+            "pressure": float(np.mean([member.loop.pressure for member in self.members])),
+            "turns": [
+                None if m.loop.turns is None else {"h": m.loop.turns.h, "w": m.loop.turns.w, "rms": m.loop.turns.rms}
+                for m in self.members
+            ],
+            "pressure_apart": float(np.max([abs(member.loop.apart) for member in self.members])),
+            "contraction": [float(self.x[0]), float(self.x[-1])],
+        }
+
+
+_Row = tuple[str, tuple[str, str], str, Callable[[Loop], Array], Mapping[str, int], float, float]
+"""Symbol; unit and quantity; method; value by cycle; powers of the channels; method and skew part."""
+
+
+def _open_gap(loop: Loop) -> Array:
+    """The gap that the loop would open to on a long stroke [N], one for all its cycles."""
+    return np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
+
+
+def _wider(one: float | None, two: float | None) -> float | None:
+    known = [half for half in (one, two) if half is not None]
+    return max(known) if known else None
+
+
+def _locals(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:
+    """Value and slope at a place of each of `curves`, shape (m, n), by a cubic through the points about it."""
+    reach = window * float(x[-1] - x[0])
+    centre = min(max(place, float(x[0]) + reach), float(x[-1]) - reach)
+    near = np.abs(x - centre) <= reach * (1 + 1e-9)
+    terms = np.polyfit(x[near] - place, curves[:, near].T, min(3, int(near.sum()) - 1))
+    return np.asarray(terms[-1]), np.asarray(terms[-2])
+
+
+def _local(x: Array, curve: Array, place: float, window: float = WINDOW) -> tuple[float, float]:
+    value, slope = _locals(x, curve[None, :], place, window)
+    return float(value[0]), float(slope[0])

@@ -1,0 +1,106 @@
+"""Figures of slow ramps at constant pressure: loops, mean curves, gap, the rubber's force; draws by `ramp_plots`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import ramp_plots
+from pmabench.plotting.pictures import (
+    Picture,
+    bound,
+    has,
+    head,
+    how_many,
+    label,
+    numbers,
+    panel,
+    picture,
+    reach,
+    spread,
+)
+from pmabench.plotting.wording import shown
+
+PANELS, SPEEDS = 6, 4
+"""Most panels, and loops of a panel."""
+
+
+def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """The loops of each pressure, its speeds in colours, and the mean curve through them."""
+    able = [t for t in traces if has(t, "displacement", "force")]
+    groups: dict[str, list[Trace]] = {}
+    for trace in (t for t in able if t.figure == "isobaric"):
+        groups.setdefault(trace.name.rpartition("-")[0].removeprefix("isobaric-"), []).append(trace)
+    if not groups:
+        return []
+    means = {t.name.removeprefix("mean-curve-"): t for t in able if t.figure == "mean-curve"}
+    keys = [name for name, _ in sorted(groups.items(), key=lambda item: item[1][0].marks.get("pressure", 0.0))]
+    kept = spread([groups[key][0] for key in keys], PANELS)
+    chosen = [key for key in keys if groups[key][0] in kept]
+    names = {"x": "displacement", "y": "force"}
+    speed = shown("speed")
+    panels, told = [], []
+    for key in chosen:
+        members = spread(groups[key], SPEEDS)
+        lines = [(f"{t.marks['speed'] / speed.scale:.3g} {speed.unit}", panel(t, names, "")) for t in members]
+        mean = panel(means[key], names, "") if key in means else None
+        panels.append((head(groups[key][0]), lines, mean))
+        told += [(f"{head(t)}, {name}", t) for t, (name, _) in zip(members, lines, strict=True)]
+    first = groups[chosen[0]][0]
+    labels = {"x": label(first, "displacement"), "y": label(first, "force")}
+    gaps = [t.marks["H"] for key in chosen for t in groups[key] if "H" in t.marks]
+    caption = (
+        "The last cycle at each speed, and in black the mean of its branches, taken to speed 0: what a model without "
+        f"hysteresis is to give. Gap at mid stroke, expanding minus contracting: {reach(gaps)} N."
+        f"{how_many(kept, [groups[key][0] for key in keys])}"
+    )
+    alt = (
+        f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."
+    )
+    draw = bound(ramp_plots.loops, panels, labels)
+    table = numbers(told, ("displacement", "force"))
+    return [
+        picture(draw, "Isobaric loops", caption, alt, table, wide=len(panels) > 1, simulated=analysis.simulated),
+        *_means([means[key] for key in chosen if key in means], analysis.simulated),
+    ]
+
+
+def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+    """Mean curves and gaps of all pressures, over contraction."""
+    able = [t for t in traces if has(t, "displacement", "force", "gap")]
+    if len(able) < 2:
+        return []
+    panels = [panel(t, {"x": "displacement", "y": "force", "gap": "gap"}, head(t)) for t in able]
+    unit = shown("force").unit
+    labels = {"x": label(able[0], "displacement"), "y": f"mean force [{unit}]", "gap": f"gap [{unit}]"}
+    caption = (
+        "Above: mean of the branches at each pressure. Below: the gap between them at the lowest speed; it closes at "
+        "the ends of the stroke, where one branch turns into the other."
+    )
+    alt = f"Mean force and gap over contraction at {', '.join(p.title for p in panels)}."
+    draw = bound(ramp_plots.means, panels, labels)
+    table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], ("displacement", "force", "gap"))
+    title = "Mean curves and gap over contraction"
+    return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+
+
+def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """The force without pressure beside the fitted rubber term."""
+    found = []
+    for trace in (t for t in traces if has(t, "displacement", "force", "model")):
+        data = panel(trace, {"x": "displacement", "y": "force", "model": "model"}, "")
+        off = float(np.sqrt(np.mean((data.columns["y"] - data.columns["model"]) ** 2)))
+        labels = {"x": label(trace, "displacement"), "y": label(trace, "force")}
+        caption = (
+            "Marks: mean of the branches without pressure. Red: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
+            f"difference {off:.2g} {shown('force').unit}."
+        )
+        alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
+        draw = bound(ramp_plots.marks_and_line, data, labels)
+        table = numbers([("", trace)])
+        found.append(
+            picture(draw, "Force of the rubber at 0 kPa", caption, alt, table, wide=False, simulated=analysis.simulated)
+        )
+    return found

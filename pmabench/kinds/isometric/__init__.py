@@ -1,0 +1,46 @@
+"""Isometric tests of other programs: the line F = m P + c at each contraction.
+
+- `reduction`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("F", "force", "force"),
+    Result("m", "slope of force over pressure", "force per pressure", headline=True),
+    Result("c", "intercept of force over pressure", "force"),
+)
+PULL = Kind(
+    name="recorded-pull",
+    title="Recorded pulls at set pressure",
+    order=131,
+    results=RESULTS,
+    reduction="pmabench.kinds.isometric.reduction:reduce",
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+)
+KIND = Kind(
+    name="isometric",
+    title="Isometric force over pressure",
+    order=130,
+    results=RESULTS,
+    reduction="pmabench.kinds.isometric.reduction:reduce",
+    papers=("paper 4",),
+    also=(PULL,),
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+)

@@ -1,0 +1,176 @@
+"""Isometric tests: the straight line F = m P + c at each contraction, by a rule that was written down beforehand.
+
+Knows trials with pressure and force at a set contraction; not where they come from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import (
+    FEWEST,
+    METHOD,
+    Line,
+    Pooled,
+    Test,
+    Used,
+    branches,
+    estimates_of,
+    pool,
+    tests_of,
+)
+from pmabench.analysis.shared.sessions import ONE_SESSION, session_of
+from pmabench.base.quantities import show
+from pmabench.kinds.isometric import RESULTS
+from pmabench.store.records import RunData
+
+LONGEST_TRACE = 1500
+RANGE = (0.025, 0.05, 0.1, 0.5)
+"""Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
+last one, the upper half, is tried always: on a straight line it changes nothing."""
+SENSITIVE = 0.05
+"""Relative change of the slope over the thresholds that is doubted."""
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Slope m [N/Pa] and intercept c [N] of F = m P + c at each contraction [m].
+
+    All usable samples with force above `force_above` [N] in the wanted `phases`, the tests of one contraction pooled
+    into one least-squares line (samples count alike). The repeats part is Student's t on the scatter of the sessions'
+    mean slopes, with one session on that of the tests: samples within a test are no repeats. The thresholds of
+    `also_at` [N] are shown as methods of their own, since a threshold on the fitted quantity bends the fit; the largest
+    change that one of them, the upper half of the force, or equal weights of the sessions make is the method part.
+
+    `options` (else the rule of the import map, else the values given here): `force_above` 0, `also_at` (`RANGE` of the
+    largest force above `force_above`), `phases` [] (all).
+    """
+    rule, findings = rule_of(runs, options or {})
+    above = float(rule.get("force_above") or 0.0)
+    phases = [str(name) for name in rule.get("phases") or ()]
+    groups, dropped = tests_of(runs, phases, lambda test: _lack(test, above))
+    asked = [float(x) for x in rule.get("also_at") or () if float(x) != above]
+    sessions = {session_of(test.run) for tests in groups.values() for test in tests}
+    estimates: list[Estimate] = []
+    others: list[Estimate] = []
+    curves: list[Curve] = []
+    traces: list[Trace] = []
+    cells: list[dict[str, Any]] = []
+    for contraction, tests in sorted(groups.items()):
+        largest = max(float(test.F.max()) for test in tests)
+        also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
+        thresholds = [above, *asked, *also]
+        fits = {threshold: pooled for threshold in thresholds if (pooled := pool(tests, _over(threshold))) is not None}
+        first = fits[above]
+        at = {"contraction": contraction}
+        lines = [(pooled.line.m, pooled.line.c) for pooled in fits.values()]
+        m, c = estimates_of(first, tests, at, others=[*lines, first.mean])
+        estimates += [m, c]
+        others += [
+            _of_choice(estimates_of(pooled, tests, at, f"{METHOD} above {show(threshold, 'force')}")[0])
+            for threshold, pooled in sorted(fits.items())
+            if threshold in asked
+        ]
+        line = first.line
+        curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
+        by_phase = branches(tests, _over(above), phases)
+        findings += _sentences(contraction, fits, above, by_phase)
+        cells.append(
+            {
+                "contraction": contraction,
+                "tests": len(tests),
+                "samples": line.n,
+                "r2": line.r2,
+                "residual_rms": line.rms,
+                "slopes_of_tests": {name: one.m for name, one in zip(first.names, first.each, strict=True)},
+                "slopes_of_phases": by_phase,
+                "slopes_above": {f"{threshold:g}": pooled.line.m for threshold, pooled in sorted(fits.items())},
+            }
+        )
+        traces.append(_trace(contraction, tests, line, above))
+    if estimates:
+        if lack := Scales.of([test.run for tests in groups.values() for test in tests]).lack(("force", "pressure")):
+            findings.append(Finding("note", lack))
+        if len(sessions) < 2:
+            findings.append(Finding("note", ONE_SESSION))
+    return Analysis.of(
+        runs[0].kind if runs else "isometric",
+        runs,
+        results=RESULTS,
+        estimates=(*estimates, *others),
+        curves=curves,
+        dropped=dropped,
+        findings=(*import_findings(runs), *findings),
+        traces=traces,
+        facts={"rule": rule, "cells": cells, "flagged": flagged_counts(runs)},
+    )
+
+
+def _of_choice(m: Estimate) -> Estimate:
+    return replace(m, note=sentences(m.note, "no method part: it is one of the choices in that of the first method"))
+
+
+def _over(above: float) -> Used:
+    """Samples with F > `above` [N]."""
+    return lambda test: test.F > above
+
+
+def _lack(test: Test, above: float) -> str:
+    """Why a test has too few samples above the threshold; empty where it has enough."""
+    used = test.F > above
+    count = int(np.count_nonzero(used))
+    if count >= FEWEST and np.ptp(test.P[used]) > 0:
+        return ""
+    flagged = unusable_because(test.trial)
+    return f"{count} usable samples above {show(above, 'force')} (flagged: {flagged}), {FEWEST} are needed"
+
+
+def _sentences(
+    contraction: float, fits: Mapping[float, Pooled], above: float, by_phase: Mapping[str, float]
+) -> list[Finding]:
+    where = f"contraction {show(contraction, 'length', 3)}"
+    slopes = {threshold: pooled.line.m for threshold, pooled in sorted(fits.items())}
+    lines = []
+    if len(slopes) > 1:
+        told = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
+        change = (max(slopes.values()) - min(slopes.values())) / abs(slopes[above])
+        level = "doubt" if change > SENSITIVE else "note"
+        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {told}"))
+    if len(by_phase) > 1:
+        told = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
+        text = f"{where}: slope of each branch alone {told}"
+        if not min(by_phase.values()) <= slopes[above] <= max(by_phase.values()):
+            text += "; the line through both lies outside these, for they are apart and not evenly sampled"
+        lines.append(Finding("note", text))
+    return lines
+
+
+def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) -> Trace:
+    """Samples of all tests, thinned evenly, with the line where it was fitted."""
+    P = np.concatenate([test.P for test in tests])
+    F = np.concatenate([test.F for test in tests])
+    number = np.concatenate([np.full(len(test.P), float(test.trial.repeat)) for test in tests])
+    stride = max(1, -(-len(P) // LONGEST_TRACE))
+    P, F, number = P[::stride], F[::stride], number[::stride]
+    fitted = np.where(above < F, line.m * P + line.c, np.nan)
+    return Trace(
+        name=f"isometric-{contraction * 1e3:g}mm",
+        figure="isometric",
+        title=f"Force over pressure at a contraction of {show(contraction, 'length', 3)}, and the line through it",
+        columns={"pressure": P, "force": F, "fit": fitted, "test": number},
+        quantities={"pressure": "pressure", "force": "force", "fit": "force", "test": "count"},
+        marks={
+            "contraction": contraction,
+            "m": line.m,
+            "c": line.c,
+            "force_above": above,
+            "low": line.low,
+            "high": line.high,
+        },
+    )

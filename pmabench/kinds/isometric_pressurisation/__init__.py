@@ -1,0 +1,79 @@
+"""Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
+
+- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
+  `blocked_force`; words and figures: `view`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_b", "blocked force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+    Result("H", "loop width", "force"),
+    Result("F", "force", "force"),
+    Result("m", "slope of force over pressure", "force per pressure", headline=True),
+    Result("c", "intercept of force over pressure", "force"),
+    Result("p_0", "pressure at which the force begins", "pressure", headline=True),
+    Result("D_0", "free diameter", "length", headline=True),
+    Result("theta_0", "braid angle at the nominal length", "angle", headline=True),
+    Result("alpha", "exponent of S(ε)", "count", headline=True),
+)
+METHODS = {
+    "isometric-line": (
+        "One least-squares line F = m P + c through all usable samples above the force threshold, the tests of one "
+        "contraction together; the interval is Student's t on the scatter between tests."
+    ),
+    "force-threshold": (
+        "The pressure at which the force leaves its level at rest while filling and reaches it while emptying: the "
+        "first sample beyond six times the noise (at least 0.2 N), followed back along the line through the next "
+        "samples."
+    ),
+    "isometric-sections": "Forces at one pressure over all contractions, a least-squares line F = F_ce − K x.",
+    "blocked": (
+        "Force at the nominal length and set pressures, the mean of filling and emptying between neighbouring means "
+        "over pressure; where contractions on both sides were tested, on a parabola through three. The method part is "
+        "what a line would give, else the stiffness times what the muscle was off; a bend over pressure adds to it."
+    ),
+    "isometric-sides": "Half the force after an approach from above minus after one from below: friction inside.",
+    "daerden-section": (
+        "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes (paper 3). The "
+        "intervals hold if S has this form; a parameter wider than ±25 % is not told."
+    ),
+    "daerden-section, alpha = 2": "The same with α = 2, the force of Tondu and Lopez.",
+    "daerden-section, D_0 of the specimen": "The same with D0 given by the specimen's inner_diameter.",
+    "daerden-section, theta_0 of the specimen": "The same with θ0 given by the specimen's braid_angle.",
+    "corrected-force": (
+        "F = π r0² (p − p0) [a (1 − q ε)² − b], q = 1 + e^(−p/bar), with p0 by least squares over all contractions, D0 "
+        "and θ0 of the specimen (paper 2)."
+    ),
+}
+KIND = Kind(
+    name="isometric-pressurisation",
+    title="Isometric pressurisation",
+    order=100,
+    results=RESULTS,
+    reduction="pmabench.kinds.isometric_pressurisation.reduction:reduce",
+    papers=(
+        "paper 2",
+        "paper 3",
+        "paper 4",
+    ),
+    protocol="pmabench.kinds.isometric_pressurisation.protocol:IsometricPressurisation",
+    live="pmabench.kinds.isometric_pressurisation.live:measure",
+    moves="force",
+    compares="force",
+    methods=METHODS,
+    figures={
+        "isometric": "pmabench.plotting.isometric:lines",
+        "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
+    },
+    front={
+        "isometric": "pmabench.plotting.isometric:lines",
+    },
+    published={
+        "isometric": ("pressure", "force", "displacement"),
+    },
+)

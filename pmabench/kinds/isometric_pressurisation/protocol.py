@@ -1,0 +1,208 @@
+"""Isometric pressurisation: the driven end stands still, the pressure goes slowly up and down (papers 2, 3, 4).
+
+Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 4 the pressure at which force begins.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+from pmabench.base.quantities import show
+from pmabench.files.document import Location, Strict
+from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Time, parse_quantity
+from pmabench.protocol.accept import OF_TRIALS
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
+from pmabench.protocol.sweep import Point, Sweep, expand
+
+FEWEST_SAMPLES = 200
+"""Samples that one slow ramp must have."""
+REST = 1.0
+"""Rest before and after the ramps, the level from which the force begins [s]."""
+SIDES = {"straight": (0,), "from-both-sides": (-1, 1)}
+"""Approach -> the sides from which each contraction is reached: -1 from below, 1 from above."""
+
+
+def _length_or_share(value: object) -> tuple[str, float]:
+    """`("length", m)` for `"10 mm"`, `("ratio", 1)` for `"5 %"` of the nominal length."""
+    try:
+        return "ratio", parse_quantity(value, "ratio")
+    except ValueError:
+        try:
+            return "length", parse_quantity(value, "length")
+        except ValueError as error:
+            raise ValueError(f'{error}; or a share of the nominal length, for instance "5 %"') from None
+
+
+if TYPE_CHECKING:
+    Contraction: TypeAlias = tuple[str, float]
+else:
+    Contraction = Annotated[
+        tuple[str, float],
+        BeforeValidator(_length_or_share),
+        WithJsonSchema(
+            {
+                "type": "string",
+                "description": "a length, or a share of the nominal length; below zero it is stretched",
+                "examples": ["10 mm", "5 %"],
+            }
+        ),
+    ]
+
+
+class IsometricAxes(Strict):
+    """What is swept."""
+
+    contraction: Annotated[list[Contraction], Field(min_length=1)]
+
+
+class Move(Strict):
+    """How the driven end goes from the nominal length to a contraction and back."""
+
+    pressure: Pressure
+    """Pressure meanwhile, so that the muscle does not buckle."""
+    speed: Speed
+    approach: Literal["straight", "from-both-sides"] = "straight"
+    """From both sides each contraction is done twice, reached from below and from above: friction drops out."""
+    beyond: Length = 0.0
+    """How far beyond it goes before it comes back, from both sides."""
+
+
+class Pressurise(Strict):
+    """The slow ramp of pressure, up and down."""
+
+    start: Pressure
+    stop: Pressure
+    rate: PressureRate
+    hold: Time
+    """Time at the top."""
+
+
+class IsometricTrial(Strict):
+    """One trial at one contraction."""
+
+    move: Move
+    settle: Time
+    """Time at rest at the contraction, besides one second before the ramp and one after it."""
+    pressurise: Pressurise
+
+
+class IsometricPressurisation(ProtocolHead):
+    """Protocol of kind isometric-pressurisation."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = ("pressure", "displacement", "force")
+    gives: ClassVar[tuple[str, ...]] = ("F_ce", "K")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
+    with_static: ClassVar[bool] = True
+    kind: Literal["isometric-pressurisation"]
+    sweep: Sweep[IsometricAxes]
+    trial: IsometricTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per contraction move there, and there up and down with the pressure."""
+        self._checked(c)
+        points = expand(self.sweep, c.document)
+        sides = SIDES[self.trial.move.approach]
+        able = self.trial.move.speed > 0 and self.trial.pressurise.rate > 0
+        for point in points if able and not c.problems else ():
+            x = self._contraction(c, point)
+            self._bearable(c, x, point.places["contraction"])
+            for side in sides:
+                index = len(c.trials)
+                if not index:
+                    c.precondition()
+                    c.steps += [Set("move", "pressure", self.trial.move.pressure), Hold("move", self.trial.settle)]
+                if c.too_long():
+                    return c.plan(self.kind, {})
+                values = {"contraction": x} | ({"side": float(side)} if side else {})
+                c.trials.append(TrialRecord(index, values, point.repeat))
+                c.steps += _steps(self.trial, x, side, index)
+        c.steps += [Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
+        pressurise = self.trial.pressurise
+        settings = {name: getattr(pressurise, name) for name in ("start", "stop", "rate")}
+        return c.plan(self.kind, settings)
+
+    def _checked(self, c: Compilation) -> None:
+        """Check what holds for every trial."""
+        move, ramp = self.trial.move, self.trial.pressurise
+        c.positive(move.speed, ("trial", "move", "speed"))
+        c.positive(self.trial.settle, ("trial", "settle"))
+        c.positive(ramp.rate, ("trial", "pressurise", "rate"))
+        c.within("pressure", move.pressure, ("trial", "move", "pressure"))
+        c.within("pressure", ramp.start, ("trial", "pressurise", "start"))
+        c.within("pressure", ramp.stop, ("trial", "pressurise", "stop"))
+        if ramp.stop <= ramp.start:
+            c.fault(("trial", "pressurise", "stop"), f"must lie above the start, {show(ramp.start, 'pressure')}")
+        elif ramp.rate > 0 and (ramp.stop - ramp.start) / ramp.rate * self.sample_rate < FEWEST_SAMPLES:
+            slowest = (ramp.stop - ramp.start) * self.sample_rate / FEWEST_SAMPLES
+            c.fault(
+                ("trial", "pressurise", "rate"),
+                f"too fast: the ramp has fewer than {FEWEST_SAMPLES} samples; at most "
+                f"{show(slowest, 'pressure rate', 3)} at this sample_rate",
+            )
+        if move.approach == "from-both-sides":
+            c.positive(move.beyond, ("trial", "move", "beyond"))
+        elif move.beyond:
+            c.fault(("trial", "move", "beyond"), 'is for "approach: from-both-sides" only')
+        not_too_fast(c, move.speed, ("trial", "move", "speed"), "it moves")
+
+    def _contraction(self, c: Compilation, point: Point) -> float:
+        """Where the driven end goes [m], inside the stroke with what it goes beyond."""
+        kind, value = point.values["contraction"]
+        x = value * c.mounted.specimen_file.nominal_length if kind == "ratio" else value
+        beyond = abs(self.trial.move.beyond)
+        for place in {x - beyond, x + beyond}:
+            c.within("displacement", place, point.places["contraction"])
+        return float(x)
+
+    def _bearable(self, c: Compilation, x: float, where: Location) -> None:
+        """Check the force predicted at the top, from what is believed of the specimen, against actuator and trip."""
+        expected, actuator = c.mounted.specimen_file.expected, c.mounted.bench_file.actuator
+        if expected is None:
+            return
+        top = self.trial.pressurise.stop
+        _, force = predicted_force(expected, top, x, 0.0, 0.0)
+        trips = [t for t in c.mounted.bench.trips if t.channel == "force" and t.kind == "range" and t.action != "warn"]
+        limits = [(t.high, f"the trip limit is {show(t.high, 'force')} ({t.source})") for t in trips if t.high]
+        if actuator is not None:
+            limits.append((actuator.force, f"the actuator bears {show(actuator.force, 'force')}"))
+        most, told = min(limits, default=(inf, ""))
+        if force >= most:
+            c.fault(
+                where,
+                f"at {show(top, 'pressure')} the force is predicted to reach {force:.0f} N; {told} "
+                "(take a larger contraction, or a lower pressurise.stop)",
+            )
+
+
+def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
+    """One trial: from the nominal length to x [m], from `side`; one slow ramp up and down; and back.
+
+    All of it is recorded, so that each trial begins and ends at the same place, whichever were done before it.
+    """
+    ramp, move = of.pressurise, of.move
+    places = [0.0, x + side * move.beyond, x] if side else [0.0, x]
+    phases = ["move", "approach"] if side else ["approach"]
+    there: list[Step] = [
+        Ramp(phase, "displacement", begin, end, move.speed)
+        for phase, begin, end in zip(phases, places, places[1:], strict=False)
+        if abs(end - begin) > 1e-9
+    ]
+    apart = abs(ramp.start - move.pressure) > 1e-6
+    return [
+        Record("move", True, index),
+        *there,
+        *([Ramp("rest", "pressure", move.pressure, ramp.start, ramp.rate)] if apart else []),
+        Hold("rest", of.settle + REST),
+        Ramp("fill", "pressure", ramp.start, ramp.stop, ramp.rate),
+        Hold("top", ramp.hold),
+        Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
+        Hold("end", REST),
+        *([Ramp("return", "pressure", ramp.start, move.pressure, ramp.rate)] if apart else []),
+        *([Ramp("return", "displacement", x, 0.0, move.speed)] if abs(x) > 1e-9 else []),
+        Record("return", False, index),
+    ]

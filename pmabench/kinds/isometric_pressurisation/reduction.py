@@ -1,0 +1,292 @@
+"""Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
+
+Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
+contractions say at one pressure from `sections`; words, figures in `view`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import METHOD, Test, by_repeat, estimates_of, pool, spread, tests_of
+from pmabench.base.quantities import show
+from pmabench.kinds.isometric_pressurisation import RESULTS, blocked_force, daerden, view
+from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
+from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected, across, corrected, given_of
+from pmabench.store.records import RunData
+
+KIND = "isometric-pressurisation"
+THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
+SECTION = "daerden-section"
+CHANNELS = ("pressure", "force")
+PULLED = 5 * LEAST
+"""A muscle whose force changes less is slack [N]."""
+SENSELESS = 1e9
+"""Pressures [Pa] and forces [N] beyond this are none."""
+QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Slope m [N/Pa], intercept c [N], H [N] and p_0 [Pa] at each contraction [m]; D0 [m], theta0 [rad], alpha [1].
+
+    F = m P + c: m is S(eps) of paper 3 and c its rubber force, from all samples of the straight part
+    (`straight_from`) of both ramps. p_0 is the pressure at which the force begins, by its onset (papers 2 and 4) and
+    as -c / m. At each multiple of 50 kPa F_ce and K of the three-element model follow from the forces over
+    contractions (paper 0), and the blocked force F_b from the tests at no contraction.
+
+    `options`: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; else those of the specimen.
+    """
+    options = options or {}
+    groups, dropped = tests_of(runs, PHASES, lack)
+    cells = [cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
+    scales = Scales.of(runs)
+    given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
+    estimates: list[Estimate] = []
+    begun: list[Estimate] = []
+    curves: list[Curve] = []
+    for cell in cells:
+        begun += _begins(cell, scales)
+        if cell.pooled is None:
+            continue
+        others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
+        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
+        estimates += [m, c, _width(cell, scales)]
+        line = cell.pooled.line
+        curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
+    estimates += begun + _sides(cells) + blocked_force.estimates(cells, given, scales)
+    found = across(cells)
+    estimates += _three_elements(found, scales)
+    sections = _sections(cells, given)
+    estimates += _section_estimates(sections, scales)
+    force = _corrected(cells, given)
+    estimates += _corrected_estimate(force, scales)
+    findings = [
+        *view.of_threshold(begun, given),
+        *view.of_sections(sections, given),
+        *view.of_across(found),
+        *view.of_corrected(force, given),
+        *view.of_cells(cells),
+        *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
+    ]
+    if estimates and (untold := scales.lack(CHANNELS)):
+        findings.append(Finding("note", untold))
+    if cells and not estimates:
+        findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        curves=curves,
+        dropped=dropped,
+        findings=findings,
+        traces=[*view.traces(cells, sections, given), *blocked_force.trace(cells)],
+        facts={
+            "options": dict(options),
+            "specimen": given,
+            "tests": sum(len(cell.tests) for cell in cells),
+            "cells": view.facts(cells),
+            "sections": {name: view.section_facts(one) for name, one in sections.items()},
+        },
+    )
+
+
+def lack(test: Test) -> str:
+    """Why a trial tells nothing; empty where it does."""
+    if not all(np.count_nonzero(test.phase == index) > 1 for index in range(len(PHASES))):
+        return "it lacks one of the two ramps"
+    if max(np.abs(test.P).max(), np.abs(test.F).max()) > SENSELESS:
+        return "its pressure or force is beyond all sense"
+    if np.ptp(test.P) <= 0:
+        return "its pressure does not change"
+    if np.ptp(test.F) < PULLED:
+        top = show(float(test.P.max()), "pressure", 3)
+        return f"slack: up to {top} the force changes by {show(float(np.ptp(test.F)), 'force', 2)} only"
+    return ""
+
+
+def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
+    """What the tests at one contraction [m] say together."""
+    mean = mean_of(tests)
+    side = np.array([test.trial.point.get("side", 0.0) for test in tests])
+    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
+    off = max(part[1] for part in parts)
+    if None in [part[0] for part in parts]:
+        return Cell(contraction, tests, mean, None, off, None)
+    low = max(float(part[0] or 0.0) for part in parts)
+    pooled = pool(tests, lambda test: low <= test.P)
+    middle = 0.5 * (low + float(mean.P[-1]))
+    upper = pool(tests, lambda test: middle <= test.P)
+    return Cell(contraction, tests, mean, low, off, pooled, None if upper is None else upper.line)
+
+
+def _rate(cell: Cell) -> float:
+    """Fastest ramp [Pa/s]."""
+    return max((c.data.get("rate", 0.0) for test in cell.tests for c in test.trial.commands), default=0.0)
+
+
+def _width(cell: Cell, scales: Scales) -> Estimate:
+    """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
+    gaps = by_repeat(cell.tests, cell.mean.gaps(cell.low or 0.0))
+    apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
+    slope = cell.pooled.line.m if cell.pooled else 0.0
+    value = float(gaps.mean())
+    return Estimate(
+        "H", value, "N", "force", METHOD, {"contraction": cell.contraction},
+        Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart),
+        len(gaps),
+        note=sentences("" if len(gaps) > 1 else "no repeats part: one test only", "emptying minus filling"),
+        trials=tuple(test.name for test in cell.tests),
+    )  # fmt: skip
+
+
+def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
+    """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
+    at = {"contraction": cell.contraction}
+    late = _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
+    pairs = {test: pair for test in cell.tests if None not in (pair := begins(test.trial))}
+    found = []
+    if pairs:
+        both = np.array(list(pairs.values()), dtype=np.float64)
+        values, value = by_repeat(list(pairs), both.mean(axis=1)), float(both.mean())
+        step = max(1.0 / test.run.rate if test.run.rate else 0.0 for test in cell.tests)
+        half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
+        side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
+        half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
+        scale = scales.part({"pressure": value}, {"pressure": 1.0})
+        found.append(
+            Estimate(
+                "p_0", value, "Pa", "pressure", THRESHOLD, at,
+                Parts(repeats=spread(values), method=half, calibration=scale, skew=late), len(values),
+                note=sentences(
+                    "" if len(values) > 1 else "no repeats part: one test only",
+                    "method: half the difference of filling and emptying, with half a sample, or of the two sides",
+                ),
+                trials=tuple(test.name for test in cell.tests),
+            )
+        )  # fmt: skip
+    if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
+        return found
+    line = cell.pooled.line
+    value = -line.c / line.m
+    if not float(cell.mean.P[0]) < value <= cell.low:
+        return found
+    each = [-c / m for m, c in cell.pooled.repeats if m > 0]
+    scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
+    parts = Parts(repeats=spread(each), calibration=scale, skew=late)
+    note = sentences("" if len(each) > 1 else "no repeats part: one test only", "the line at force 0")
+    names = tuple(test.name for test in cell.tests)
+    return [*found, Estimate("p_0", value, "Pa", "pressure", METHOD, at, parts, len(each), note=note, trials=names)]
+
+
+def _sides(cells: Sequence[Cell]) -> list[Estimate]:
+    """Half the force after an approach from above minus after one from below [N]: friction in the muscle."""
+    found = []
+    for cell in cells:
+        each = cell.mean.each[:, cell.mean.P >= (cell.low or 0.0)]
+        by: dict[object, dict[float, float]] = {}
+        for test, F in zip(cell.tests, each, strict=True):
+            side = test.trial.point.get("side")
+            if side and np.isfinite(F).all():
+                by.setdefault((test.run.id, test.trial.repeat), {})[side] = float(F.mean())
+        halves = [0.5 * (sides[1.0] - sides[-1.0]) for sides in by.values() if {1.0, -1.0} <= set(sides)]
+        if halves:
+            found.append(
+                Estimate(
+                    "F_f", float(np.mean(halves)), "N", "force", SIDES, {"contraction": cell.contraction},
+                    Parts(repeats=spread(halves), calibration=0.0), len(halves),
+                    note="" if len(halves) > 1 else "no repeats part: one repeat only",
+                    trials=tuple(test.name for test in cell.tests),
+                )
+            )  # fmt: skip
+    return found
+
+
+def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
+    """F_ce [N] and K [N/m] at each pressure."""
+    estimates: list[Estimate] = []
+    P = np.array([one.pressure for one in found])
+    columns = [np.array([one.line.start for one in found]), np.array([-one.line.slope for one in found])]
+    over = [np.gradient(values, P) if len(P) > 1 else np.zeros(len(P)) for values in columns]
+    for i, one in enumerate(found):
+        F_ce, K = one.line.start, -one.line.slope
+        dF, dK = float(over[0][i]), float(over[1][i])
+        scale_F = scales.part({"force": F_ce, "pressure": dF * one.pressure}, {"force": 1.0, "pressure": dF})
+        scale_K = scales.part({"force": K, "displacement": K, "pressure": dK * one.pressure}, {"pressure": dK})
+        note = "" if one.line.half_slope is not None else "no repeats part: too few contractions"
+        for symbol, value, unit, quantity, half, scale in (
+            ("F_ce", F_ce, "N", "force", one.line.half_start, scale_F),
+            ("K", K, "N/m", "stiffness", one.line.half_slope, scale_K),
+        ):
+            parts = Parts(repeats=half, calibration=scale)
+            at = {"pressure": one.pressure}
+            estimates.append(
+                Estimate(
+                    symbol, value, unit, quantity, SECTIONS, at, parts, len(one.names), note=note, trials=one.names
+                )
+            )
+    return estimates
+
+
+def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, daerden.Section]:
+    """S(eps) by method: all three free, and with what the specimen tells; empty where the length is not known."""
+    usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
+    if "nominal_length" not in given or not usable:
+        return {}
+    halves = [pooled.half("m") or 0.0 for _, pooled in usable]
+    slopes = daerden.Slopes(
+        np.array([float(cell.place.mean()) for cell, _ in usable]) / given["nominal_length"],
+        np.array([pooled.line.m for _, pooled in usable]),
+        np.array(halves) / 1.96,
+    )
+    ways = {SECTION: {}, f"{SECTION}, alpha = 2": {"alpha": 2.0}}
+    if "inner_diameter" in given:
+        ways[f"{SECTION}, D_0 of the specimen"] = {"D_0": given["inner_diameter"]}
+    if "braid_angle" in given:
+        ways[f"{SECTION}, theta_0 of the specimen"] = {"theta_0": given["braid_angle"]}
+    fits = {name: daerden.fit(slopes, **known) for name, known in ways.items()}
+    return {name: one for name, one in fits.items() if one is not None}
+
+
+def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) -> list[Estimate]:
+    """The free parameters of each way; no value where they are not told apart."""
+    found = []
+    for method, one in sections.items():
+        for name in one.free:
+            half, is_open = one.half(name), one.other_form or name in one.open
+            quantity, unit = QUANTITY[name]
+            value = float(getattr(one, name))
+            # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
+            gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
+            told = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
+            why = "S(eps) has another form" if one.other_form else "not told apart from the others"
+            note = f"{why}: {told}" if is_open else ""
+            parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
+            n = len(one.slopes.S)
+            found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
+    return found
+
+
+def _corrected(cells: Sequence[Cell], given: Mapping[str, Any]) -> Corrected | None:
+    if not {"nominal_length", "inner_diameter", "braid_angle"} <= set(given):
+        return None
+    return corrected(cells, given["nominal_length"], given["inner_diameter"], given["braid_angle"])
+
+
+def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
+    if force is None:
+        return []
+    n = max(1, len(force.repeats))
+    if not force.holds:
+        note = f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
+        return [Estimate("p_0", None, "Pa", "pressure", CORRECTED, {}, Parts(), n, note=note)]
+    scale = scales.part({"pressure": force.p_0}, {"pressure": 1.0})
+    parts = Parts(repeats=spread(force.repeats), calibration=scale)
+    note = "" if len(force.repeats) > 1 else "no repeats part: one repeat only"
+    return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]

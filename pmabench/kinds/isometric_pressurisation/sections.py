@@ -1,0 +1,200 @@
+"""What isometric tests of several contractions say together: F_ce and K at a pressure, and paper 2's corrected force.
+
+Knows the mean curves of each contraction; not how they came about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from pmabench.analysis.shared.isometric_lines import Line as LineOf
+from pmabench.analysis.shared.isometric_lines import Pooled, Test
+from pmabench.analysis.shared.lines import Line, weighted_line
+from pmabench.analysis.shared.sessions import session_of
+from pmabench.analysis.shared.student import mean_with_half
+from pmabench.kinds.isometric_pressurisation.curve import Mean
+from pmabench.model.library.contractor import corrected_force
+from pmabench.store.records import Array
+
+GRID = 50e3
+"""Pressures at which F_ce and K are told are multiples of this [Pa]."""
+PULLS = 0.02
+"""Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
+APART = 1e-5
+"""Contractions that were measured nearer to each other make no line [m]."""
+FURTHEST = 10.0
+"""A displacement beyond this is none [m]."""
+FURTHEST_THRESHOLD = 2e5
+UNLIKE = 0.02
+"""Residual of the corrected force from which on the muscle is another, as a share of the largest force."""
+CORRECTED_TO = 5e5
+"""Highest pressure of the corrected force [Pa] (paper 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """All tests at one contraction."""
+
+    contraction: float
+    tests: Sequence[Test]
+    mean: Mean
+    low: float | None
+    """From where on F(P) is straight [Pa]."""
+    off: float
+    pooled: Pooled | None
+    upper: LineOf | None = None
+    """The line through the upper half of the straight part."""
+
+    @cached_property
+    def place(self) -> Array:
+        """Measured contraction of each test [m], else the commanded one; shape (tests,)."""
+        found = []
+        for test in self.tests:
+            known = test.x[np.abs(test.x) < FURTHEST]
+            found.append(float(known.mean()) if len(known) else self.contraction)
+        return np.array(found)
+
+    def force_at(self, P: float) -> Array:
+        """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""
+        return np.array([_between(P, self.mean.P, row) for row in self.mean.each])
+
+
+def _between(P: float, at: Array, F: Array) -> float:
+    """F at P on straight lines between bins that are neighbours, half a bin beyond the ends at most; NaN elsewhere."""
+    known = np.isfinite(F)
+    width = float(at[1] - at[0])
+    if known.sum() < 2 or not at[known][0] - 0.51 * width <= P <= at[known][-1] + 0.51 * width:
+        return float("nan")
+    x, y = at[known], F[known]
+    i = int(np.clip(np.searchsorted(x, P), 1, len(x) - 1))
+    return float(y[i - 1] + (y[i] - y[i - 1]) * (P - x[i - 1]) / (x[i] - x[i - 1]))
+
+
+@dataclass(frozen=True)
+class Across:
+    """F = F_ce - K x over the contractions at one pressure (the three-element model of paper 0)."""
+
+    pressure: float
+    line: Line
+    off: float
+    """Largest distance of a contraction's mean from the line [N]."""
+    span: float
+    """Largest less least force of the contractions [N]."""
+    between: tuple[float, ...]
+    """-dF/dx between neighbouring contractions [N/m]."""
+    names: tuple[str, ...]
+
+
+def across(cells: Sequence[Cell]) -> list[Across]:
+    """F_ce and K at each pressure of the grid that at least three contractions pull at."""
+    found: list[Across] = []
+    if not cells:
+        return found
+    strongest = max(float(np.nanmax(cell.mean.force)) for cell in cells)
+    top = max(float(1.5 * cell.mean.P[-1] - 0.5 * cell.mean.P[-2]) for cell in cells)
+    for k in range(1, int(np.floor(top / GRID + 0.05)) + 1):
+        P = k * GRID
+        rows = [
+            (cell.contraction, x, F, test.name, session_of(test.run))
+            for cell in cells
+            for x, F, test in zip(cell.place, cell.force_at(P), cell.tests, strict=True)
+            if np.isfinite(F) and F > PULLS * strongest
+        ]
+        group, x, F = (np.array([row[i] for row in rows], dtype=np.float64) for i in range(3))
+        places = np.unique(group)
+        centres = np.sort([float(x[group == g].mean()) for g in places])
+        if len(places) < 3 or np.min(np.diff(centres)) < APART:
+            continue
+        line = weighted_line(group, x, F, np.full(len(F), float(F.max())))
+        line = _wider(line, x, F, [row[4] for row in rows])
+        means = sorted((float(x[group == g].mean()), float(F[group == g].mean())) for g in places)
+        off = max(abs(f - line.start - line.slope * at) for at, f in means)
+        between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
+        found.append(Across(P, line, off, float(np.ptp([f for _, f in means])), between, tuple(row[3] for row in rows)))
+    return found
+
+
+def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
+    """The line with half widths by Student's t over the lines of the sessions, where those are wider."""
+    each = []
+    for name in dict.fromkeys(sessions):
+        mine = np.array([session == name for session in sessions])
+        if np.ptp(x[mine]) > APART:
+            each.append(np.polyfit(x[mine], F[mine], 1))
+    if len(each) < 2 or len(each) < len(set(sessions)):
+        return line
+    slope, start = (mean_with_half([float(one[i]) for one in each])[1] or 0.0 for i in (0, 1))
+    return replace(line, half_start=max(line.half_start or 0.0, start), half_slope=max(line.half_slope or 0.0, slope))
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """Paper 2's force with the dead band fitted, the rest from the specimen."""
+
+    p_0: float
+    """[Pa]."""
+    repeats: tuple[float, ...]
+    """The same of the tests of each repeat alone."""
+    rms: float
+    """Residual [N]."""
+    rms_without_q: float
+    """With q = 1 and a dead band of its own [N]."""
+    largest: float
+    """Largest mean force [N]."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the residual is small enough for p_0 to mean the dead band."""
+        return self.rms <= UNLIKE * self.largest
+
+
+def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle: float) -> Corrected | None:
+    """F = pi r0^2 (p - p0) [a (1 - q eps)^2 - b] (paper 2 eqs. 8-9) with p0 by least squares; None without data.
+
+    Contractions below 0 and pressures above 5 bar are outside the model and left out.
+    """
+    rows = []
+    for cell in cells:
+        for x, F, test in zip(cell.place, cell.mean.each, cell.tests, strict=True):
+            use = np.isfinite(F) & (cell.mean.P >= 0) & (cell.mean.P <= CORRECTED_TO)
+            if cell.contraction >= 0 and x <= length and np.count_nonzero(use) > 1:
+                eps = np.full(int(use.sum()), max(x, 0.0) / length)
+                rows.append((test.trial.repeat, cell.mean.P[use], eps, F[use]))
+    if not rows:
+        return None
+
+    def model(P: Array, eps: Array, p_0: float, *, plain: bool) -> Array:
+        # With q = 1 a contraction eps acts as eps / q does in the model.
+        acting = eps / (1 + np.exp(-P / 1e5)) if plain else eps
+        radius, angle, threshold = np.array([diameter / 2, braid_angle, p_0])
+        return corrected_force(P, acting, radius, angle, threshold)["force"]
+
+    def best(chosen: Sequence[tuple[int, Array, Array, Array]], *, plain: bool = False) -> tuple[float, float]:
+        P, eps, F = (np.concatenate([row[i] for row in chosen]) for i in (1, 2, 3))
+
+        def power(p_0: float) -> float:
+            return float(np.mean((model(P, eps, p_0, plain=plain) - F) ** 2))
+
+        grid = np.linspace(0.0, FURTHEST_THRESHOLD, 41)
+        at = int(np.argmin([power(float(p)) for p in grid]))
+        bounds = (float(grid[max(0, at - 1)]), float(grid[min(40, at + 1)]))
+        found = minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-2})
+        return float(found.x), float(np.sqrt(found.fun))
+
+    p_0, rms = best(rows)
+    repeats = sorted({row[0] for row in rows})
+    alone = tuple(best([row for row in rows if row[0] == repeat])[0] for repeat in repeats) if len(repeats) > 1 else ()
+    return Corrected(p_0, alone, rms, best(rows, plain=True)[1], max(float(row[3].max()) for row in rows))
+
+
+def given_of(specimen: object) -> Mapping[str, float]:
+    """What a manifest's specimen tells: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; numbers only."""
+    told = specimen if isinstance(specimen, Mapping) else {}
+    names = ("nominal_length", "inner_diameter", "braid_angle")
+    return {name: float(told[name]) for name in names if isinstance(told.get(name), int | float) and told[name] > 0}

@@ -1,0 +1,47 @@
+"""Positions held in closed loop: error, overshoot, settling, limit cycle.
+
+- `reduction`, made of `response`
+- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`, `plots`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("e_ss", "steady-state error", "ratio", headline=True),
+    Result("OS", "overshoot", "ratio", headline=True),
+    Result("t_r", "rise time", "time"),
+    Result("t_s", "settling time", "time", headline=True),
+    Result("IAE", "integral of the absolute error", "", unit="m.s"),
+    Result("x_pp", "limit cycle, peak to peak", "length", headline=True),
+    Result("T_c", "period of the limit cycle", "time", headline=True),
+    Result("e_sim", "difference from the simulation, rms", "length"),
+)
+METHODS = {
+    "closed-loop": (
+        "The position held by the controller: e_ss is the mean of set-point minus contraction in the stated window, "
+        "over the set-point; rise from 10 to 90 % of it; cycles from one upward crossing of their middle to the next."
+    ),
+    "closed-loop, simulated": (
+        "The same controller, sample by sample, around the model that the protocol names; e_sim is the rms difference "
+        "of measured and simulated contraction from the step on."
+    ),
+}
+KIND = Kind(
+    name="positioning",
+    title="Positioning in closed loop",
+    order=70,
+    results=RESULTS,
+    reduction="pmabench.kinds.positioning.reduction:reduce",
+    papers=("paper 0, control",),
+    protocol="pmabench.kinds.positioning.protocol:Positioning",
+    live="pmabench.kinds.positioning.live:measure",
+    moves="displacement",
+    compares="displacement",
+    methods=METHODS,
+    figures={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
+    front={
+        "position": "pmabench.kinds.positioning.figures:positions",
+    },
+)

@@ -1,0 +1,349 @@
+"""Reduction of positioning runs: each set-point's response, steady-state error and limit cycle, beside a simulation.
+
+Measures of one hold are in `position_response`, the simulated loop in `simulated`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.simulated import closed_loop, model_of
+from pmabench.base.quantities import show
+from pmabench.kinds.positioning import RESULTS
+from pmabench.kinds.positioning.response import Response, respond
+from pmabench.model.described import Described
+from pmabench.store.records import Array, RunData, TrialData
+
+KIND = "positioning"
+METHOD = "closed-loop"
+SIMULATION = "closed-loop, simulated"
+ALONE = "one run: no repeats part"
+LONGEST_TRACE = 4000
+EARLY = 4.0
+"""Up to here [s] a trace is kept denser: half of its points."""
+BAND = 0.02
+"""Band that counts as settled where the plan tells none."""
+MEASURES = {
+    "e_ss": ("1", "ratio"),
+    "OS": ("1", "ratio"),
+    "t_r": ("s", "time"),
+    "t_s": ("s", "time"),
+    "IAE": ("m.s", ""),
+    "x_pp": ("m", "length"),
+    "T_c": ("s", "time"),
+}
+"""Symbol -> unit and quantity."""
+CYCLE = ("x_pp", "T_c")
+"""Measures that only a limit cycle has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """One usable trial."""
+
+    run: RunData
+    trial: TrialData
+    law: Mapping[str, Any]
+    response: Response
+    calibration: Mapping[str, float | None]
+    """Half width that the scale of the displacement gives each measure."""
+    origin: float
+    """Position at rest before the step [m]."""
+    t: Array
+    x: Array
+    simulated: Array | None
+    """Contraction of the simulated loop [m], shape (n,) as `t` [s from the step]."""
+    simulated_response: Response | None
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Steady-state error e_ss (mean of set-point minus x in the window, over the set-point), overshoot OS, rise time
+    t_r (10 to 90 %), settling time t_s, integral of the absolute error IAE, and peak to peak x_pp and period T_c of
+    the limit cycle of every set-point (paper 0, control).
+
+    Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
+    the rms difference of the two contractions [m].
+    """
+    dropped: list[Dropped] = []
+    cells: dict[tuple[tuple[str, float], ...], list[Hold]] = {}
+    for run in runs:
+        model = model_of(run)
+        for trial in run.trials:
+            hold = hold_of(run, trial, model)
+            if isinstance(hold, str):
+                dropped.append(Dropped(trial.name, trial.point, hold))
+                continue
+            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
+            cells.setdefault(key, []).append(hold)
+    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("setpoint", 0.0)))
+    holds = [cells[key] for key in order]
+    estimates = [e for key, members in zip(order, holds, strict=True) for e in _estimates(dict(key), members)]
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        dropped=dropped,
+        findings=_findings(runs, holds),
+        traces=[_trace(members[0]) for members in holds],
+        facts={
+            "options": dict(options or {}),
+            "trials": sum(len(members) for members in holds),
+            "cells": len(holds),
+            "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
+            "controllers": [_controller(members[0]) for members in holds],
+        },
+    )
+
+
+def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | str:
+    """A trial measured, and simulated where there is a model, or why it is not used."""
+    law = trial.found.get("position")
+    if trial.status != "finished":
+        return f"the trial is {trial.status}"
+    if law is None or law.get("ended") != "time" or "displacement" not in trial.channels:
+        return str((law or {}).get("reason") or "no closed loop is recorded to its end")
+    settings = run.plan.get("settings") or {}
+    begin, setpoint = float(law["t0"]), float(law["setpoint"])
+    x = trial.channels["displacement"]
+    ok = trial.usable & np.isfinite(x) & (trial.t >= begin - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
+    t, x = trial.t[ok] - begin, x[ok]
+    low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
+    band = float(settings.get("band", BAND))
+    info = run.channels.get("displacement")
+    resolution = abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
+
+    rest = trial.usable & (trial.t < begin - 1e-6) & np.isfinite(trial.channels["displacement"])
+    origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
+
+    def measured(values: Array) -> Response:
+        window = float(low), float(high)
+        return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution)
+
+    try:
+        response = measured(x)
+    except ValueError as reason:
+        return str(reason)
+    scales = Scales.of([run])
+    gain, offset = scales.gains.get("displacement"), scales.offsets.get("displacement")
+    shifted = [(measured(a), measured(b)) for a, b in ([(x * (1 + gain), x * (1 - gain))] if gain else [])]
+    shifted += [(measured(x + offset), measured(x - offset))] if offset else []
+    calibration = {symbol: _half(symbol, shifted, setpoint) for symbol in MEASURES}
+    simulated = simulated_response = None
+    if model is not None:
+        simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
+        simulated_response = measured(simulated)
+    return Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
+
+
+def _value(symbol: str, response: Response, setpoint: float) -> float | None:
+    """One measure of a response."""
+    cycle = response.cycle
+    return {
+        "e_ss": response.error / setpoint,
+        "OS": response.overshoot,
+        "t_r": response.rise,
+        "t_s": response.settling,
+        "IAE": response.IAE,
+        "x_pp": None if cycle is None else cycle.size,
+        "T_c": None if cycle is None else cycle.period,
+    }[symbol]
+
+
+def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:
+    """Half of what the measure changes between both ends of a scale's uncertainty, causes as squares."""
+    if not shifted:
+        return None
+    total = 0.0
+    for above, below in shifted:
+        one, other = _value(symbol, above, setpoint), _value(symbol, below, setpoint)
+        if one is not None and other is not None:
+            total += (0.5 * (one - other)) ** 2
+    return sqrt(total)
+
+
+def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
+    setpoint = at["setpoint"]
+    names = tuple(hold.trial.name for hold in members)
+    found = []
+    for symbol, (unit, quantity) in MEASURES.items():
+        known = [(v, h.calibration[symbol]) for h in members if (v := _value(symbol, h.response, setpoint)) is not None]
+        if not known and symbol in CYCLE:
+            continue
+        values = np.array([value for value, _ in known])
+        several = len(values) > 1
+        spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
+        scales = [half for _, half in known if half is not None]
+        lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
+        found.append(
+            Estimate(
+                symbol,
+                float(values.mean()) if len(values) else None,
+                unit,
+                quantity,
+                METHOD,
+                at,
+                parts=Parts(repeats=None if spread is None else float(spread), calibration=max(scales, default=None)),
+                n=len(values),
+                note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
+                trials=names,
+            )
+        )
+    rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
+    if rms:
+        found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
+    simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
+    for symbol, (unit, quantity) in MEASURES.items():
+        value = None if simulated is None else _value(symbol, simulated, setpoint)
+        if value is not None:
+            found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
+    return found
+
+
+def _why_not(symbol: str) -> str:
+    return "it does not stay in the band" if symbol == "t_s" else "it does not come to 90 % of the set-point"
+
+
+def _controller(hold: Hold) -> dict[str, Any]:
+    """The settings of a set-point's loop, as plain data."""
+    names = ("setpoint", "K_p", "T_i", "T_d", "N", "low", "high", "anti_windup", "tracking", "saturated")
+    return {name: hold.law.get(name) for name in names}
+
+
+def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[Finding]:
+    if not cells:
+        return []
+    lines: list[Finding] = []
+    worst = max((hold for members in cells for hold in members), key=_relative_error)
+    settings = runs[0].plan.get("settings") or {}
+    window = settings.get("window")
+    told = f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
+    setpoint = float(worst.law["setpoint"])
+    lines.append(
+        Finding(
+            "note",
+            f"the steady-state error is at most {_relative_error(worst):.2g} % of the set-point "
+            f"({show(worst.response.error, 'length', 3)} at {show(setpoint, 'length')}; {told})",
+        )
+    )
+    lines += _cycles([hold for members in cells for hold in members])
+    unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
+    if unsettled:
+        band = 100 * float(settings.get("band", BAND))
+        lines.append(Finding("doubt", f"not settled within {band:g} % of the step at {_places(unsettled)}"))
+    if "gains_of" in settings:
+        one = show(float(settings["gains_of"]), "length")
+        lines.append(Finding("doubt", f"the gains were found at {one} alone, and used at all set-points"))
+    model = next((model for run in runs if (model := model_of(run)) is not None), None)
+    if model is not None:
+        friction = model.muscle.friction
+        text = f"simulated with: {model.source}, friction {friction.F_s:g} N at rest and {friction.F_c:g} N moving"
+        if model.regulator.dead_time == 0 and model.regulator.lag == 0:
+            text += "; its regulator is told to be exact, so that the simulated loop is quicker than a real one"
+        lines.append(Finding("note", text))
+    return lines
+
+
+def _relative_error(hold: Hold) -> float:
+    return 100 * abs(hold.response.error) / float(hold.law["setpoint"])
+
+
+def _cycles(holds: Sequence[Hold]) -> list[Finding]:
+    """Where it hunts, where it does not, and where the window is too short to tell."""
+    lines = []
+    hunting = [hold for hold in holds if hold.response.cycle is not None]
+    for sticks, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
+        mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == sticks]
+        if mine:
+            text = f"{what} at {_places(mine)}: {_told(hold.response for hold in mine)}"
+            compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
+            if compared:
+                text += f"; simulated: {_told(compared)}"
+            lines.append(Finding("doubt", text + ("" if sticks else "; the gain is near or above the ultimate one")))
+    still = [hold for hold in holds if hold.response.cycle is None]
+    slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
+    quiet = [hold for hold in still if hold not in slow]
+    if slow:
+        most = show(max(hold.response.wander for hold in slow), "length", 3)
+        lines.append(
+            Finding(
+                "doubt",
+                f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit "
+                "cycle, a creep or a drift; a longer hold tells",
+            )
+        )
+    if quiet:
+        least = show(max(hold.response.smallest for hold in quiet), "length", 2)
+        lines.append(Finding("note", f"no limit cycle at {_places(quiet)}: one of {least} peak to peak would be seen"))
+    return lines
+
+
+def _places(holds: Sequence[Hold]) -> str:
+    """Set-points in words, each once."""
+    points = sorted({float(hold.law["setpoint"]) for hold in holds})
+    if len(points) <= 4:
+        return ", ".join(show(x, "length") for x in points)
+    return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
+
+
+def _told(responses: Iterable[Response]) -> str:
+    """Size and period of the cycles, least to most."""
+    cycles = [response.cycle for response in responses if response.cycle is not None]
+    if not cycles:
+        return "none"
+    sizes, periods = sorted(c.size for c in cycles), sorted(c.period for c in cycles)
+    rest = sorted(100 * c.at_rest for c in cycles)
+    size = _range([f"{x * 1e3:.3g}" for x in (sizes[0], sizes[-1])], "mm peak to peak")
+    period = _range([f"{x:.3g}" for x in (periods[0], periods[-1])], "s")
+    return f"{size}, period {period}, {_range([f'{x:.0f}' for x in (rest[0], rest[-1])], '%')} of the time at rest"
+
+
+def _range(ends: Sequence[str], unit: str) -> str:
+    return f"{ends[0]} {unit}" if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]} {unit}"
+
+
+def _trace(hold: Hold) -> Trace:
+    """Set-point, measured and simulated contraction, and the command, of one hold."""
+    setpoint = float(hold.law["setpoint"])
+    begin = float(hold.law["t0"])
+    rest = hold.trial.usable & (hold.trial.t < begin - 1e-6) & np.isfinite(hold.trial.channels["displacement"])
+    before = hold.trial.t[rest] - begin
+    t = np.concatenate((before, hold.t))
+    columns = {
+        "t": t,
+        "setpoint": np.where(t < -1e-6, hold.origin, setpoint),
+        "displacement": np.concatenate((hold.trial.channels["displacement"][rest], hold.x)),
+    }
+    if hold.simulated is not None:
+        columns["model"] = np.concatenate((np.full(len(before), hold.origin), hold.simulated))
+    if "pressure_command" in hold.trial.channels:
+        columns["pressure_command"] = np.interp(t + begin, hold.trial.t, hold.trial.channels["pressure_command"])
+    early = t < EARLY
+    rows = np.concatenate(
+        [part[:: max(1, -(-2 * len(part) // LONGEST_TRACE))] for part in map(np.flatnonzero, (early, ~early))]
+    )
+    marks = {"setpoint": setpoint, "window": float((hold.run.plan.get("settings") or {}).get("window", (0.0,))[0])}
+    load = hold.trial.point.get("load", 0.0)
+    where = show(setpoint, "length") + (f", {show(load, 'force')}" if load else "")
+    return Trace(
+        f"position-{setpoint * 1e3:g}-{load:g}",
+        "position",
+        f"{where}: position in closed loop",
+        {name: column[rows] for name, column in columns.items()},
+        {
+            "t": "time",
+            "setpoint": "length",
+            "displacement": "length",
+            "model": "length",
+            "pressure_command": "pressure",
+        },
+        marks,
+    )

@@ -1,0 +1,172 @@
+"""What one held position says: rise, overshoot, settling, steady-state error, limit cycle; knows no run.
+
+Rise time, overshoot and settling time refer to the step, from the position at rest to the set-point; IAE is the
+integral of |set-point - x|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.oscillation import SEEN
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.store.records import Array
+
+SMOOTHED = 0.02
+"""Samples are averaged over so long [s] before extremes are taken: noise makes no overshoot."""
+SMALLEST = 1e-4
+"""A cycle counts where it is larger than this share of the set-point, than the noise and than two counts."""
+SUSTAINED = 0.5
+"""Last cycle over first from which on it is sustained [1]."""
+OVERDUE = 1.5
+"""Without a further cycle for so many periods it has died out [1]."""
+FEWEST = 2
+"""Fewest whole cycles that are called a limit cycle."""
+STILL = 0.01
+"""A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
+STICKS = 0.3
+"""Share of a cycle spent at rest from which on it is stick-slip."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """A sustained oscillation around the set-point."""
+
+    size: float
+    """Mean peak to peak [m]."""
+    period: float
+    """[s]."""
+    count: int
+    """Whole cycles seen."""
+    at_rest: float
+    """Share of the time in which nothing moves [1]."""
+
+    @property
+    def sticks(self) -> bool:
+        """Whether it stands still and jumps, as stiction makes it, and does not swing."""
+        return self.at_rest >= STICKS
+
+
+@dataclass(frozen=True)
+class Response:
+    """One step of the set-point from rest; times from the step on."""
+
+    rise: float | None
+    """10 % to 90 % of the step [s]; None where it does not get there."""
+    overshoot: float
+    """Largest excess over the set-point, as a share of the step [1]; 0 for none."""
+    settling: float | None
+    """From when on it stays in the band around the set-point [s]; None where it does not."""
+    error: float
+    """Mean of set-point minus x in the window [m]."""
+    IAE: float
+    """Integral of |set-point - x| over the whole hold [m.s]."""
+    cycle: Cycle | None
+    wander: float
+    """Peak to peak in the window [m]; larger than `smallest` without a cycle: too slow for the window, or a drift."""
+    smallest: float
+    """Smallest cycle that would be seen, peak to peak [m]."""
+
+
+def respond(
+    t: Array,
+    x: Array,
+    setpoint: float,
+    window: tuple[float, float],
+    band: float,
+    *,
+    origin: float = 0.0,
+    resolution: float = 0.0,
+) -> Response:
+    """Measures of the samples `x` [m] at `t` [s from the step], shape (n,), from the step to the end of the hold.
+
+    `window` [s] for error and cycle; `band` as a share of the step [1]; `origin`: position at rest before [m];
+    `resolution`: one count of the channel [m]. Raises ValueError where nothing can be measured.
+    """
+    period = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    inside = (t >= window[0]) & (t <= window[1])
+    if inside.sum() < 8 or period <= 0:
+        raise ValueError(f"fewer than 8 samples from {window[0]:g} s to {window[1]:g} s")
+    step = setpoint - origin
+    if step <= 0:
+        raise ValueError("it rested beyond the set-point already")
+    noise = noise_of(x[inside])
+    smooth = _smoothed(x, max(1, round(SMOOTHED / period)))
+    low, high = (_first(t, smooth >= origin + share * step) for share in (0.1, 0.9))
+    outside = np.flatnonzero(np.abs(smooth - setpoint) > band * step)
+    settled = 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+    smallest = max(SEEN * noise, 2 * resolution, SMALLEST * setpoint)
+    return Response(
+        rise=high - low if low is not None and high is not None else None,
+        overshoot=max(0.0, (float(smooth.max()) - setpoint) / step),
+        settling=settled,
+        error=setpoint - float(x[inside].mean()),
+        IAE=float(np.trapezoid(np.abs(setpoint - x), t)),
+        cycle=cycle_of(t[inside], x[inside], smallest),
+        wander=float(np.ptp(smooth[inside])),
+        smallest=smallest,
+    )
+
+
+def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
+    """The sustained oscillation of `x` [m] at `t` [s], shape (n,), if it has one larger than `smallest` [m].
+
+    Cycles go from one upward crossing of the middle to the next, with a hysteresis of a tenth of the size, so that
+    the corners of a stick-slip cycle do not matter.
+    """
+    period = float(np.median(np.diff(t)))
+    smooth = _smoothed(x, max(1, round(SMOOTHED / period)))
+    low, high = float(smooth.min()), float(smooth.max())
+    if high - low <= smallest:
+        return None
+    ups = _upward(smooth, 0.5 * (low + high), 0.1 * (high - low))
+    if len(ups) < FEWEST + 1:
+        return None
+    parts = [smooth[a : b + 1] for a, b in pairwise(ups)]
+    sizes = np.array([float(np.ptp(part)) for part in parts])
+    if sizes[-1] < SUSTAINED * sizes[0] or sizes.mean() <= smallest:
+        return None
+    length = float(t[ups[-1]] - t[ups[0]]) / len(parts)
+    if t[-1] - t[ups[-1]] > OVERDUE * length:
+        return None
+    whole = x[ups[0] : ups[-1] + 1]
+    step = max(1, round(length / 40 / period))
+    means = whole[: len(whole) // step * step].reshape(-1, step).mean(axis=1)
+    still = np.abs(np.diff(means)) < STILL * sizes.mean()
+    return Cycle(float(sizes.mean()), length, len(parts), float(still.mean()) if len(still) else 0.0)
+
+
+def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
+    """Indices at which `x` comes through `middle` upwards, each after it was `hysteresis` below and before above."""
+    found: list[int] = []
+    below, crossing = False, -1
+    for i, value in enumerate((x - middle).tolist()):
+        if value < -hysteresis:
+            below, crossing = True, -1
+        elif below:
+            if value >= 0 and crossing < 0:
+                crossing = i
+            elif value < 0:
+                crossing = -1
+            if value > hysteresis:
+                found.append(crossing)
+                below = False
+    return found
+
+
+def _smoothed(x: Array, width: int) -> Array:
+    """Moving mean over `width` samples, the ends over what is there."""
+    if width <= 1:
+        return x
+    total = np.concatenate(([0.0], np.cumsum(x)))
+    index = np.arange(len(x))
+    first, last = np.maximum(0, index - width // 2), np.minimum(len(x), index - width // 2 + width)
+    return np.asarray((total[last] - total[first]) / (last - first))
+
+
+def _first(t: Array, reached: NDArray[np.bool_]) -> float | None:
+    return float(t[int(np.argmax(reached))]) if bool(reached.any()) else None

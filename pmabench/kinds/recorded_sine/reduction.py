@@ -1,0 +1,326 @@
+"""Sines of pressure that others recorded: amplitude and phase of pressure and contraction, and the width of the loop.
+
+Knows trials of a known frequency with measured pressure and displacement; not where they come from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import three_parameter
+from pmabench.base.quantities import show
+from pmabench.kinds.recorded_sine import RESULTS
+from pmabench.kinds.recorded_sine.bandwidth import bandwidth
+from pmabench.store.records import Array, Flag, RunData, TrialData
+
+KIND = "recorded-sine"
+METHOD = "sine-harmonic"
+SETTLE = 1.0
+"""Left out at the start [s], rounded up to whole cycles."""
+LEAST = 12
+"""Samples a cycle that are needed."""
+UNUSABLE_SHARE = 0.1
+OFF = 0.005
+"""Relative difference between the named and the commanded frequency that is doubted."""
+CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
+ANOTHER = 1.05
+"""Sines whose drive is larger by this factor are not repeats."""
+NO_SINE = 0.1
+"""Share of the signal that its first harmonic leaves, above which that is told."""
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Sine:
+    """One trial over whole cycles: x(t) = mean + Re(X exp(j omega t)), and so on; cycle by cycle, shape (cycles,)."""
+
+    trial: TrialData
+    frequency: float
+    """[Hz]."""
+    t: Array
+    P: Array
+    x: Array
+    amplitudes: Mapping[str, complex]
+    """Of `pressure` [Pa], `displacement` [m] and, where recorded, `pressure_command` [Pa]."""
+    cycles: Mapping[str, Complex]
+    left: Mapping[str, float]
+    """Rms of what the first harmonic leaves, over the rms of the signal about its mean [1]."""
+    late: tuple[float, float]
+    """How much older the pressure is than its stamps [s]; (0, 0) where that is not told."""
+    off: float
+    """Commanded over named frequency, less one [1]; 0 where no command is recorded."""
+
+    @property
+    def name(self) -> str:
+        """`run/index`."""
+        return self.trial.name
+
+    @property
+    def omega(self) -> float:
+        """[rad/s]."""
+        return 2 * pi * self.frequency
+
+    @property
+    def drive(self) -> float:
+        """Amplitude of the pressure command, else of the pressure [Pa]."""
+        return abs(self.amplitudes.get("pressure_command", self.amplitudes["pressure"]))
+
+    @property
+    def turn(self) -> float:
+        """Phase [rad] to add to that of x over P: the middle of what the pressure's lateness may be."""
+        return -self.omega * sum(self.late) / 2
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Per frequency [Hz]: |P| [Pa], |x| [m], |P/x| [Pa/m], phases [rad] and the width of the x-P loop [m].
+
+    Repeats are sines of one frequency and one amplitude. Three-parameter sine fits (IEEE 1057) at the known frequency,
+    over whole cycles after the first second. `phi_x` is the phase of x against the measured pressure, `phi_P` that of
+    the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
+    pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
+    are turned by the middle of that, and half its range is the `method` part. The bandwidth is that of
+    `sweep_bandwidth`. K and B do not follow from x and P alone: F_ce(P) stands between them.
+    """
+    options = options or {}
+    sines, dropped, told = measured(runs, options, measure)
+    groups: dict[float, list[list[tuple[RunData, Sine]]]] = {}
+    for run, sine in sorted(sines, key=lambda one: one[1].drive):
+        alike = groups.setdefault(round(sine.frequency, 6), [])
+        if not alike or sine.drive > ANOTHER * alike[-1][0][1].drive:
+            alike.append([])
+        alike[-1].append((run, sine))
+    estimates = [e for _, alike in sorted(groups.items()) for group in alike for e in _at(group, alone=len(alike) == 1)]
+    usual = float(np.median([sine.drive for _, sine in sines])) if sines else 0.0
+    swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
+    estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
+    findings = [finding for _, sine in sines for finding in _sentences(sine)]
+    if sines and not told:
+        findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
+    first = [group[0][1] for _, group in sorted(swept.items())]
+    if any(len(alike) > 1 for alike in groups.values()):
+        text = "sines of one frequency whose amplitudes differ by more than a twentieth are reported apart"
+        findings.append(Finding("note", text))
+    findings += _over_frequency(first)
+    if estimates:
+        text = "no method part but for the lateness of the pressure: how far these are no sines is told beside them"
+        findings.append(Finding("note", text))
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        dropped=dropped,
+        findings=(*import_findings(runs), *findings),
+        traces=([_loop(sine) for sine in first] + ([_bode(first)] if first else [])),
+        facts={
+            "options": dict(options),
+            "trials": len(sines),
+            "frequencies": sorted(groups),
+            "flagged": flagged_counts(runs),
+            "left_by_first_harmonic": {sine.name: dict(sine.left) for _, sine in sines},
+        },
+    )
+
+
+def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
+    """One trial from its samples, or the reason why it cannot be measured."""
+    frequency = trial.point.get("frequency", 0.0)
+    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
+    if missing or frequency <= 0:
+        no_frequency = "nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map"
+        return f"{' and '.join(missing)} not recorded" if missing else no_frequency
+    if trial.status != "finished":
+        return f"the trial is {trial.status}"
+    begin = float(trial.t[0]) + max(1, floor(SETTLE * frequency + 0.999)) / frequency
+    whole = floor((float(trial.t[-1]) - begin) * frequency)
+    window = (trial.t >= begin) & (trial.t < begin + whole / frequency)
+    if whole < 2:
+        return "it holds fewer than two whole cycles beyond those left out"
+    if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
+        return "its clock jumps: what lies before and after has no common phase"
+    if np.mean(~trial.usable[window]) > UNUSABLE_SHARE:
+        return f"too many samples are flagged: {unusable_because(trial)}"
+    good = window & trial.usable
+    if np.count_nonzero(good) < LEAST * whole:
+        return f"fewer than {LEAST} usable samples a cycle"
+    names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
+    t = trial.t[good]
+    signals = np.column_stack([trial.channels[name][good] for name in names])
+    means, amplitudes = three_parameter(t, signals, frequency)
+    model = means + np.real(np.exp(2j * pi * frequency * t)[:, None] * amplitudes[None, :])
+    left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
+    number = np.floor((t - begin) * frequency + 1e-9)
+    each = np.array([three_parameter(t[number == k], signals[number == k], frequency)[1] for k in range(whole)])
+    cycles = {name: each[:, column] for column, name in enumerate(names)}
+    off = _frequency_off(cycles.get("pressure_command"), whole)
+    if abs(amplitudes[0]) == 0 or abs(amplitudes[1]) == 0:
+        return "pressure or displacement does not move"
+    return Sine(
+        trial=trial,
+        frequency=frequency,
+        t=t,
+        P=signals[:, 0],
+        x=signals[:, 1],
+        amplitudes={name: complex(amplitudes[column]) for column, name in enumerate(names)},
+        cycles=cycles,
+        left={name: float(left[column]) for column, name in enumerate(names)},
+        late=late,
+        off=off,
+    )
+
+
+def _frequency_off(command: Complex | None, whole: int) -> float:
+    """How far the command's frequency lies from the named one, from the drift of its phase over the cycles."""
+    if command is None or whole < 3 or np.any(np.abs(command) == 0):
+        return 0.0
+    phase = np.unwrap(np.angle(command))
+    return float(np.polyfit(np.arange(whole), phase, 1)[0]) / (2 * pi)
+
+
+def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool) -> list[Estimate]:
+    """All estimates at one frequency, and at one amplitude where there are others: `alone` is False then."""
+    sines = [sine for _, sine in group]
+    first = sines[0]
+    at = {"frequency": first.frequency}
+    if not alone:
+        at["amplitude"] = float(f"{np.mean([abs(sine.amplitudes['displacement']) for sine in sines]):.3g}")
+    parents = tuple(sine.name for sine in sines)
+    scales = Scales.of([run for run, _ in group])
+    doubt = max(first.omega * (sine.late[1] - sine.late[0]) / 2 for sine in sines)
+
+    def estimate(
+        symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array],
+        scaled: tuple[str, ...] = (), method: float | None = None, note: str = "",
+    ) -> Estimate:  # fmt: skip
+        values = np.array(whole)
+        value = float(values.mean())
+        parts = Parts(mean_half(values, by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
+        few = CYCLES if len(values) == 1 else ""
+        told = sentences(note, few, scales.lack(scaled))
+        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=told, trials=parents)
+
+    def size(name: str) -> tuple[list[float], list[Array]]:
+        return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]
+
+    stiff = [abs(s.amplitudes["pressure"] / s.amplitudes["displacement"]) for s in sines]
+    stiff_by = [np.abs(s.cycles["pressure"] / s.cycles["displacement"]) for s in sines]
+    phase, phase_by = _phases(sines, "displacement", "pressure", turned=True)
+    width = [2 * abs(s.amplitudes["displacement"]) * abs(np.sin(p)) for s, p in zip(sines, phase, strict=True)]
+    width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
+    both = ("pressure", "displacement")
+    late = "the pressure's lateness taken as the middle of its range" if doubt else ""
+    spread = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0]))) * doubt
+    found = [
+        estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",)),
+        estimate("x", ("m", "length"), *size("displacement"), ("displacement",)),
+        estimate("P/x", ("Pa/m", "gain"), stiff, stiff_by, both),
+        estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late),
+        estimate("H", ("m", "length"), width, width_by, ("displacement",), spread or None, late),
+    ]
+    if all("pressure_command" in s.amplitudes for s in sines):
+        ratio = [abs(s.amplitudes["pressure"] / s.amplitudes["pressure_command"]) for s in sines]
+        ratio_by = [np.abs(s.cycles["pressure"] / s.cycles["pressure_command"]) for s in sines]
+        back = [
+            (-p, [-q for q in b])
+            for p, b in zip(*_phases(sines, "pressure_command", "pressure", turned=True), strict=True)
+        ]
+        found += [
+            estimate("P/P_set", ("1", "ratio"), ratio, ratio_by, ("pressure",)),
+            estimate(
+                "phi_P", ("rad", "angle"), [p for p, _ in back], [np.array(b) for _, b in back],
+                method=doubt or None, note=late,
+            ),
+        ]  # fmt: skip
+    return found
+
+
+def _phases(sines: Sequence[Sine], upper: str, lower: str, *, turned: bool) -> tuple[list[float], list[Array]]:
+    """Phase [rad] of `upper` over `lower`, the lateness of the pressure taken off, as a whole and by cycle."""
+    whole, by_cycle = [], []
+    for sine in sines:
+        turn = np.exp(1j * sine.turn) if turned else 1.0
+        ratio = sine.amplitudes[upper] / sine.amplitudes[lower] * turn
+        middle = float(np.angle(ratio))
+        each = sine.cycles[upper] / sine.cycles[lower] * turn
+        whole.append(middle)
+        by_cycle.append(middle + np.angle(each / ratio))
+    return whole, by_cycle
+
+
+def _sentences(sine: Sine) -> list[Finding]:
+    where = f"{show(sine.frequency, 'frequency', 3)} ({sine.name})"
+    lines = []
+    if abs(sine.off) > OFF:
+        text = f"{where}: the command runs {sine.off:+.1%} off the frequency that the name tells"
+        lines.append(Finding("doubt", text))
+    return lines
+
+
+def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
+    """What they say together: no pure sines, a loop that stays at low frequency, a delay too small to be true."""
+    lines = []
+    for name in ("pressure", "displacement"):
+        left = [sine.left[name] for sine in sines]
+        if left and max(left) > NO_SINE:
+            text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"
+            lines.append(Finding("note", f"{text}, which alone is told"))
+    if len(sines) < 3:
+        return lines
+    omega = np.array([s.omega for s in sines])
+    raw = np.array([float(np.angle(s.amplitudes["displacement"] / s.amplitudes["pressure"])) for s in sines])
+    slope, start = (float(value) for value in np.polyfit(omega, raw, 1))
+    text = (
+        f"phase of contraction against pressure as recorded: {start:+.3f} rad at 0 Hz, which is hysteresis and no "
+        f"damping, and {show(-slope, 'time', 2)} of delay from its slope"
+    )
+    lines.append(Finding("note", text))
+    most = max(s.late[1] for s in sines)
+    if most > 0:
+        text = (
+            f"the pressure may be up to {show(most, 'time', 2)} older than its stamps, worth "
+            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is told from these phases"
+        )
+        lines.append(Finding("doubt", text))
+    return lines
+
+
+def _loop(sine: Sine) -> Trace:
+    """The last cycle, measured and as its first harmonic."""
+    last = sine.t >= sine.t[-1] - 1 / sine.frequency
+    t, P, x = sine.t[last], sine.P[last], sine.x[last]
+    X = sine.amplitudes["displacement"]
+    model = float(np.mean(sine.x)) + np.real(X * np.exp(1j * sine.omega * t))
+    return Trace(
+        name=f"pressure-loop-{sine.frequency:.3g}Hz",
+        figure="pressure-loop",
+        title=f"Contraction over pressure at {show(sine.frequency, 'frequency', 3)}, the last cycle",
+        columns={"pressure": P, "displacement": x, "model": model},
+        quantities={"pressure": "pressure", "displacement": "length", "model": "length"},
+        marks={"frequency": sine.frequency},
+    )
+
+
+def _bode(sines: Sequence[Sine]) -> Trace:
+    """Gain and phase of contraction over measured pressure."""
+    ratios = [s.amplitudes["displacement"] / s.amplitudes["pressure"] * np.exp(1j * s.turn) for s in sines]
+    return Trace(
+        name="pressure-bode",
+        figure="pressure-bode",
+        title="Pressure per contraction, and phase of contraction against pressure",
+        columns={
+            "frequency": np.array([s.frequency for s in sines]),
+            "gain": np.array([1 / abs(ratio) for ratio in ratios]),
+            "phase": np.array([float(np.angle(ratio)) for ratio in ratios]),
+        },
+        quantities={"frequency": "frequency", "gain": "gain", "phase": "angle"},
+    )

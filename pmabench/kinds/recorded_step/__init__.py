@@ -1,0 +1,36 @@
+"""Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
+
+- `reduction`, with `motion`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d"),
+    Result("tau_P", "rise time of the pressure", "time", headline=True),
+    Result("X", "stroke", "length", headline=True),
+    Result("dP/dx", "pressure per contraction", "gain", headline=True),
+)
+METHODS = {
+    "recorded-step": ("Dead time, rise time and stroke of each recorded step; pressure per contraction from its ends."),
+    "ringing-of-known-mass": (
+        "M x″ + B x′ + K x = (dF_ce/dP) P + const, driven by the measured pressure, with the moving mass taken as "
+        "exact: K = M ω², B = 2 D ω M."
+    ),
+}
+KIND = Kind(
+    name="recorded-step",
+    title="Recorded steps of pressure",
+    order=140,
+    results=RESULTS,
+    reduction="pmabench.kinds.recorded_step.reduction:reduce",
+    methods=METHODS,
+    figures={
+        "overlay": "pmabench.plotting.motion:motions",
+    },
+    front={
+        "overlay": "pmabench.plotting.motion:overlays",
+    },
+)

@@ -1,0 +1,144 @@
+"""Which reduction belongs to which kind of run, and whether the protocol's acceptance limits are met."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pmabench.analysis.imported import without_doubtful
+from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
+from pmabench.analysis.shared import repeats
+from pmabench.analysis.verdict.acceptance import not_accepted
+from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
+from pmabench.analysis.verdict.agreement import agreement
+from pmabench.analysis.verdict.checks import with_checks
+from pmabench.analysis.verdict.offers import STATIC
+from pmabench.analysis.verdict.record import with_record
+from pmabench.base.errors import did_you_mean, invalid
+from pmabench.base.kind import Result
+from pmabench.base.quantities import show
+from pmabench.kinds import registry
+from pmabench.kinds.static_load.break_away import option_of
+from pmabench.store.records import RunData
+
+MOST_REASONS = 3
+
+
+def results_of(kind: str) -> tuple[Result, ...]:
+    """What the reduction of a kind of run declares that it can give; ValueError for an unknown kind."""
+    return registry.kind_of(kind).results
+
+
+def specimen_of(run: RunData) -> str:
+    """Which specimen a run is of: type and serial as its manifest has them."""
+    told = run.manifest.get("specimen")
+    return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, Mapping) else str(told or "")
+
+
+def reduction_of(run: RunData) -> str:
+    """Name of the kind whose reduction a run needs."""
+    asked = (run.plan.get("settings") or {}).get("reduction")
+    return f"{run.kind}-{asked.get('method')}" if isinstance(asked, Mapping) else run.kind
+
+
+def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | None = None) -> list[Analysis]:
+    """One analysis for each kind of run of each specimen, and what these say about each other.
+
+    Real and simulated runs are never mixed, nor are specimens. `options`: kind -> those of its reduction. Raises
+    InvalidFile for an unknown kind.
+    """
+    specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
+    for run in runs:
+        kind = reduction_of(run)
+        if registry.find(kind) is None:
+            raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, registry.all_kinds())}')
+        kinds = specimens.setdefault((specimen_of(run), run.simulated), {})
+        kinds.setdefault(kind, []).append(run)
+    found: list[Analysis] = []
+    for kinds in specimens.values():
+        analyses = _of_specimen(kinds, options or {})
+        compared = agreement(analyses)
+        found += analyses if compared is None else [*analyses, compared]
+    return found
+
+
+def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
+    """One analysis for each kind, in their order; static load comes last, for it needs K of another test."""
+    analyses: dict[str, Analysis] = {}
+    for kind in sorted(kinds, key=lambda kind: kind == STATIC):
+        asked = options.get(kind)
+        if kind == STATIC:
+            asked = {**option_of(list(analyses.values())), **(asked or {})}
+        analyses[kind] = _reduced(kind, kinds[kind], asked)
+    return [analyses[kind] for kind in kinds]
+
+
+def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
+    """The reduction of a kind, with the checks and the repeats of its trials."""
+    record = registry.kind_of(kind)
+    analysis = record.part("reduction")(runs, options)
+    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
+    return replace(checked, traces=(*checked.traces, *repeats.traces(record.compares, runs)))
+
+
+def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:
+    """One sentence for each reason why results are not accepted.
+
+    These are: nothing came out, a value was withheld, a reduction refuses acceptance, a protocol's limit is not kept.
+    """
+    failed: list[str] = []
+    tested = {run.id: (specimen_of(run), run.simulated) for run in runs}
+    for analysis in analyses:
+        failed += analysis.refusals
+        if analysis.kind == AGREEMENT:
+            continue
+        failed += _withheld(analysis)
+        if all(e.value is None and not e.withheld for e in analysis.estimates):
+            failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
+            continue
+        failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
+    return failed
+
+
+def _withheld(analysis: Analysis) -> list[str]:
+    """One sentence for each reason to withhold, with the values that it concerns."""
+    found: dict[str, list[str]] = {}
+    for estimate in analysis.estimates:
+        if estimate.withheld:
+            found.setdefault(estimate.note, []).append(_named(estimate))
+    return [f"{_first(names)}: withheld: {reason}" for reason, names in found.items()]
+
+
+def _first(names: Sequence[str]) -> str:
+    """The first of many names, and how many more there are."""
+    names = list(dict.fromkeys(names))
+    more = f" and {len(names) - MOST_REASONS} more" if len(names) > MOST_REASONS else ""
+    return ", ".join(names[:MOST_REASONS]) + more
+
+
+def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:
+    """The static-load test of the same specimen."""
+    mine = next((tested[run] for run in analysis.runs if run in tested), None)
+    for other in analyses:
+        if other.kind == STATIC and mine in [tested.get(run) for run in other.runs]:
+            return other
+    return None
+
+
+def _named(estimate: Estimate) -> str:
+    """A coefficient and its operating point in the units that people read: `K at pressure 300 kPa`."""
+    where = [
+        f"{name} {show(value, POINT_QUANTITIES[name])}" if name in POINT_QUANTITIES else f"{name} {value:g}"
+        for name, value in estimate.at.items()
+    ]
+    return f"{estimate.symbol} at {', '.join(where)}" if where else estimate.symbol
+
+
+def _why_nothing(analysis: Analysis) -> str:
+    """The faults that were found, else why trials were not used, else why values are missing."""
+    reasons = [f.text for f in analysis.findings if f.level == "fault"]
+    reasons = reasons or [f"{d.trial}: {d.reason}" for d in analysis.dropped] or [e.note for e in analysis.estimates]
+    more = len(dict.fromkeys(reasons)) - MOST_REASONS
+    told = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
+    return f"{told}; and {more} more reasons" if more > 0 else told

@@ -1,0 +1,80 @@
+"""Which kinds of test there are: every folder of this package, and entry points of the group `pmabench.kinds`.
+
+A package that is installed next to pmabench brings a kind by an entry point whose value is its record `KIND`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pkgutil import iter_modules
+
+from pmabench import kinds
+from pmabench.base.errors import did_you_mean
+from pmabench.base.kind import Kind, load
+
+GROUP = "pmabench.kinds"
+
+
+@lru_cache(maxsize=1)
+def all_kinds() -> Mapping[str, Kind]:
+    """Every kind by its name, in the order of reports; ValueError where two have the same name."""
+    records = [
+        import_module(f"pmabench.kinds.{module.name}").KIND for module in iter_modules(kinds.__path__) if module.ispkg
+    ]
+    records += [point.load() for point in entry_points(group=GROUP)]
+    found: dict[str, Kind] = {}
+    every = [kind for record in records for kind in (record, *record.also)]
+    for kind in sorted(every, key=lambda kind: (kind.order, kind.name)):
+        if kind.name in found:
+            raise ValueError(f'two packages bring a kind of test called "{kind.name}"; uninstall one of them')
+        found[kind.name] = kind
+    return found
+
+
+def find(name: str) -> Kind | None:
+    """The kind of a name; None where it is not known, as in a run of a newer version."""
+    return all_kinds().get(name)
+
+
+def kind_of(name: str) -> Kind:
+    """The kind of a name; ValueError with the nearest name where it is not known."""
+    known = all_kinds()
+    if name not in known:
+        raise ValueError(f'unknown kind of test "{name}"{did_you_mean(name, known)}')
+    return known[name]
+
+
+def with_part(name: str) -> dict[str, Kind]:
+    """The kinds that have a part of `Kind.parts`."""
+    return {kind.name: kind for kind in all_kinds().values() if name in kind.parts}
+
+
+def with_results(*symbols: str) -> dict[str, Kind]:
+    """The kinds that give all of some coefficients."""
+    return {kind.name: kind for kind in all_kinds().values() if {*symbols} <= {r.symbol for r in kind.results}}
+
+
+def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
+    """Of the options that a user gave, kind -> those that its reduction has. UsageError for what a kind refuses."""
+    found = {}
+    for kind in all_kinds().values():
+        mine = {name: value for name, value in asked.items() if value and name in kind.options}
+        if mine and "check options" in kind.parts:
+            load(kind.parts["check options"])(mine)
+        if mine:
+            found[kind.name] = mine
+    return found
+
+
+def protocols() -> dict[str, Kind]:
+    """The kinds that a protocol file can have."""
+    return {name: kind for name, kind in all_kinds().items() if kind.protocol}
+
+
+def title_of(name: str) -> str:
+    """The heading of a kind's name; made of the name where the kind is not known."""
+    kind = find(name)
+    return kind.title if kind else name.replace("-", " ").capitalize() or "Unnamed test"

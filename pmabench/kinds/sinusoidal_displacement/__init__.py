@@ -1,0 +1,72 @@
+"""A driven end moved as a sine at constant pressure: K, B, F_c, loops.
+
+- `reduction`, made of `fit`, `lines`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`,
+  `work`; figures' columns: `traces`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
+    Result("F_c", "Coulomb friction", "force", headline=True),
+    Result("F", "force", "force"),
+    Result("H", "loop width", "force"),
+    Result("W", "loop area, energy lost per cycle", "work"),
+    Result("W_c", "work given while contracting", "work"),
+    Result("eta", "work given back, of the work taken up", "ratio"),
+    Result("P_err", "largest error of the pressure", "pressure"),
+    Result("F_rms", "rms error of the modelled force", "force"),
+    Result("phi", "phase of force before displacement", "angle"),
+)
+METHODS = {
+    "sine-harmonic": (
+        "Three-parameter sine fits (IEEE 1057) of measured displacement and force at the known frequency: K = −Re(F/x);"
+        " −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A."
+    ),
+    "loop-width": (
+        "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed ω A. What "
+        "is left at 0 Hz is true hysteresis; the rest is phase lag."
+    ),
+    "sine-mean": (
+        "Mean force over whole cycles plus K times the mean displacement, a straight line over the speed ω A, at 0 Hz: "
+        "friction cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π."
+    ),
+    "loop-work": (
+        "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what is taken up"
+        " while expanding, W_c + W. At held pressure the air takes part in both; what it carries in and out is not "
+        "measured, so eta is no efficiency of the drive."
+    ),
+    "pressure error": (
+        "Largest difference of measured and set pressure while moving in a direction, the mean over cycles."
+    ),
+    "modelled with set pressure": (
+        "The force that a static model gives, F = f(x) + s(x) P through the branches of the slowest sines at all "
+        "pressures, with damping and friction of the harmonics and the set pressure as input: what an ideal source of "
+        "pressure would make of it (paper 3)."
+    ),
+    "modelled with measured pressure": "As modelled with set pressure, with the pressure that was measured.",
+}
+KIND = Kind(
+    name="sinusoidal-displacement",
+    title="Sinusoidal displacement",
+    order=30,
+    results=RESULTS,
+    reduction="pmabench.kinds.sinusoidal_displacement.reduction:reduce",
+    papers=("paper 3, sinusoidal tests",),
+    protocol="pmabench.kinds.sinusoidal_displacement.protocol:SinusoidalDisplacement",
+    live="pmabench.kinds.sinusoidal_displacement.live:measure",
+    moves="displacement",
+    compares="force",
+    methods=METHODS,
+    figures={
+        "loop": "pmabench.plotting.loops:loops",
+        "bode": "pmabench.plotting.loops:bode",
+        "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
+    },
+    published={
+        "loop": ("displacement", "force", "pressure"),
+    },
+)

@@ -1,0 +1,174 @@
+"""Whether the force along driven sines follows the straight form: harmonics of the force, and what they put in doubt.
+
+With x = x_m + A sin(theta), h1 the coefficient of sin(theta) in F, h2 minus that of cos(2 theta), h3 minus that of
+sin(3 theta) and q3 that of cos(3 theta), a curve F_m - K u + c u^2 + d u^3 about x_m gives h2 = c A^2/2 and
+h3 = d A^3/4, a friction F_c gives q3 = 4 F_c/(3 pi) and nothing of h3, and dampings that differ by direction give an
+h2 that rises with the speed: the line over the speed ends that. Knows measured trials of one pressure, mean and
+amplitude; computes no coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot, inf, pi
+
+import numpy as np
+
+from pmabench.analysis.results import Estimate, Finding, withhold
+from pmabench.analysis.shared.lines import weighted_line
+from pmabench.analysis.shared.sine_loop import Sine
+from pmabench.base.quantities import show
+
+CLEAR = 2.0
+"""A harmonic counts as found where it is so many times the half width of its 95 % interval."""
+LEAST = 0.01
+"""Share of a coefficient that a form which does not hold may be worth before the coefficient is withheld; of F_ce less
+by as many amplitudes as x = 0 lies from the mean, for the harmonics tell nothing of the curve out there."""
+BEYOND = 1.3
+"""What a misfit that is found and not taken off adds to an interval, by its own size: its size is an estimate, too."""
+COULOMB = 0.2
+"""Share by which the third harmonic in quadrature may be off that of a constant friction."""
+DIRECTIONS = 2 / (3 * pi)
+"""h2 over B omega A where one direction has no damping and the other has 2 B: the most that damping can make."""
+BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
+
+
+@dataclass(frozen=True)
+class Form:
+    """Harmonics of the force of a cell at speed 0 [N], each with the half width of its 95 % interval."""
+
+    h1: float
+    h2: float
+    h3: float
+    q3: float
+    half: tuple[float, float, float]
+    """Of h2, h3, q3; infinite where nothing is there to take it from."""
+    reach: float
+    """Mean contraction over amplitude [1]: how far x = 0 lies outside of the stroke."""
+
+    @classmethod
+    def of(cls, sines: Sequence[Sine], damping: float) -> Form:
+        """From each cycle of all trials; `damping` [N.s/m] bounds what is not known where there is one frequency."""
+        rows = [row for sine in sines for row in _harmonics(sine)]
+        frequency, speed, h1, *higher = (np.array(column) for column in zip(*rows, strict=True))
+        alone = len(np.unique(frequency)) < 2
+        lines = [weighted_line(frequency, None if alone else speed, y, np.abs(h1)) for y in higher]
+        half = [inf if line.half_start is None else line.half_start for line in lines]
+        if alone:
+            half[0] = hypot(half[0], DIRECTIONS * abs(damping) * float(speed.mean()))
+        mean = float(np.mean([sine.mean for sine in sines]))
+        reach = mean / float(np.mean([sine.amplitude for sine in sines]))
+        h2, h3, q3 = (line.start for line in lines)
+        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), reach)
+
+    @property
+    def bent(self) -> bool:
+        """Whether the force over contraction is found to be no straight line."""
+        return abs(self.h2) > CLEAR * self.half[0] or abs(self.h3) > CLEAR * self.half[1]
+
+    @property
+    def shares(self) -> str:
+        """h2 and h3 over h1, in words."""
+        return f"second harmonic {self.h2 / self.h1:.1%}, third {self.h3 / self.h1:.1%} of the first"
+
+    def _carried(self, h2: float, h3: float) -> float:
+        r = self.reach
+        return -h2 + 3 * h3 * r + 2 * h2 * r**2 - 4 * h3 * r**3
+
+    @property
+    def carried(self) -> tuple[float, float]:
+        """What a cubic through the stroke adds to the straight line's F at x = 0 [N], and its half width."""
+        if not np.isfinite(self.half[:2]).all():
+            return self._carried(self.h2, self.h3), inf
+        return self._carried(self.h2, self.h3), hypot(self._carried(self.half[0], 0), self._carried(0, self.half[1]))
+
+    def findings(self, at: Mapping[str, float]) -> list[Finding]:
+        """That the curve is bent, with how much."""
+        if not self.bent:
+            return []
+        where = show(at["pressure"], "pressure") if "pressure" in at else "this pressure"
+        text = f"at {where} the force over contraction is bent along the sines: {self.shares}"
+        return [Finding("note", f"{text}; a value of K is that at their mean contraction")]
+
+    def doubt_of_f_ce(self, F_ce: float) -> tuple[float, str]:
+        """Half width [N] that the form adds to F_ce, and the reason to withhold F_ce; empty where there is none."""
+        off, half = self.carried
+        share, far = abs(off) / max(abs(F_ce), 1e-9), max(1.0, abs(self.reach))
+        if self.bent and share > LEAST / far:
+            there = f"{abs(self.reach):.2g} amplitudes from their mean, outside of what they measured"
+            if abs(self.reach) <= 1.0:
+                there = f"where a cubic through the same harmonics gives {show(F_ce + off, 'force', 4)}"
+            return half, (
+                f"the force over contraction is bent along these sines ({self.shares}); the straight line carries it "
+                f"to {show(F_ce, 'force', 4)} at x = 0, {there}; {BETTER}, static load F_ce"
+            )
+        return hypot(BEYOND * off * far if self.bent else 0.0, min(half, abs(F_ce))), ""
+
+    def doubt_of_stiffness(self) -> tuple[float, str]:
+        """Share of K [1] that the form adds to its half width, and the reason to withhold K."""
+        share, half = 3 * abs(self.h3 / self.h1), 3 * self.half[1] / abs(self.h1)
+        if abs(self.h3) > CLEAR * self.half[1] and share > LEAST:
+            return half, (
+                f"the stiffness changes along the stroke (in phase with the displacement, the third harmonic of the "
+                f"force is {self.h3 / self.h1:.1%} of the first; {100 * LEAST / 3:.1g} % is accepted): the value "
+                f"would depend on the amplitude; {BETTER}"
+            )
+        return max(BEYOND * share if self.bent else 0.0, min(half, 1.0)), ""
+
+    def doubt_of_friction(self, F_c: float) -> str:
+        """The reason to withhold F_c [N]: its third harmonic is not that of a constant friction."""
+        expected = 4 * F_c / (3 * pi)
+        room = COULOMB * abs(expected) + CLEAR * self.half[2] + LEAST * abs(self.h1)
+        if abs(self.q3 - expected) <= room:
+            return ""
+        return (
+            f"a constant friction of {show(F_c, 'force', 3)} makes a third harmonic of {show(expected, 'force', 2)} in "
+            f"quadrature, found is {show(self.q3, 'force', 2)}: the friction is not constant along the stroke; the gap "
+            f"of an isobaric ramp measures it"
+        )
+
+
+def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
+    """Estimates of the harmonics with K, F_c and the loop width at 0 Hz withheld where the form contradicts them.
+
+    What the form leaves open of K is in its method part.
+    """
+    F_c = next((e.value for e in found if e.symbol == "F_c" and e.value is not None), None)
+    share, changing = form.doubt_of_stiffness()
+    reasons = {"K": changing, "F_c": "" if F_c is None else form.doubt_of_friction(F_c)}
+    told = []
+    for e in found:
+        reason = reasons.get("F_c" if e.symbol == "H" and e.at.get("frequency") == 0.0 else e.symbol, "")
+        if e.value is not None and reason:
+            e = withhold(e, reason)
+        elif e.value is not None and e.symbol == "K":
+            e = replace(e, parts=replace(e.parts, method=hypot(e.parts.method or 0.0, share * e.value)))
+        told.append(e)
+    return told
+
+
+def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
+    """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle.
+
+    A displacement that is no pure sine has harmonics, too: K times them is taken off.
+    """
+    cycle = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6).astype(int)
+    orders = np.array([1, 2, 3])
+    angles = np.outer(sine.omega * sine.t, orders)
+    design = np.column_stack([np.ones(len(sine.t)), np.cos(angles), np.sin(angles)])
+    both = np.column_stack([sine.x, sine.F])
+    rows: list[tuple[float, ...]] = []
+    for number in range(len(sine.cycles.ratio)):
+        one = cycle == number
+        if np.count_nonzero(one) <= design.shape[1]:
+            continue
+        fitted = np.linalg.lstsq(design[one], both[one], rcond=None)[0]
+        waves = fitted[1:4] - 1j * fitted[4:7]  # shape (3, 2): Re(wave exp(j k omega t))
+        turn = -1j * np.conj(waves[0, 0]) / abs(waves[0, 0])  # from omega t to theta
+        X, F = (waves * turn ** orders[:, None]).T
+        K = -(F[0] / X[0]).real
+        left = F + K * X
+        size = abs(K * X[0])
+        rows.append((sine.frequency, sine.omega * abs(X[0]), size, -left[1].real, left[2].imag, left[2].real))
+    return rows

@@ -1,0 +1,103 @@
+"""F_ce from the mean force of driven sines of one pressure, mean and amplitude, with its interval.
+
+Over a whole cycle friction and a damping that is the same both ways cancel, so that the mean force is F_ce - K x at the
+mean contraction x. Where B_c and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A,
+so that F_ce is where a line over that speed begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import hypot, isfinite, nan, pi
+
+import numpy as np
+
+from pmabench.analysis.results import Estimate, Parts, withhold
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import Line, weighted_line
+from pmabench.kinds.sinusoidal_displacement.fit import CYCLES_OF_EACH, Fitted, Member
+from pmabench.kinds.sinusoidal_displacement.form import Form
+
+METHOD = "sine-mean"
+ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
+UNTOLD = "no repeats part: no more trials than the line over speed needs"
+AT_MEAN = "at the mean contraction, at speed 0"
+NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
+
+
+def force_slopes(fits: Mapping[tuple[tuple[str, float], ...], Fitted]) -> dict[tuple[tuple[str, float], ...], float]:
+    """dF_ce/dP [N/Pa] at each cell, from the cells of like motion; absent without two pressures."""
+    alike: dict[tuple[tuple[str, float], ...], list[tuple[tuple[str, float], ...]]] = {}
+    for key in fits:
+        if "pressure" in dict(key):
+            alike.setdefault(tuple(item for item in key if item[0] != "pressure"), []).append(key)
+    found = {}
+    for keys in alike.values():
+        P = np.array([np.mean([m.sine.pressure for m in fits[key].group]) for key in keys])
+        if len(keys) < 2 or np.isnan(P).any() or np.ptp(P) < 1e-3 * P.max():
+            continue
+        order = np.argsort(P)
+        F = np.array([_line(fits[keys[i]], 0.0, nan).start for i in order])
+        for place, slope in zip(order, np.gradient(F, P[order]), strict=True):
+            found[keys[place]] = float(slope)
+    return found
+
+
+def estimates(
+    at: Mapping[str, float], fitted: Fitted, form: Form, scales: Scales, slope: float | None
+) -> tuple[Estimate, Estimate]:
+    """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where known.
+
+    F is the mean force less the second harmonic, so that a bent curve does not move it by more than its own doubt.
+    F_ce carries it along a straight line to x = 0, and is withheld where the form contradicts that.
+    Calibration, to first order: the force scales both; an offset of the displacement is worth K times that.
+    """
+    wanted = at.get("pressure", nan)
+    line = _line(fitted, slope or 0.0, wanted)
+    members = fitted.group
+    mean = float(np.mean([member.sine.mean for member in members]))
+    speed = float(np.mean([member.sine.speed for member in members]))
+    K_half, K_bias = fitted.half_stiffness, fitted.bias["K"]
+    doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
+    half = None if line.half_start is None or K_half is None else hypot(line.half_start, K_half * mean)
+    gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.K.start}
+    if slope is not None:
+        gains["pressure"], offsets["pressure"] = slope * wanted, slope
+    one_each = len(members) == len({member.sine.frequency for member in members})
+    scatter = UNTOLD if half is None else CYCLES_OF_EACH if one_each else ""
+    note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter)
+    bent, reason = form.doubt_of_f_ce(line.start)
+    parts = Parts(
+        half, hypot(K_bias * mean, doubt, bent), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
+    )
+    names = tuple(member.name for member in members)
+    F_ce = Estimate("F_ce", line.start, "N", "force", METHOD, dict(at), parts, len(members), note=note, trials=names)
+    F = line.start - (fitted.K.start - K_bias) * mean - form.h2
+    there = Parts(
+        line.half_start,
+        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), 0.3 * form.h2),
+        scales.part(gains | {"force": F}, offsets),
+    )
+    mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
+    return (withhold(F_ce, reason) if reason else F_ce), mean_force
+
+
+def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
+    """F_ce [N] over the speed amplitude [m/s]; with one frequency its mean."""
+    members = fitted.group
+    K = fitted.K.start - fitted.bias["K"]
+    rest = np.array([_at_rest(member, K, slope, wanted) for member in members])
+    frequency = np.array([member.sine.frequency for member in members])
+    speed = None if fitted.alone else np.array([member.sine.speed for member in members])
+    return weighted_line(frequency, speed, rest, _sizes(members))
+
+
+def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
+    off = slope * (wanted - member.sine.pressure) if slope else 0.0
+    return member.sine.force + K * member.sine.mean + off
+
+
+def _sizes(members: Sequence[Member]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """What an error of the mean force is a share of [N]."""
+    return np.array([abs(member.sine.force) for member in members])

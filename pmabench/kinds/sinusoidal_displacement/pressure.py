@@ -1,0 +1,261 @@
+"""Driven sines and the pressure that they make: its error by direction, and the force modelled from set and measured.
+
+Paper 3's validation: a model with an ideal source of pressure is off where the regulator is, and not with the pressure
+that was measured. The model here is what the slowest sines say: at each contraction F = f(x) + s(x) P, through their
+branches at all pressures (paper 3 eq. 6 is of that form, and so are three elements), and B and F_c of the harmonics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+
+from pmabench.analysis.results import Estimate, Finding, Parts, Trace
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.ramp_loop import on_grid
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.sine_loop import lagless, moving
+from pmabench.base.quantities import show
+from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
+from pmabench.store.records import Array
+
+ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"
+SIDES = ("contracting", "expanding")
+POINTS = 41
+APART = 0.05
+"""Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is told."""
+SLOW = 1.5
+"""Sines at up to so many times the lowest frequency of their pressure count as slow."""
+EXTREME = 3.0
+"""Standard deviations of the noise by which the largest of many samples lies beyond the signal."""
+WORSE = 1.2
+"""Ratio of the two rms errors from which on the set pressure is called worse."""
+LONGEST_TRACE = 1200
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A trial's kept cycles: time [s], contraction [m], its rate [m/s], force [N], pressure and set pressure [Pa]."""
+
+    member: Member
+    x: Array
+    v: Array
+    F: Array
+    P: Array
+    wanted: float
+
+    @classmethod
+    def of(cls, member: Member) -> Along | None:
+        """None where the pressure is not recorded, or no set pressure is told."""
+        sine, trial, wanted = member.sine, member.trial, member.trial.point.get("pressure")
+        if "pressure" not in trial.channels or wanted is None:
+            return None
+        x, v = moving(sine)
+        rows = np.searchsorted(trial.t, sine.t)
+        P = lagless(member.run, trial, "pressure", sine.frequency, rows)
+        F = lagless(member.run, trial, "force", sine.frequency, rows)  # the sine's own may have the ripple taken off
+        return cls(member, x, v, F, P, float(wanted))
+
+    @property
+    def t(self) -> Array:
+        """[s]."""
+        return self.member.sine.t
+
+    def side(self, name: str) -> Array:
+        """Rows that move in a direction, shape (n,)."""
+        return np.asarray(self.v > 0 if name == "contracting" else self.v < 0)
+
+    def by_cycle(self, values: Array, rows: Array) -> list[Array]:
+        """`values` of these rows, cycle by cycle."""
+        cycle = np.floor((self.t - self.t[0]) * self.member.sine.frequency + 1e-6).astype(int)
+        return [values[rows & (cycle == c)] for c in range(int(cycle.max()) + 1) if (rows & (cycle == c)).any()]
+
+
+@dataclass(frozen=True, eq=False)
+class Static:
+    """F = f + s P on a grid of contractions, shapes (n,)."""
+
+    x: Array
+    f: Array
+    s: Array
+    trials: tuple[str, ...]
+
+    @classmethod
+    def of(cls, alongs: Sequence[Along]) -> Static | None:
+        """From the slowest sines of each pressure; None where there are not two pressures."""
+        chosen: list[Along] = []
+        for wanted in sorted({along.wanted for along in alongs}):
+            mine = [along for along in alongs if along.wanted == wanted]
+            lowest = min(along.member.sine.frequency for along in mine)
+            widest = max(a.member.sine.amplitude for a in mine if a.member.sine.frequency <= SLOW * lowest)
+            chosen += [
+                along
+                for along in mine
+                if along.member.sine.frequency <= SLOW * lowest and along.member.sine.amplitude > 0.95 * widest
+            ]
+        pressures = [along.wanted for along in chosen]
+        if not chosen or max(pressures) - min(pressures) < APART * max(pressures):
+            return None
+        low = max(float(along.x.min()) for along in chosen)
+        high = min(float(along.x.max()) for along in chosen)
+        if not high > low:
+            return None
+        room = 0.01 * (high - low)
+        grid = np.linspace(low + room, high - room, POINTS)
+        P, F = [], []
+        for along in chosen:
+            for name in SIDES:
+                rows = along.side(name)
+                P.append(on_grid(grid, along.x[rows], along.P[rows]))
+                F.append(on_grid(grid, along.x[rows], along.F[rows]))
+        pressure, force = np.array(P), np.array(F)
+        mean_P, mean_F = pressure.mean(axis=0), force.mean(axis=0)
+        s = np.sum((pressure - mean_P) * (force - mean_F), axis=0) / np.sum((pressure - mean_P) ** 2, axis=0)
+        if not np.isfinite(s).all():
+            return None
+        return cls(grid, mean_F - s * mean_P, s, tuple(along.member.name for along in chosen))
+
+    def force(self, along: Along, P: Array | float, muscle: Muscle) -> Array:
+        """Along a trial's motion with a pressure [N]; NaN beyond the slow sines' stroke, shape (n,)."""
+        f = np.interp(along.x, self.x, self.f, left=nan, right=nan)
+        s = np.interp(along.x, self.x, self.s, left=nan, right=nan)
+        return np.asarray(f + s * P - muscle.B * along.v - muscle.F_c * np.sign(along.v))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What came out."""
+
+    estimates: list[Estimate]
+    findings: list[Finding]
+    traces: list[Trace]
+
+
+def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales) -> Told:
+    """Pressure error and rms error of the modelled force of each cell, by direction.
+
+    `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
+    """
+    alongs = [along for member in members if (along := Along.of(member)) is not None]
+    told = Told([], [], [])
+    cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
+    for along in alongs:
+        at = along.member.trial.point
+        key = tuple((name, round(at[name], 9)) for name in ("pressure", "mean", "amplitude", "frequency") if name in at)
+        cells.setdefault(key, []).append(along)
+    statics = {
+        mean: Static.of([along for along in alongs if _mean(along) == mean]) for mean in {_mean(a) for a in alongs}
+    }
+    ratios: list[tuple[str, float, float, str]] = []
+    for key, group in sorted(cells.items()):
+        at = dict(key)
+        for side in SIDES:
+            told.estimates.append(_error(at, group, side, scales))
+        static = statics[_mean(group[0])]
+        if static is None:
+            continue
+        known = muscles.get(group[0].member.name) or Muscle(0.0, 0.0, 0.0)
+        off: dict[tuple[str, str], float] = {}
+        for method, measured in ((SET, False), (MEASURED, True)):
+            models = [static.force(along, along.P if measured else along.wanted, known) for along in group]
+            for side in SIDES:
+                one = _rms(at, group, models, side, method, static.trials)
+                told.estimates.append(one)
+                off[method, side] = one.value or 0.0
+        where = f"{at.get('frequency', 0.0):g} Hz and {show(at['pressure'], 'pressure')}"
+        ratios += [(where, off[SET, side], off[MEASURED, side], side) for side in SIDES]
+        told.traces.append(_trace(at, group[0], static, known))
+    told.findings.extend(_sentences(ratios, any(statics.values()), told.estimates))
+    return told
+
+
+def _mean(along: Along) -> float:
+    return round(along.member.trial.point.get("mean", along.member.sine.mean), 6)
+
+
+def _extreme(errors: Array) -> float:
+    return float(errors[np.argmax(np.abs(errors))])
+
+
+def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: Scales) -> Estimate:
+    """The largest error of the pressure while moving in a direction, the mean over cycles; noise makes it larger."""
+    cycles = [
+        np.array([_extreme(one) for one in along.by_cycle(along.P - along.wanted, along.side(side))]) for along in group
+    ]
+    means = np.array([float(values.mean()) for values in cycles])
+    half = mean_half(means, cycles)
+    told = {"pressure": at["pressure"]}, {"pressure": 1.0}
+    note = sentences(NO_REPEATS if half is None else CYCLES if len(group) == 1 else "", scales.lack(*told))
+    parts = Parts(half, EXTREME * max(noise_of(along.P) for along in group), scales.part(*told))
+    names = tuple(along.member.name for along in group)
+    return Estimate(
+        "P_err", float(means.mean()), "Pa", "pressure", ERROR, dict(at), parts, len(group), note=note, trials=names,
+        coordinate=side,
+    )  # fmt: skip
+
+
+def _rms(
+    at: Mapping[str, float], group: Sequence[Along], models: Sequence[Array], side: str, method: str,
+    parents: tuple[str, ...],
+) -> Estimate:  # fmt: skip
+    """Root mean square of measured minus modelled force while moving in a direction."""
+    cycles = []
+    for along, model in zip(group, models, strict=True):
+        rows = along.side(side) & np.isfinite(model)
+        squares = along.by_cycle((along.F - model) ** 2, rows)
+        cycles.append(np.array([float(np.sqrt(one.mean())) for one in squares]) if squares else np.zeros(1))
+    means = np.array([float(np.sqrt(np.mean(values**2))) for values in cycles])
+    names = tuple(along.member.name for along in group)
+    parented = f"static model of {', '.join(parents[:3])}{' and others' if len(parents) > 3 else ''}"
+    note = f"{parented}; no calibration part: the model is made with the same channels"
+    return Estimate(
+        "F_rms", float(means.mean()), "N", "force", method, dict(at), Parts(mean_half(means, cycles), 0.0), len(group),
+        note=note, trials=names, coordinate=side,
+    )  # fmt: skip
+
+
+def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle) -> Trace:
+    """The last cycle: force measured and modelled, and the pressure's error."""
+    t = along.t
+    last = t >= t[-1] - 1 / along.member.sine.frequency
+    stride = max(1, -(-int(last.sum()) // LONGEST_TRACE))
+    columns = {
+        "displacement": along.x,
+        "force": along.F,
+        "set": static.force(along, along.wanted, muscle),
+        "measured": static.force(along, along.P, muscle),
+        "error": along.P - along.wanted,
+    }
+    name = "-".join(f"{value:g}" for value in at.values())
+    return Trace(
+        f"sine-pressure-{name}",
+        "sine-pressure",
+        f"{show(at['pressure'], 'pressure')}, {at.get('frequency', 0.0):g} Hz: force and pressure along a sine",
+        {key: values[last][::stride] for key, values in columns.items()},
+        {"displacement": "length", "force": "force", "set": "force", "measured": "force", "error": "pressure"},
+        {key: value for key, value in at.items() if key in ("frequency", "pressure")},
+    )
+
+
+def _sentences(
+    ratios: Sequence[tuple[str, float, float, str]], modelled: bool, estimates: Sequence[Estimate]
+) -> list[Finding]:
+    """Where the set pressure is a worse input than the measured one, the worst case told."""
+    worse = [one for one in ratios if one[1] > WORSE * one[2]]
+    if worse:
+        where, by_set, by_measured, side = max(worse, key=lambda one: one[1] - one[2])
+        text = (
+            f"the modelled force is worse with the set pressure than with the measured one: while {side} at {where} "
+            f"{show(by_set, 'force', 3)} rms against {show(by_measured, 'force', 3)}; the regulator is no ideal source"
+        )
+        return [Finding("note", text)]
+    error = max((abs(e.value or 0.0) / e.at["pressure"] for e in estimates if e.symbol == "P_err"), default=0.0)
+    if not modelled and error > 0.02:
+        text = f"the pressure is off by up to {error:.0%} along the sines"
+        text += "; run them at two pressures to see what of the force that is"
+        return [Finding("note", text)]
+    return []

@@ -1,0 +1,185 @@
+"""Reduction of driven sines: K, B, F_c and loop widths from the first harmonics of displacement and force.
+
+Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
+lines through those of one cell are in `fit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.sine_loop import measure
+from pmabench.base.quantities import show
+from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force, work
+from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.form import Form, judged
+from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
+from pmabench.kinds.sinusoidal_displacement.traces import traces_of
+from pmabench.store.records import RunData
+
+KIND = "sinusoidal-displacement"
+CHANNELS = ("displacement", "force")
+CELL = ("pressure", "mean", "amplitude")
+Key = tuple[tuple[str, float], ...]
+"""A cell: names and values of its point."""
+UNEVEN = 0.01
+"""Share of the force that uncorrected pressure at the sine's frequency may be worth before it is doubted."""
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """K [N/m], B [N.s/m], F_c, F_ce [N], loop widths [N] and areas [J] of sinusoidal displacement at constant pressure.
+
+    The muscle pulls with F = F_ce - K x - B x' - F_c sign x'. With the complex amplitudes of measured displacement and
+    force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
+    4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
+    at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
+    what the mean force tells (`mean_force`). Where higher harmonics of the force contradict the form that a coefficient
+    assumes, it is withheld (`form`).
+
+    `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
+    between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
+    else 0), `force_per_pressure` dF/dP [N/Pa].
+    """
+    options = options or {}
+    members, dropped = _members(runs, options)
+    members, findings = _even_pressure(members, options)
+    scales = Scales.of(runs)
+    estimates: list[Estimate] = []
+    traces: list[Trace] = []
+    lines: list[dict[str, Any]] = []
+    fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
+    rising = mean_force.force_slopes(fits)
+    for key, fitted in fits.items():
+        slopes = _over_pressure(key, fits)
+        form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
+        found = judged(fitted.estimates(dict(key), scales, slopes), form)
+        estimates += [*found, *mean_force.estimates(dict(key), fitted, form, scales, rising.get(key))]
+        estimates += work.estimates(dict(key), fitted.group, scales, fitted.skew)
+        findings += fitted.findings(dict(key))
+        findings += form.findings(dict(key))
+        lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
+        told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
+        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if told >= {"K", "B", "F_c"} else None)
+        if slopes is None:
+            where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
+            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
+    pressed = pressure_and_force(members, _muscles(fits), scales)
+    estimates += pressed.estimates
+    findings += pressed.findings
+    traces += pressed.traces
+    findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
+    scaled = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
+    if estimates and (lack := scales.lack(scaled)):
+        findings.append(Finding("note", lack))
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=estimates,
+        dropped=dropped,
+        findings=findings,
+        traces=traces,
+        facts={
+            "options": dict(options),
+            "trials": len(members),
+            "cells": len(_grouped(members, (*CELL, "frequency"))),
+            "lines": lines,
+        },
+    )
+
+
+def _muscles(fits: Mapping[Key, Fitted]) -> dict[str, Muscle | None]:
+    """What the harmonics gave, by name of the trial."""
+    return {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
+
+
+def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
+    """Slopes of K, B and F_c over pressure at one cell, from the cells of like motion; None without two pressures."""
+    at = dict(key)
+    like = {
+        dict(other)["pressure"]: fitted.muscle
+        for other, fitted in fits.items()
+        if "pressure" in dict(other) and {**at, "pressure": 0.0} == {**dict(other), "pressure": 0.0}
+    }
+    if "pressure" not in at or len(like) < 2:
+        return None
+    P = sorted(like)
+    values = np.array([(like[p].K, like[p].B, like[p].F_c) for p in P])
+    K, B, F_c = np.gradient(values, np.array(P), axis=0)[P.index(at["pressure"])]
+    return Muscle(float(K), float(B), float(F_c))
+
+
+def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float) -> float:
+    """A setting: the option, else what the plan says, else the default."""
+    settings = run.plan.get("settings") or {}
+    return float(options.get(name, settings.get(name, default)))
+
+
+def _skew(group: Sequence[Member], options: Mapping[str, Any]) -> float:
+    """Bound of the time between displacement and force [s]: what is stated, and that of the clocks of their streams."""
+    stated = max(_setting(member.run, options, "time_skew", 0.0) for member in group)
+    return stated + skew.apart([member.run for member in group], CHANNELS)
+
+
+def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:
+    members: list[Member] = []
+    dropped: list[Dropped] = []
+    for run in runs:
+        discard = _setting(run, options, "discard", 1)
+        for trial in run.trials:
+            try:
+                members.append(Member(run, trial, measure(run, trial, discard)))
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    return members, dropped
+
+
+def _grouped(members: Sequence[Member], names: Sequence[str]) -> dict[Key, list[Member]]:
+    groups: dict[Key, list[Member]] = {}
+    for member in members:
+        point = member.trial.point
+        groups.setdefault(tuple((name, round(point[name], 9)) for name in names if name in point), []).append(member)
+    return groups
+
+
+def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[list[Member], list[Finding]]:
+    """Take off the force that pressure at the sine's own frequency makes: dF/dP times that pressure.
+
+    dF/dP [N/Pa] is the option `force_per_pressure`, else the slope of mean force over mean pressure among trials of
+    the same mean displacement. Where neither is known nothing is taken off; what it may be worth is then doubted.
+    """
+    even: list[Member] = []
+    findings: list[Finding] = []
+    for _, group in sorted(_grouped(members, ("mean",)).items()):
+        pressures = np.array([member.sine.pressure for member in group])
+        forces = np.array([member.sine.force for member in group])
+        slope = float(options.get("force_per_pressure", nan))
+        if np.isnan(slope) and not np.isnan(pressures).any() and np.ptp(pressures) > 0.1 * pressures.max():
+            slope = float(np.polyfit(pressures, forces, 1)[0])
+        for member in group:
+            sine = member.sine
+            guess = sine.force / sine.pressure if np.isnan(slope) else slope
+            share = abs(sine.ripple) * abs(guess) / (abs(sine.ratio) * sine.amplitude) if sine.ripple else 0.0
+            if not np.isnan(slope) and share > 1e-4:
+                discard = _setting(member.run, options, "discard", 1)
+                even.append(Member(member.run, member.trial, measure(member.run, member.trial, discard, slope)))
+                continue
+            even.append(member)
+            if share > UNEVEN:
+                findings.append(
+                    Finding(
+                        "doubt",
+                        f"trial {member.name}: the pressure swings by {show(abs(sine.ripple), 'pressure', 3)} with the "
+                        f"sine, worth about {share:.1%} of the force; give force_per_pressure, or run at two pressures",
+                    )
+                )
+    return even, findings

@@ -1,0 +1,39 @@
+"""The pressures at which loads lift off and set down: F_ce over pressure.
+
+- `reduction`, made of `points` and `break_away` (lift and set-down carried to x = 0); words and figures: `view`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("F_ce", "contractile force", "force", headline=True),
+    Result("F_f", "friction, half the difference of both directions", "force"),
+)
+METHODS = {
+    "static-mean": (
+        "F_ce(P) from the mean of the pressures at which each load lifts off its support and sets down again: friction "
+        "acts in opposite directions and drops out. Least squares of pressure on load."
+    ),
+    "static-lift": "As static-mean, from the lift-off alone: F_ce comes out low by the friction.",
+    "static-set-down": "As static-mean, from the set-down alone: F_ce comes out high by the friction.",
+    "static-half-difference": (
+        "Half the difference of lift-off and set-down, as a force: friction between sliding and static."
+    ),
+}
+KIND = Kind(
+    name="static-load",
+    title="Static load",
+    order=10,
+    results=RESULTS,
+    reduction="pmabench.kinds.static_load.reduction:reduce",
+    papers=("paper 0, static study",),
+    protocol="pmabench.kinds.static_load.protocol:StaticLoad",
+    live="pmabench.kinds.static_load.live:measure",
+    moves="displacement",
+    methods=METHODS,
+    figures={
+        "static": "pmabench.kinds.static_load.figures:points",
+        "lift": "pmabench.kinds.static_load.figures:lifts",
+    },
+)

@@ -1,0 +1,42 @@
+"""Steps of displacement at constant pressure: stiffness at the peak and relaxed.
+
+- `reduction`, made of `relaxation`
+- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("K", "stiffness", "stiffness", headline=True),
+    Result("F", "force", "force", headline=True),
+    Result("tau_F", "time constant of the force after a step", "time"),
+    Result("tau_p", "time constant of the pressure after a step", "time"),
+    Result("P_err", "largest error of the pressure", "pressure"),
+)
+METHODS = {
+    "step, relaxed": (
+        "Forces and measured contraction at rest, before a step of displacement and at the end of the rest after it: K "
+        "= −ΔF/Δx; above 0 the step contracts."
+    ),
+    "step, peak": (
+        "As step, relaxed, with the peak of the force in place of the relaxed one: damping, and the pressure that the "
+        "step makes, are in it."
+    ),
+    "step, recovery": "One exponential through force and pressure from the end of the motion on.",
+}
+KIND = Kind(
+    name="step-displacement",
+    title="Steps of displacement",
+    order=60,
+    results=RESULTS,
+    reduction="pmabench.kinds.step_displacement.reduction:reduce",
+    papers=("paper 3, steps",),
+    protocol="pmabench.kinds.step_displacement.protocol:StepDisplacement",
+    live="pmabench.kinds.step_displacement.live:measure",
+    moves="displacement",
+    compares="force",
+    methods=METHODS,
+    figures={
+        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
+    },
+)

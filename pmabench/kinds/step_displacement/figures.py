@@ -1,0 +1,69 @@
+"""Figure of steps of displacement: displacement, force and pressure over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import ramp_plots
+from pmabench.plotting.pictures import (
+    Picture,
+    bound,
+    column,
+    has,
+    head,
+    how_many,
+    label,
+    numbers,
+    picture,
+    spread,
+)
+from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.wording import shown
+
+STEPS = 4
+"""Most panels."""
+
+
+def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Displacement, force and pressure over time around steps of displacement."""
+    able = [t for t in traces if has(t, "t", "force", "displacement")]
+    chosen = spread(able, STEPS)
+    if not chosen:
+        return []
+    panels = []
+    for trace in chosen:
+        names = {"t": "t", "x": "displacement", "y": "force"} | ({"P": "pressure"} if has(trace, "pressure") else {})
+        base = _around(trace, names)
+        scale = shown("force").scale
+        marks = {name: value / scale for name, value in trace.marks.items() if name in ("before", "peak", "relaxed")}
+        panels.append(Panel(head(trace), base, marks))
+    labels = {
+        "t": label(chosen[0], "t"),
+        "x": label(chosen[0], "displacement"),
+        "y": label(chosen[0], "force"),
+        "P": shown("pressure").label("pressure"),
+    }
+    caption = (
+        "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
+        f"step is longer than what is drawn.{how_many(chosen, able)}"
+    )
+    alt = (
+        f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
+    )
+    draw = bound(ramp_plots.steps, panels, labels)
+    table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
+    title = "Steps of displacement"
+    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+
+
+def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
+    """The columns from shortly before the step until its motion is well over: six times as long as it takes."""
+    x = column(trace, "displacement")
+    moving = np.flatnonzero(np.abs(x - x[-1]) > 0.05 * np.ptp(x))
+    t = column(trace, "t")
+    end = float(t[moving[-1]]) if len(moving) else float(t[-1])
+    rows = (t >= -end) & (t <= max(6 * end, end + 0.1))
+    return {new: column(trace, old)[rows] for new, old in names.items()}

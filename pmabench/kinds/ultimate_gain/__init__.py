@@ -1,0 +1,61 @@
+"""Ultimate gain and period of the position loop: by a rising gain, a relay, or steps without a loop.
+
+- `reduction`, on `cell`: rising gain by `levels`; relay by `relay_gain`, `relay_levels`; steps without a loop by
+  `open_loop_gain`, `open_loop`, `open_loop_fit`; a campaign of contractions by `model_gain`; the ways against each
+  other in `ways`
+- protocol files: `protocol`; one trial on the display: `live`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("K_u", "ultimate gain", "gain", headline=True),
+    Result("T_u", "ultimate period", "time", headline=True),
+)
+METHODS = {
+    "open-loop": (
+        "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag are fitted from "
+        "command to pressure, a gain, a lag for each direction and the inertia from the measured pressure to the "
+        "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
+        "directions (Ziegler and Nichols 1942). Where rests depend on the side they were reached from, as friction "
+        "makes them, neither is told."
+    ),
+    "gain-steps": (
+        "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings is fitted "
+        "by a line over the gain; K_u is its zero (Ziegler and Nichols 1942). Oscillations that are no sine are "
+        "refused."
+    ),
+    "relay-fit": (
+        "A relay makes the loop swing at two sizes. A dead time, two lags and a gain are fitted to the harmonics of "
+        "command, pressure and contraction of the larger one; K_u and T_u solve the phase equation of that loop. Where "
+        "period or gain change with the size, as friction makes them, neither is told."
+    ),
+    "relay-describing-function": (
+        "K_u = 4 d / (π √(a² − h²)), T_u the period of the relay oscillation: d half the switching of the command, a "
+        "half the swing, h the hysteresis (Åström and Hägglund 1984). It leaves out harmonics and the phase of the "
+        "hysteresis."
+    ),
+}
+KIND = Kind(
+    name="ultimate-gain",
+    title="Ultimate gain",
+    order=40,
+    results=RESULTS,
+    reduction="pmabench.kinds.ultimate_gain.reduction:reduce",
+    papers=("paper 0, control",),
+    protocol="pmabench.kinds.ultimate_gain.protocol:UltimateGain",
+    live="pmabench.kinds.ultimate_gain.live:measure",
+    moves="displacement",
+    methods=METHODS,
+    parts={
+        "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
+        "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
+    },
+    figures={
+        "oscillation": "pmabench.plotting.loops:oscillations",
+        "growth": "pmabench.plotting.loops:oscillations",
+    },
+    front={
+        "growth": "pmabench.plotting.loops:growth_alone",
+    },
+)

@@ -1,0 +1,371 @@
+"""One ultimate-gain trial: its levels measured, the line through them, the loop behind, and what speaks against it.
+
+The test of a sustained oscillation: ratio 0.95 to 1.05, swings above six times the noise, command inside its range,
+periods within 5 %, a sine and not a triangle, and growth that does not depend on the size of the swings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import log, pi, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.base.quantities import show
+from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
+from pmabench.store.records import Array, RunData, TrialData
+
+STEEPEST = 0.3
+"""Levels that lose or gain more than this per half period [ln] stay out of the line: too far from K_u."""
+MOST_LEVELS = 6
+FEWEST_LEVELS = 3
+REACHED = -log(0.95)
+"""ln of the largest ratio that still counts as sustained, and how near the last level must come."""
+FEWEST_SWINGS = 6
+PERIOD_VARIATION = 0.05
+THIRD = {"doubt": 0.006, "fault": 0.012}
+"""Third harmonic over first: 0 for a sine, 0.11 for a triangle; a real loop without friction stays below 0.003 here."""
+FRICTION = {"doubt": 0.02, "fault": 0.05}
+"""Relative shift of K_u by the part of the growth that goes with 1/swing, as Coulomb friction makes it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of gain, measured."""
+
+    gain: float
+    """K_p [Pa/m]."""
+    t0: float
+    t1: float
+    aim: float
+    """Set-point with kick [m]."""
+    swinging: Swinging | None
+    """None where fewer than four swings can be seen."""
+    saturated: bool
+    third: float = 0.0
+    """Third harmonic of the displacement over the first [1]."""
+    third_noise: float = 0.0
+    """Standard deviation that noise alone gives it [1]."""
+    amplitudes: tuple[complex, complex] | None = None
+    """Of displacement [m] and pressure [Pa] in the mode."""
+    means: tuple[float, float] = (float("nan"), float("nan"))
+    """Of displacement [m] and pressure [Pa]."""
+
+    @property
+    def log_ratio(self) -> float:
+        """Natural logarithm of the ratio of successive swings [1]; nan where unknown."""
+        return self.swinging.log_ratio if self.swinging else float("nan")
+
+    @property
+    def period(self) -> float:
+        """[s]; nan where unknown."""
+        return self.swinging.period if self.swinging else float("nan")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        seen = self.swinging
+        return {
+            "gain": self.gain,
+            "t0": self.t0,
+            "t1": self.t1,
+            "log_ratio": None if seen is None else seen.log_ratio,
+            "period": None if seen is None else seen.period,
+            "swings": 0 if seen is None else len(seen.sizes),
+            "last_swing": None if seen is None else float(seen.sizes[-1]),
+            "third_harmonic": self.third,
+            "saturated": self.saturated,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class TrialFound:
+    """What one trial says."""
+
+    levels: tuple[Level, ...]
+    used: tuple[Level, ...]
+    nearest: Level | None
+    """The level with the smallest |ln ratio|."""
+    bias: float
+    """Of the command [Pa]."""
+    line: tuple[float, float] = (float("nan"), float("nan"))
+    """Slope [m/Pa] and value at gain 0 of ln ratio."""
+    K_u: float = float("nan")
+    half_K_u: float = float("nan")
+    """Half width of the 95 % interval from the scatter about the line."""
+    bias_K_u: float | None = None
+    """By replay; taken off."""
+    T_u: float = float("nan")
+    half_T_u: float = float("nan")
+    bias_T_u: float | None = None
+    friction: float = 0.0
+    """Relative shift of K_u by growth that depends on the swing [1]."""
+    loop: Loop | None = None
+    refused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
+    """K_u, T_u and the loop behind one trial, or why it has none. `search` is what the law `gain-steps` wrote down."""
+    lag = {name: info.sensor_lag for name, info in run.channels.items()}
+    levels = tuple(_measure(trial, level, search) for level in search["levels"])
+    bias = float(search.get("bias", 0.0))
+    seen = [level for level in levels if level.swinging is not None and abs(level.log_ratio) < STEEPEST]
+    nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
+    ended = str(search.get("ended", ""))
+    if nearest is None or len(seen) < FEWEST_LEVELS:
+        reason = _too_few(levels, seen, nearest, ended)
+        return TrialFound(levels, tuple(seen), nearest, bias, refused=(reason,))
+    used = seen[-MOST_LEVELS:]
+    gains = np.array([level.gain for level in used])
+    ratios = np.array([level.log_ratio for level in used])
+    periods = np.array([level.period for level in used])
+    off = np.array([level.means[0] for level in used]) - float(search.get("setpoint", 0.0))
+    zero = _zero(gains, ratios, periods, off)
+    friction = _friction(used, zero.line[0] * zero.K_u)
+    refused = _against(levels, nearest, used, ended, friction)
+    if not (zero.line[0] > 0 and 0.5 * gains.min() < zero.K_u < 1.2 * gains.max()):
+        refused.append("growth does not rise with gain, so that no gain can be named at which it is 0")
+    if refused:
+        return TrialFound(levels, tuple(used), nearest, bias, zero.line, friction=friction, refused=tuple(refused))
+    loop = _identify(used, lag)
+    bias_K, bias_T = _replay(loop, gains, off) if loop is not None else (None, None)
+    return TrialFound(
+        levels=levels,
+        used=tuple(used),
+        nearest=nearest,
+        bias=bias,
+        line=zero.line,
+        K_u=zero.K_u - (bias_K or 0.0),
+        half_K_u=zero.half_K_u,
+        bias_K_u=bias_K,
+        T_u=zero.T_u - (bias_T or 0.0),
+        half_T_u=zero.half_T_u,
+        bias_T_u=bias_T,
+        friction=abs(friction),
+        loop=loop,
+        doubts=tuple(_doubts(nearest, ratios, friction)),
+    )
+
+
+def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
+    """One level from its samples; flagged ones are left out."""
+    mask = (trial.t >= level["t0"]) & (trial.t <= level["t1"]) & trial.usable
+    t, x = trial.t[mask], trial.channels["displacement"][mask]
+    noise = noise_of(x)
+    gain, aim = float(level["gain"]), float(level.get("aim", search.get("setpoint", 0.0)))
+    saturated = False
+    if "low" in search and "high" in search:
+        command = float(search.get("bias", 0.0)) + gain * (aim - x)
+        saturated = bool(np.any((command < search["low"]) | (command > search["high"])))
+    swinging = describe(t, x, noise) if len(t) > 20 else None
+    third = third_noise = 0.0
+    amplitudes, means = None, (float("nan"), float("nan"))
+    if swinging is not None:
+        late = t >= swinging.times[0]
+        names = ["displacement", "pressure"] if "pressure" in trial.channels else ["displacement"]
+        signals = np.column_stack([trial.channels[name][mask][late] for name in names])
+        centre, found = mode_amplitudes(t[late], signals, swinging.root)
+        size = abs(complex(found[0, 0]))
+        third = abs(complex(found[2, 0])) / size
+        third_noise = noise * sqrt(2.0 / late.sum()) / size
+        if len(names) > 1:
+            amplitudes = (complex(found[0, 0]), complex(found[0, 1]))
+        means = (float(centre[0]), float(centre[-1]) if len(names) > 1 else float("nan"))
+    t0, t1 = float(level["t0"]), float(level["t1"])
+    return Level(gain, t0, t1, aim, swinging, saturated, third, third_noise, amplitudes, means)
+
+
+@dataclass(frozen=True)
+class _Zero:
+    """Where growth is 0."""
+
+    K_u: float
+    half_K_u: float
+    T_u: float
+    half_T_u: float
+    line: tuple[float, float]
+    """Slope [m/Pa] and value at gain 0 of ln ratio, at the set-point."""
+
+
+def _zero(gains: Array, ratios: Array, periods: Array, off: Array) -> _Zero:
+    """Zero of the line through ln ratio over gain, the periods' line there, and half widths of the 95 % intervals.
+
+    With five levels and more, both lines also lean on `off`, the distance [m] of a level's mean from the set-point:
+    kicks move it, and K_u changes with it. Intervals from the scatter about the line, Student's t.
+    """
+    centre = float(gains.mean())
+    columns = [np.ones_like(gains), gains - centre]
+    if len(gains) >= FEWEST_LEVELS + 2 and np.ptp(off) > 0.1 * np.max(np.abs(off)) > 0:
+        columns.append(off / np.max(np.abs(off)))
+    design = np.column_stack(columns)
+    inverse = np.linalg.inv(design.T @ design)
+    freedom = len(gains) - len(columns)
+    quantile = float(student.ppf(0.975, freedom))
+    growth, clock = inverse @ design.T @ ratios, inverse @ design.T @ periods
+
+    def error(values: Array, fitted: Array, at: Array) -> float:
+        residual = values - design @ fitted
+        return quantile * sqrt(float(residual @ residual) / freedom * float(at @ inverse @ at))
+
+    beyond = -float(growth[0] / growth[1])
+    at = np.zeros(len(columns))
+    at[:2] = 1.0, beyond
+    half_K = error(ratios, growth, at) / abs(float(growth[1]))
+    half_T = sqrt(error(periods, clock, at) ** 2 + (float(clock[1]) * half_K) ** 2)
+    line = (float(growth[1]), float(growth[0] - growth[1] * centre))
+    return _Zero(centre + beyond, half_K, float(clock @ at), half_T, line)
+
+
+def _friction(used: Sequence[Level], slope: float) -> float:
+    """Relative shift of K_u by growth that goes with 1/swing: 0 for a linear loop, whatever its swings.
+
+    Coulomb friction takes a fixed step off each swing: ln ratio = (linear part of the level) - c / swing. c is fitted
+    to all single ratios with one constant per level and an alternating term; `slope` is d ln ratio / d ln K_p.
+    """
+    rows, single, inverse = [], [], []
+    for k, level in enumerate(used):
+        if level.swinging is None:
+            continue
+        sizes = level.swinging.sizes
+        for i, ratio in enumerate(np.log(sizes[1:] / sizes[:-1])):
+            row = np.zeros(2 * len(used))
+            row[k], row[len(used) + k] = 1.0, (-1.0) ** i
+            rows.append(row)
+            single.append(float(ratio))
+            inverse.append(1.0 / sqrt(sizes[i] * sizes[i + 1]))
+    weight = 1.0 / np.array(inverse)
+    design = np.column_stack([np.array(rows), np.array(inverse)]) * weight[:, None]
+    fitted, *_ = np.linalg.lstsq(design, np.array(single) * weight, rcond=None)
+    last = used[-1].swinging
+    typical = float(np.median(last.sizes)) if last is not None else float("inf")
+    return float(-fitted[-1] / typical / slope)
+
+
+def _too_few(levels: Sequence[Level], seen: Sequence[Level], nearest: Level | None, ended: str) -> str:
+    """Why there are not enough levels that swing: the gain was too low, or the muscle sticks."""
+    last = next((level for level in reversed(levels) if level.swinging is not None), None)
+    stop = f"; the search ended by {ended}" if ended else ""
+    sticks = any(level.swinging is None for level in levels) and nearest is not None and nearest.third > THIRD["fault"]
+    if not sticks and last is not None and last.log_ratio < -REACHED:
+        return _too_low(levels, last) + stop
+    reason = f"the loop swings at {len(seen)} of {len(levels)} levels only, {FEWEST_LEVELS} are needed"
+    if sticks:
+        reason += "; in between it comes to rest: a limit cycle with stiction, not an ultimate oscillation"
+    return reason + stop
+
+
+def _too_low(levels: Sequence[Level], last: Level) -> str:
+    return (
+        f"the gain was never high enough: up to {show(levels[-1].gain, 'gain', 3)} the swings die out, at the last to "
+        f"{np.exp(last.log_ratio):.2f} per half period"
+    )
+
+
+def _against(levels: Sequence[Level], nearest: Level, used: Sequence[Level], ended: str, friction: float) -> list[str]:
+    """Reasons why the trial's oscillation is not an ultimate one."""
+    seen = nearest.swinging
+    reasons = []
+    if seen is None:
+        return ["no swings"]
+    if max(level.log_ratio for level in used) < -REACHED:
+        reasons.append(_too_low(levels, used[-1]) + (f"; the search ended by {ended}" if ended else ""))
+    if nearest.saturated:
+        reasons.append("the command was saturated at the level nearest to sustained oscillation")
+    if seen.period_variation > PERIOD_VARIATION:
+        reasons.append(f"the periods vary by {seen.period_variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
+    shape = min(level.third - 3 * level.third_noise for level in used[-2:])
+    if shape > THIRD["fault"]:
+        reasons.append(f"limit cycle with stiction: third harmonic {shape:.1%} of the first (sine 0, triangle 11 %)")
+    if abs(friction) > FRICTION["fault"]:
+        reasons.append(
+            f"limit cycle with stiction: growth depends on the swing, which shifts K_u by {abs(friction):.0%}"
+        )
+    return reasons
+
+
+def _doubts(nearest: Level, ratios: Array, friction: float) -> list[str]:
+    """What weakens the result without refusing it."""
+    doubts = []
+    if ratios.max() < 0:
+        doubts.append("the swings never grew: K_u lies beyond the last level")
+    if nearest.swinging is not None and len(nearest.swinging.sizes) < FEWEST_SWINGS - SKIPPED + 1:
+        doubts.append(f"fewer than {FEWEST_SWINGS} half periods near K_u")
+    if abs(nearest.log_ratio) > REACHED:
+        doubts.append(f"no level held the swings within 5 %: nearest ratio {np.exp(nearest.log_ratio):.3f}")
+    if nearest.third - 3 * nearest.third_noise > THIRD["doubt"]:
+        doubts.append(f"not quite a sine: third harmonic {nearest.third:.1%}")
+    if abs(friction) > FRICTION["doubt"]:
+        doubts.append(f"growth depends on the swing, as with friction: worth {abs(friction):.1%} of K_u")
+    return doubts
+
+
+def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
+    """The loop that these levels swing in, from the amplitudes X, P of displacement and pressure at each root s.
+
+    The law makes the command -K_p X, so P / (-K_p X) = exp(-L s)/(1 + T_r s), and X / P = k_g/(1 + tau s + beta s^2)
+    with k_g the slope of the levels' mean displacement over mean pressure, beta = M/K; sensor lags are taken off. L
+    holds the hold and all delays. None without a pressure, or where no such loop fits.
+    """
+    roots, commands, ratios = [], [], []
+    for level in used:
+        if level.swinging is None or level.amplitudes is None or abs(level.amplitudes[1]) == 0:
+            return None
+        root, (X, P) = level.swinging.root, level.amplitudes
+        P = P * (1 + lag.get("pressure", 0.0) * root)
+        roots.append(root)
+        commands.append(-P / (level.gain * X))
+        ratios.append(X * (1 + lag.get("displacement", 0.0) * root) / P)
+    s, R, G = np.array(roots), np.array(commands), np.array(ratios)
+    muscle = _muscle(s, G, np.array([level.means for level in used]))
+
+    def misfit(p: Array) -> Array:
+        off = np.log(R * (1 + np.exp(p[0]) * s) * np.exp(p[1] * s))
+        return np.concatenate([off.real, off.imag])
+
+    fitted = least_squares(misfit, [log(0.2 * 2 * pi / float(s.imag.mean())), 0.0]).x
+    if muscle is None or fitted[1] < 0:
+        return None
+    gain, lags = muscle
+    sensor = lag.get("displacement", 0.0)
+    loop = Loop(gain, float(fitted[1]), (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ())))
+    try:
+        ultimate(loop)
+    except ValueError:
+        return None
+    return loop
+
+
+def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
+    """Gain k_g [m/Pa] and lags [s] of displacement over pressure, from G = X/P at the roots `s` [1/s].
+
+    k_g/G - 1 = tau s + beta s^2 is linear in tau and beta. Where the means hardly move, or beta comes out negative,
+    there is one lag, and gain and lag both come from G.
+    """
+    x, P = means[:, 0] - means[:, 0].mean(), means[:, 1] - means[:, 1].mean()
+    gain = float(x @ P / (P @ P)) if P @ P > 0 else 0.0
+    if gain > 0 and (x @ P) ** 2 > 0.9 * (x @ x) * (P @ P):
+        left = gain / G - 1
+        design = np.column_stack([np.concatenate([s.real, s.imag]), np.concatenate([(s**2).real, (s**2).imag])])
+        tau, beta = np.linalg.lstsq(design, np.concatenate([left.real, left.imag]), rcond=None)[0]
+        if tau > 0 and beta > 0:
+            root = complex(tau * tau - 4 * beta) ** 0.5
+            pair = ((tau + root) / 2, (tau - root) / 2)
+            return gain, pair if root.imag else tuple(complex(lag).real for lag in pair)
+    slope = np.imag(1 / G) / np.real(1 / G)
+    tau = float(np.median(slope / (s.imag - slope * s.real)))
+    return (float(np.median(np.abs(G * (1 + tau * s)))), (tau,)) if tau > 0 else None
+
+
+def _replay(loop: Loop, gains: Array, off: Array) -> tuple[float, float]:
+    """Bias of the line for K_u [Pa/m] and T_u [s]: its result on the exact roots of `loop`, minus the loop's own."""
+    roots = [mode(loop, float(gain)) for gain in gains]
+    periods = np.array([2 * pi / s.imag for s in roots])
+    ratios = np.array([pi * s.real / s.imag for s in roots])
+    zero, truth = _zero(gains, ratios, periods, off), ultimate(loop)
+    return zero.K_u - truth.gain, zero.T_u - truth.period

@@ -1,0 +1,185 @@
+"""One trial of pressure steps without a loop: the loop that a controller would see, fitted in two parts.
+
+Command to pressure and pressure to displacement are fitted apart; K_u and T_u follow by the phase equation. Rests that
+depend on the side they were reached from show friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import isfinite, sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
+from pmabench.model.loop import Loop, Ultimate, ultimate
+from pmabench.store.records import Array, RunData, TrialData
+
+PHASE = "open-loop"
+BEFORE = 0.5
+"""So much of the rest before the first step is used [s]."""
+FEWEST_CYCLES = 3
+GAP = {"doubt": 0.015, "fault": 0.04}
+"""Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepsFound:
+    """What one trial says."""
+
+    loop: Loop | None = None
+    regulator: Regulator | None = None
+    moved: Moved | None = None
+    friction: Friction | None = None
+    cycles: tuple[Ultimate, ...] = ()
+    """Of each cycle of four steps fitted alone: their scatter makes the interval."""
+    spans: tuple[float, float] = (0.0, 0.0)
+    """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
+    amplitude: float = 0.0
+    """[Pa]."""
+    refused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; what is not known as None."""
+        known = {name: value for name, value in (("regulator", self.regulator), ("muscle", self.moved)) if value}
+        told: dict[str, Any] = {name: asdict(value) for name, value in known.items()}
+        if self.friction is not None:
+            slip = {"gap": self.friction.gap, "coulomb": self.friction.balance.coulomb}
+            told["friction"] = {name: value if isfinite(value) else None for name, value in slip.items()}
+        return {**told, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
+
+    @property
+    def bent(self) -> float:
+        """Change of the slope of displacement over pressure within the steps, over the slope [1]."""
+        return 0.0 if self.moved is None else abs(2 * self.moved.curvature * self.amplitude / self.moved.gain)
+
+
+def steps_of(trial: TrialData) -> list[Step]:
+    """The steps of the command in a trial, as they were sent; empty where there are none."""
+    found: list[Step] = []
+    before = None
+    for command in trial.commands:
+        if command.phase != PHASE or command.kind != "set":
+            continue
+        value = float(command.data.get("sent", command.value))
+        before = command.before if before is None else before
+        found.append(Step(command.t, value, value - before))
+        before = value
+    return found
+
+
+def examine(run: RunData, trial: TrialData) -> StepsFound:
+    """The loop behind the steps of a trial at its set-point, or why there is none."""
+    steps = steps_of(trial)
+    cycles = [steps[i : i + 4] for i in range(0, len(steps) - 3, 4)]
+    if len(cycles) < FEWEST_CYCLES or trial.status != "finished":
+        return StepsFound(refused=(f"{len(cycles)} whole cycles of steps, {FEWEST_CYCLES} are needed",))
+    amplitude = max(abs(step.height) for step in steps)
+    period = 1 / run.rate if run.rate > 0 else float(np.median(np.diff(trial.t)))
+    t, x, P = samples_of(trial, steps, period)
+    lag = run.channels["pressure"].sensor_lag if "pressure" in run.channels else 0.0
+    found = fit(t, x, P, steps, lag)
+    if isinstance(found, str):
+        return StepsFound(refused=(found,))
+    regulator, moved, friction = found
+    known = StepsFound(None, regulator, moved, friction, amplitude=amplitude)
+    refused, doubts = _against(known, x, P)
+    off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
+    if off is None or abs(off) > amplitude:
+        refused.append(_elsewhere(moved, trial.point, amplitude))
+    loop = _loop(known, period, off or 0.0)
+    if loop is None:
+        refused.append("the fitted parts make no loop that could oscillate")
+    if refused or loop is None:
+        return replace(known, refused=tuple(refused), doubts=tuple(doubts))
+    single = []
+    for cycle in cycles:
+        at = (t >= cycle[0].t - BEFORE) & (t < cycle[-1].t + (cycle[-1].t - cycle[-2].t))
+        part = fit(t[at], x[at], P[at], cycle, lag)
+        one = None if isinstance(part, str) else _loop(StepsFound(None, *part), period, off or 0.0)
+        if one is not None:
+            single.append(ultimate(one))
+    sides = [
+        replace(known, regulator=replace(regulator, fill=lag, vent=lag), moved=replace(moved, tau=(tau, tau)))
+        for lag, tau in zip((regulator.fill, regulator.vent), moved.tau, strict=True)
+    ]
+    ends = [ultimate(one) for side in sides if (one := _loop(side, period, off or 0.0)) is not None]
+    truth = ultimate(loop)
+    spans = (
+        max((abs(end.gain / truth.gain - 1) for end in ends), default=0.0),
+        max((abs(end.period / truth.period - 1) for end in ends), default=0.0),
+    )
+    return replace(known, loop=loop, cycles=tuple(single), spans=spans, doubts=tuple(doubts))
+
+
+def samples_of(trial: TrialData, steps: Sequence[Step], period: float) -> tuple[Array, Array, Array]:
+    """Even times [s], displacement [m] and pressure over the bias [Pa] from before the first step on.
+
+    Flagged samples are bridged by straight lines.
+    """
+    x, P = trial.channels["displacement"], trial.channels["pressure"]
+    mask = (trial.t >= steps[0].t - BEFORE) & trial.usable & np.isfinite(x) & np.isfinite(P)
+    if mask.sum() < 2:
+        return (np.empty(0),) * 3
+    grid = np.arange(trial.t[mask][0], trial.t[mask][-1], period)
+    return grid, np.interp(grid, trial.t[mask], x[mask]), np.interp(grid, trial.t[mask], P[mask]) - steps[3].value
+
+
+def _pressure_at(moved: Moved, setpoint: float) -> float | None:
+    """Pressure over the bias at which the muscle rests at `setpoint` [m]; None where the fitted curve has none."""
+    away = setpoint - moved.x0
+    inner = moved.gain**2 + 4 * moved.curvature * away
+    return 2 * away / (moved.gain + sqrt(inner)) if inner > 0 else None
+
+
+def _elsewhere(moved: Moved, point: Mapping[str, float], amplitude: float) -> str:
+    reach = sorted(moved.x0 + moved.gain * p + moved.curvature * p * p for p in (-amplitude, amplitude))
+    text = f"the steps led from {show(reach[0], 'length', 3)} to {show(reach[1], 'length', 3)} and not through the"
+    text += f" set-point of {show(point.get('setpoint', 0.0), 'length', 3)}"
+    wanted = point.get("bias", 0.0) + (point.get("setpoint", 0.0) - moved.x0) / moved.gain
+    return f"{text}; try a bias of {show(wanted, 'pressure', 3)}" if wanted > 0 else text
+
+
+def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str]]:
+    """What forbids the result, and what weakens it."""
+    refused: list[str] = []
+    doubts: list[str] = []
+    friction, moved, regulator = found.friction, found.moved, found.regulator
+    if friction is None or moved is None or regulator is None:
+        return ["the steps were not fitted"], []
+    gap = abs(friction.gap)
+    told = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
+    if friction.balance.coulomb > 0:
+        told += f", dry friction takes {show(friction.balance.coulomb, 'pressure', 2)} of the steps' "
+        told += show(found.amplitude, "pressure", 2)
+    if not gap <= GAP["fault"]:
+        refused.append(f"stiction: {told}")
+    elif gap > GAP["doubt"]:
+        doubts.append(f"as with friction, {told}")
+    return refused, doubts
+
+
+def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
+    """What a controller sampled every `period` [s] sees `off` [Pa] from the bias; None where it could not oscillate.
+
+    The hold adds half a period; lags of filling and venting, and of both directions, count by their means.
+    """
+    if found.regulator is None or found.moved is None:
+        return None
+    regulator, moved = found.regulator, found.moved
+    gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
+    tau = sum(moved.tau) / 2
+    root = complex(tau * tau - 4 * moved.beta) ** 0.5
+    pair = [(tau + root) / 2, (tau - root) / 2] if moved.beta > 0 else [complex(tau)]
+    lags = [complex((regulator.fill + regulator.vent) / 2), *pair]
+    dead_time = max(0.0, regulator.dead_time) + period / 2
+    try:
+        loop = Loop(gain, dead_time, tuple(lag if lag.imag else lag.real for lag in lags if lag))
+        ultimate(loop)
+    except ValueError:
+        return None
+    return loop

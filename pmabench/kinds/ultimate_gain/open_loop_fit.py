@@ -1,0 +1,288 @@
+"""Steps of pressure fitted in two parts: command to pressure, and pressure to displacement; what friction leaves.
+
+Knows samples and steps; not what a controller makes of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import exp, log
+
+import numpy as np
+from scipy.linalg import solve_banded
+from scipy.optimize import least_squares
+
+from pmabench.analysis.shared.oscillation import SEEN
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.store.records import Array
+
+FEWEST = 100
+"""Samples below which nothing is fitted."""
+SEGMENT = 0.02
+"""Length of the stretches over which the balance of forces is averaged [s]."""
+MOVING = 0.1
+"""Share of the largest speed above which the sign of Coulomb friction is certain."""
+SLIGHT = 1e-6
+"""Inertia over stiffness below which there is no second lag [s^2]."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the command: time [s], value [Pa], height [Pa]."""
+
+    t: float
+    value: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa]."""
+
+    gain: float
+    dead_time: float
+    fill: float
+    vent: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Pressure to displacement about the operating point.
+
+    beta x'' + tau x' + x = x0 + k_g p + curvature p^2, p = P - bias, tau by direction.
+    """
+
+    x0: float
+    """[m]."""
+    gain: float
+    """k_g [m/Pa]."""
+    curvature: float
+    """[m/Pa^2]."""
+    tau: tuple[float, float]
+    """Contracting, relaxing [s]."""
+    beta: float
+    """[s^2]."""
+    residual: float
+    """Standard deviation [m]."""
+
+    def fitted(self, t: Array, P: Array, steps: Sequence[Step]) -> Array:
+        """Displacement [m] at even times `t` [s], driven by the pressure `P` over the bias [Pa]; same shape."""
+        drive, parts = _driven(t, P, steps)
+        made = _simulated(drive, parts, self.tau, max(self.beta, SLIGHT / 10), float(t[1] - t[0]))
+        return np.asarray(self.x0 + made @ [self.gain, self.curvature])
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Coefficients of p = p0 + x/k_g + bend x^2 + (tau v + beta a)/k_g + c sign(v), tau by direction; SI."""
+
+    gain: float
+    """k_g [m/Pa]."""
+    tau: tuple[float, float]
+    """Contracting, relaxing [s]."""
+    beta: float
+    """[s^2]."""
+    coulomb: float
+    """c [Pa]: what dry friction takes while it moves; nan where it was not asked for."""
+
+
+@dataclass(frozen=True)
+class Friction:
+    """What rests and motion tell of friction."""
+
+    gap: float
+    """Distance between rests at the bias reached from above and from below, over the swing [1]."""
+    balance: Balance
+    """With the Coulomb term."""
+
+
+def fit(
+    t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float
+) -> tuple[Regulator, Moved, Friction | None] | str:
+    """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias."""
+    if len(t) < FEWEST or np.ptp(P) <= SEEN * noise_of(P) or np.ptp(x) <= SEEN * noise_of(x):
+        return "the steps are not to be seen above the noise of pressure or displacement, or not sampled"
+    regulator = _regulator(t, P, steps, lag)
+    P = P + lag * np.gradient(P, t)
+    moved = _moved(t, x, P, steps, balance(t, x, P, friction=False))
+    if moved.gain <= 0:
+        return "the muscle does not contract as the pressure rises"
+    return regulator, moved, _friction(t, x, P, steps, moved)
+
+
+def _response(s: Array, lags: Sequence[float]) -> Array:
+    """Unit step response at times `s` [s] of first-order lags [s] in a row, by partial fractions."""
+    lags = [lag * (1 + 1e-4 * i) for i, lag in enumerate(sorted(lags)) if lag > 0]  # two alike have no such form
+    value = np.where(s > 0, 1.0, 0.0)
+    for i, lag in enumerate(lags):
+        share = 1.0
+        for j, other in enumerate(lags):
+            share *= 1.0 if i == j else lag / (lag - other)
+        value -= np.where(s > 0, share * np.exp(-np.maximum(s, 0.0) / lag), 0.0)
+    return value
+
+
+def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Regulator:
+    """Least squares of the steps through a dead time and a lag, of its own for filling and for venting."""
+    starts = np.searchsorted(t, [step.t for step in steps])
+    shift = float(P[: max(1, starts[0])].mean())
+
+    def columns(p: Array) -> Array:
+        made = np.zeros_like(t)
+        for step, k in zip(steps, starts, strict=True):
+            lag = exp(p[1] if step.height > 0 else p[2])
+            made[k:] += step.height * _response(t[k:] - step.t - p[0], (lag, sensor))
+        return np.column_stack([np.ones_like(t), made / steps[0].height])
+
+    def solved(p: Array) -> tuple[float, Array]:
+        made = columns(p)
+        linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ (P - shift)), dtype=np.float64)
+        return float(linear[1]) / steps[0].height, made @ linear - P + shift
+
+    def misfit(p: Array) -> Array:
+        return solved(p)[1] / steps[0].height
+
+    period = float(np.median(np.diff(t)))
+    bounds = ([-2 * period, log(period / 2), log(period / 2)], [5.0, log(20.0), log(20.0)])
+    found = least_squares(misfit, [0.02, log(0.05), log(0.05)], x_scale=[0.01, 0.3, 0.3], bounds=bounds, xtol=1e-6)
+    gain, residual = solved(found.x)
+    return Regulator(gain, float(found.x[0]), exp(found.x[1]), exp(found.x[2]), float(np.std(residual)))
+
+
+def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
+    """The balance averaged over short stretches, by least squares; linear in all, and P holds most of the noise.
+
+    With `friction` the stretches slower than a share of the fastest are left out, for there the sign is not certain
+    and the muscle may stick.
+    """
+    period = float(t[1] - t[0])
+    width = max(3, round(SEGMENT / period))
+    reach = max(2, width // 2)
+    edges = np.arange(reach, len(t) - reach, width)
+    around = np.arange(-reach, reach + 1)
+    local = np.linalg.pinv(np.vander(around, 3))
+    near = x[edges[:, None] + around] @ local.T
+    v, a = np.diff(near[:, 2]) / (width * period), np.diff(near[:, 1]) / (width * period**2)
+
+    def mean(y: Array) -> Array:
+        whole = np.concatenate([[0.0], np.cumsum((y[1:] + y[:-1]) / 2)])
+        return np.asarray(np.diff(whole[edges]) / width)
+
+    away = x - x.mean()
+    columns = [np.ones_like(v), mean(away), mean(away**2), np.maximum(v, 0.0), np.minimum(v, 0.0), a]
+    rows = np.ones(len(v), dtype=bool)
+    if friction:
+        columns.append(np.sign(v))
+        rows = np.abs(v) > MOVING * float(np.abs(v).max())
+    design, y = np.column_stack(columns)[rows], mean(P)[rows]
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0] = 1.0
+    found = np.linalg.lstsq(design / size, y, rcond=None)[0] / size
+    slope, up, down, heavy = (float(found[i]) for i in (1, 3, 4, 5))
+    slope = slope if slope else float("nan")
+    c = float(found[6]) if friction else float("nan")
+    return Balance(1 / slope, (up / slope, down / slope), heavy / slope, c)
+
+
+def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
+    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin."""
+    period = float(t[1] - t[0])
+    swing = float(np.ptp(P))
+    drive, parts = _driven(t, P / swing, steps)
+
+    def solved(p: Array) -> tuple[Array, Array]:
+        made = np.column_stack([np.ones_like(t), _simulated(drive, parts, (p[0], p[1]), p[2], period)])
+        linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ x), dtype=np.float64)
+        return linear, (made @ linear - x) / float(np.ptp(x))
+
+    guess = [
+        *np.clip(np.nan_to_num(start.tau), 1e-3, 20.0),
+        float(np.clip(np.nan_to_num(start.beta), 10 * SLIGHT, 0.01)),
+    ]
+    bounds = ([1e-4, 1e-4, SLIGHT / 10], [50.0, 50.0, 1.0])
+
+    def misfit(p: Array) -> Array:
+        return solved(p)[1]
+
+    found = least_squares(misfit, guess, x_scale=[0.1, 0.1, 1e-3], bounds=bounds, xtol=1e-5, ftol=1e-7)
+    (x0, gain, curvature), residual = solved(found.x)
+    up, down, beta = (float(value) for value in found.x)
+    rms = float(np.std(residual)) * float(np.ptp(x))
+    return Moved(
+        float(x0), float(gain) / swing, float(curvature) / swing**2, (up, down), beta if beta > SLIGHT else 0.0, rms
+    )
+
+
+def _driven(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[tuple[int, int, int]]]:
+    """Pressure and its square, even before the first step, and the parts (from, to, which tau) between steps."""
+    limits = [0, *(int(k) for k in np.searchsorted(t, [step.t for step in steps])), len(t)]
+    ways = [0, *(0 if step.height > 0 else 1 for step in steps)]
+    parts = [(a, b, way) for a, b, way in zip(limits[:-1], limits[1:], ways, strict=True) if b > a]
+    even = np.where(np.arange(len(P)) < limits[1], P[: max(1, limits[1])].mean(), P)
+    return np.column_stack([even, even * even]), parts
+
+
+def _simulated(
+    drive: Array, parts: Sequence[tuple[int, int, int]], tau: tuple[float, float], beta: float, period: float
+) -> Array:
+    """Motion x of beta x'' + tau x' + x = `drive`, column by column, from rest; `parts` are (from, to, tau).
+
+    The drive is held at the mean of two samples; the state is carried from part to part.
+    """
+    u = (drive + np.vstack([drive[:1], drive[:-1]])) / 2
+    made = np.empty_like(drive)
+    state = np.vstack([drive[0], np.zeros(drive.shape[1])])
+    exact = [_transition(T, beta, period) for T in tau]
+    for begin, end, way in parts:
+        A = exact[way]
+        b = np.array([1 - A[0, 0], -A[1, 0]])
+        trace, det = float(A[0, 0] + A[1, 1]), float(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
+        after = np.empty_like(state)
+        for row in (0, 1):  # x_k = trace x_(k-1) - det x_(k-2) + what the drive and the state before put in
+            w = b[row] * u[begin:end]
+            w[1:] += (A[row, 1 - row] * b[1 - row] - A[1 - row, 1 - row] * b[row]) * u[begin : end - 1]
+            w[0] += A[row] @ state
+            w[1:2] -= det * state[row]
+            bands = np.array([[1.0], [-trace], [det]]) * np.ones(len(w))
+            value = solve_banded((2, 0), bands, w, overwrite_b=True, check_finite=False)
+            after[row] = value[-1]
+            if row == 0:
+                made[begin:end] = value
+        state = after
+    return made
+
+
+def _transition(tau: float, beta: float, period: float) -> Array:
+    """exp(A h) of beta x'' + tau x' + x = 0 for (x, x'), from its two poles; shape (2, 2)."""
+    root = complex(tau * tau - 4 * beta) ** 0.5
+    root = root if abs(root) > 1e-6 * tau else complex(1e-6 * tau)  # two poles alike have no such form
+    one, two = (-tau + root) / (2 * beta), (-tau - root) / (2 * beta)
+    first, second = np.exp(one * period), np.exp(two * period)
+    apart = one - two
+    made = np.array([
+        [one * second - two * first, first - second],
+        [(second - first) / beta, one * first - two * second],
+    ]) / apart  # fmt: skip
+    return np.asarray(made.real)
+
+
+def _friction(t: Array, x: Array, P: Array, steps: Sequence[Step], moved: Moved) -> Friction:
+    """Rests at the bias after coming from above and from below, and the Coulomb term of the balance while it moves."""
+    ends = [step.t for step in steps[1:]] + [steps[-1].t + (steps[-1].t - steps[-2].t)]
+    rests = np.array([_rest(t, x, step.t, end) for step, end in zip(steps, ends, strict=True)])
+    kinds = np.arange(len(steps)) % 4
+    up, above, down, below = (float(rests[kinds == kind].mean()) for kind in range(4))
+    swing = up - down
+    return Friction((above - below) / swing if swing else float("nan"), balance(t, x, P, friction=True))
+
+
+def _rest(t: Array, x: Array, begin: float, end: float) -> float:
+    """Where the hold from `begin` to `end` [s] leads to: the end of an exponential through its second half."""
+    at = (t >= (begin + end) / 2) & (t < end)
+    if at.sum() < 9:
+        return float("nan")
+    thirds = [float(part.mean()) for part in np.array_split(x[at], 3)]
+    one, two = thirds[1] - thirds[0], thirds[2] - thirds[1]
+    return thirds[2] + two * two / (one - two) if one and 0 < two / one < 0.9 else thirds[2]

@@ -1,0 +1,317 @@
+"""One relay trial: each size of oscillation measured, the loop fitted to it, and what speaks against it.
+
+Two ways stand side by side: the describing function of the relay, and a loop of dead time, lags and gain fitted to the
+harmonics of command, pressure and displacement. Where period and gain change with the size it is no linear loop; dry
+friction in the balance of pressures, and a shape that the fitted loop has not, tell stiction from a bent muscle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import isfinite, log, pi, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.oscillation import SEEN, extremes
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain.open_loop_fit import balance
+from pmabench.model.loop import ComplexArray, Loop, ultimate
+from pmabench.store.records import Array, RunData, TrialData
+
+SKIPPED = 3
+"""Periods after a change of amplitude that do not count."""
+FEWEST_PERIODS = 4
+FEWEST_SAMPLES = 4
+"""In each period."""
+HARMONICS = 3
+PERIOD_VARIATION = 0.05
+LOPSIDED = 0.05
+"""Mean command off the bias, over the amplitude, from which on the mean displacement tells a static gain."""
+ALIKE = 0.01
+"""Ratios of hysteresis to amplitude that differ by less count as one."""
+SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
+"""Relative change of period and of K_u (describing function) from the largest oscillation to the smallest.
+
+Without friction or a kink at most 0.016 and 0.029 were seen in 200 simulated tests (as those of `relay_gain.FORM`)."""
+RUBS = 0.015
+"""Dry friction in the balance, over the smallest amplitude: 0 without; at most 0.011 was seen, noise made it."""
+SHAPE = 0.02
+"""Third harmonic of the displacement, over the first, off that of the fitted loop; unlike damping makes up to 0.013."""
+QUICKER = -0.005
+"""Change of the period towards the smallest oscillation below which it is no friction: that makes it slower."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelayLevel:
+    """One size of oscillation, measured."""
+
+    amplitude: float
+    """d [Pa]."""
+    hysteresis: float
+    """h [m]."""
+    t0: float
+    """From here the periods count [s]."""
+    t1: float
+    period: float
+    """[s]."""
+    variation: float
+    """Standard deviation of single periods over their mean [1]."""
+    swing: float
+    """Half of the peak-to-peak displacement, a [m]."""
+    K_df: float
+    """4 d / (pi sqrt(a^2 - h^2)) [Pa/m]; nan where the swing is not above the hysteresis."""
+    static: float
+    """Mean displacement from the centre over mean command from the bias [m/Pa]; nan with a symmetric command."""
+    loop: Loop | None = None
+    K_u: float = float("nan")
+    T_u: float = float("nan")
+    half_K_u: float = float("nan")
+    """Half width of the 95 % interval from the scatter between periods."""
+    half_T_u: float = float("nan")
+    half_K_df: float = float("nan")
+    half_period: float = float("nan")
+    coulomb: float = float("nan")
+    """What dry friction takes while it moves [Pa], from the balance of pressures."""
+    unlike: float = float("nan")
+    """Difference of the lags of both directions over their sum [1]."""
+    shape: float = float("nan")
+    """Third harmonic of the displacement over the first, its distance from the fitted loop's [1]."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; what is not known as None."""
+        names = ("amplitude", "hysteresis", "t0", "t1", "period", "variation", "swing", "K_df", "static", "K_u", "T_u",
+                 "coulomb", "unlike", "shape")  # fmt: skip
+        values = {name: float(getattr(self, name)) for name in names}
+        return {name: value if isfinite(value) else None for name, value in values.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class RelayFound:
+    """What one trial says; its numbers are those of the largest oscillation, in which friction weighs least."""
+
+    levels: tuple[RelayLevel, ...]
+    refused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> RelayLevel | None:
+        """The level with the largest amplitude."""
+        return max(self.levels, key=lambda level: level.amplitude) if self.levels else None
+
+
+def search_of(trial: TrialData) -> Mapping[str, Any] | None:
+    """What the law `relay` wrote down in this trial."""
+    return next((found for found in trial.found.values() if found.get("relay")), None)
+
+
+def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayFound:
+    """Both ways to K_u and T_u for each amplitude of a trial, or why there are none.
+
+    `search` is what the law `relay` wrote down.
+    """
+    lag = {name: info.sensor_lag for name, info in run.channels.items()}
+    hold = 0.5 / run.rate if run.rate > 0 else 0.0
+    levels = [_measure(trial, level, search, lag, hold) for level in search["relay"]]
+    known = tuple(level for level in levels if level is not None)
+    if not search.get("found", False):
+        return RelayFound(known, (str(search.get("reason") or "the relay test did not end by itself"),))
+    if not known or len(known) < len(levels):
+        return RelayFound(known, (f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
+    refused, doubts = _friction(known)
+    found = RelayFound(known, tuple(refused), tuple(doubts))
+    best = found.best
+    if best is None:
+        return found
+    if best.variation > PERIOD_VARIATION:
+        refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
+    if not isfinite(best.K_df):
+        refused.append("the swing is not above the hysteresis: the relay did not switch by it")
+    if best.loop is None:
+        doubts.append("no loop of dead time, lags and gain fits: the describing function stands alone")
+    noise = noise_of(trial.channels["displacement"][trial.usable])
+    if min(level.hysteresis for level in known) < 3 * noise:
+        doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
+    return RelayFound(known, tuple(refused), tuple(doubts))
+
+
+def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
+    """What a change of the oscillation with its size says: a linear loop has one period and one gain at all sizes."""
+    ratio = [level.hysteresis / level.amplitude for level in levels]
+    if len(levels) < 2 or max(ratio) > (1 + ALIKE) * min(ratio):
+        return [], ["one ratio of hysteresis to amplitude at two amplitudes is needed to see friction"]
+    small, large = min(levels, key=lambda v: v.amplitude), max(levels, key=lambda v: v.amplitude)
+    change = {"period": small.period / large.period - 1, "gain": small.K_df / large.K_df - 1}
+    told = (
+        f"from {show(large.amplitude, 'pressure')} to {show(small.amplitude, 'pressure')} the period changes by "
+        f"{change['period']:+.1%} and the gain by {change['gain']:+.1%}, a linear loop keeps both"
+    )
+    changed = {how: any(not abs(change[name]) <= SPREAD[name][how] for name in change) for how in ("doubt", "fault")}
+    share = small.coulomb / small.amplitude
+    rubs = isfinite(share) and share > RUBS and change["period"] > QUICKER
+    if isfinite(share):
+        told += f"; dry friction takes {show(max(0.0, small.coulomb), 'pressure', 2)} of the smaller amplitude"
+    if isfinite(small.shape):
+        told += f", the third harmonic is {small.shape:.1%} of the first off that of the fitted loop"
+    if rubs or not isfinite(share):
+        if changed["fault"] or (rubs and small.shape > SHAPE):
+            return [f"limit cycle with stiction: {told}"], []
+        return [], [f"as with friction, {told}"] if rubs or changed["doubt"] else []
+    if changed["fault"]:
+        return [f"not one linear loop, its gain bends within the swing: {told}; take smaller amplitudes"], []
+    return [], [f"as where the gain bends within the swing, {told}"] if changed["doubt"] else []
+
+
+def _measure(
+    trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any], lag: Mapping[str, float], hold: float
+) -> RelayLevel | None:
+    """One amplitude from its samples; None with too few whole periods, or too few usable samples in them."""
+    switches = np.array([*level["switches"], [level["t1"], search["bias"]]], dtype=float)
+    if len(switches) % 2 == 0:
+        switches = switches[:-1]
+    ups = switches[::2, 0][SKIPPED:]
+    if len(ups) < FEWEST_PERIODS + 1:
+        return None
+    d, h = float(level["amplitude"]), float(level["hysteresis"])
+    mask = (trial.t >= ups[0]) & (trial.t < ups[-1]) & trial.usable
+    t, x = trial.t[mask], trial.channels["displacement"][mask]
+    if len(t) < FEWEST_SAMPLES * len(ups):
+        return None
+    P = trial.channels["pressure"][mask] if "pressure" in trial.channels else None
+    _, values = extremes(t, x, SEEN * noise_of(x))
+    swings = np.abs(np.diff(values)) / 2
+    periods = np.diff(ups)
+    count = len(periods)
+    period = float(periods.mean())
+    swing = float(swings.mean()) if len(swings) else 0.0
+    quantile = float(student.ppf(0.975, count - 1)) / sqrt(count)
+    K_df = half_df = float("nan")
+    if swing > h:
+        K_df = 4 * d / (pi * sqrt(swing**2 - h**2))
+        half_df = K_df * quantile * float(np.std(swings, ddof=1)) * swing / (swing**2 - h**2) if len(swings) > 1 else 0
+    off = float(_command(switches, float(ups[0]), float(ups[-1]), 1, 0)[0].real) - float(search["bias"])
+    static = (float(x.mean()) - float(search["centre"])) / off if abs(off) > LOPSIDED * d else float("nan")
+    found = RelayLevel(
+        d, h, float(ups[0]), float(ups[-1]), period, float(np.std(periods, ddof=1)) / period, swing, K_df, static,
+        half_K_df=half_df, half_period=quantile * float(np.std(periods, ddof=1)),
+    )  # fmt: skip
+    if P is None:
+        return found
+    driving = P + lag.get("pressure", 0.0) * np.gradient(P, t)
+    up, down = balance(t, x, driving, friction=False).tau
+    found = replace(
+        found,
+        coulomb=balance(t, x, driving, friction=True).coulomb,
+        unlike=abs(up - down) / (up + down) if min(up, down) > 0 else 1.0,
+    )
+    loop = _fit(t, x, P, switches, ups, lag, hold)
+    if loop is None:
+        return found
+    truth = ultimate(loop)
+    single = [_fit(t, x, P, switches, ups[i : i + 3], lag, hold) for i in range(0, count - 1, 2)]
+    each = [ultimate(one) for one in single if one is not None]
+    halves = [float("nan"), float("nan")]
+    if len(each) > 1:
+        wide = float(student.ppf(0.975, len(each) - 1)) / sqrt(len(each))
+        halves = [wide * float(np.std([getattr(one, name) for one in each], ddof=1)) for name in ("gain", "period")]
+    return replace(
+        found, loop=loop, K_u=truth.gain, T_u=truth.period, half_K_u=halves[0], half_T_u=halves[1],
+        shape=_shape(t, x, switches, ups, loop),
+    )  # fmt: skip
+
+
+def _shape(t: Array, x: Array, switches: Array, ups: Array, loop: Loop) -> float:
+    """Distance of the third harmonic of `x`, over its first, from what `loop` makes of the command's."""
+    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
+    omega = 2 * pi * periods / (t1 - t0)
+    X = _harmonics(t - t0, x, omega)
+    U = _command(switches, t0, t1, periods, HARMONICS)
+    first, third = (complex(U[k]) * complex(loop.response(1j * omega * k)) for k in (1, 3))
+    return float(abs(X[2] / X[0] - third / first))
+
+
+def _command(switches: Array, t0: float, t1: float, periods: int, harmonics: int) -> ComplexArray:
+    """Mean and amplitudes a_k - j b_k of the piecewise constant command over the `periods` periods of [t0, t1]."""
+    omega = 2 * pi * periods / (t1 - t0)
+    found = np.zeros(harmonics + 1, dtype=np.complex128)
+    for (begin, value), (end, _) in pairwise(switches):
+        a, b = max(begin, t0) - t0, min(end, t1) - t0
+        if b <= a:
+            continue
+        found[0] += value * (b - a) / (t1 - t0)
+        for k in range(1, harmonics + 1):
+            s = -1j * k * omega
+            found[k] += value * 2 / (t1 - t0) * (np.exp(s * b) - np.exp(s * a)) / s
+    return found
+
+
+def _harmonics(t: Array, y: Array, omega: float) -> ComplexArray:
+    """Amplitudes a_k - j b_k of the harmonics of `y`, by least squares beside a mean and a drift."""
+    columns = [np.ones_like(t), t - t.mean()]
+    for k in range(1, HARMONICS + 1):
+        columns += [np.cos(k * omega * t), np.sin(k * omega * t)]
+    fitted, *_ = np.linalg.lstsq(np.column_stack(columns), y, rcond=None)
+    return np.asarray(fitted[2::2] - 1j * fitted[3::2])
+
+
+def _fit(
+    t: Array, x: Array, P: Array, switches: Array, ups: Array, lag: Mapping[str, float], hold: float
+) -> Loop | None:
+    """The loop behind whole periods between `ups` [s]: command to pressure, and pressure to displacement, apart.
+
+    P = exp(-L s)/(1 + T_r s) U and P = (1 + tau s) X / k_g at the harmonics of the oscillation; sensor lags are taken
+    off. `hold` [s], half a sample period, is added to L for the hold of a sampled controller. None where no such loop
+    comes out.
+    """
+    t0, t1, periods = float(ups[0]), float(ups[-1]), len(ups) - 1
+    at = (t >= t0) & (t < t1)
+    if at.sum() < 8 * (HARMONICS + 1) * periods:
+        return None
+    omega = 2 * pi * periods / (t1 - t0)
+    s = 1j * omega * np.arange(1, HARMONICS + 1)
+    U = _command(switches, t0, t1, periods, HARMONICS)[1:]
+    X = _harmonics(t[at] - t0, x[at], omega) * (1 + lag.get("displacement", 0.0) * s)
+    Q = _harmonics(t[at] - t0, P[at], omega) * (1 + lag.get("pressure", 0.0) * s)
+    if not (np.all(np.isfinite(X)) and np.all(np.isfinite(Q))) or abs(X[0]) == 0 or abs(Q[0]) == 0:
+        return None
+
+    def misfit(p: Array) -> Array:
+        off = (U * np.exp(-p[1] * s) / (1 + np.exp(p[0]) * s) - Q) / abs(Q[0])
+        return np.concatenate([off.real, off.imag])
+
+    T_r, L = least_squares(misfit, [log(0.2 * 2 * pi / omega), 0.02 * 2 * pi / omega]).x
+    muscle = _muscle(s.astype(np.complex128), X, Q)
+    if muscle is None or L < -hold:
+        return None
+    gain, muscle_lags = muscle
+    sensor = lag.get("displacement", 0.0)
+    lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
+    try:
+        loop = Loop(gain, float(max(0.0, L) + hold), lags)
+        ultimate(loop)
+    except ValueError:
+        return None
+    return loop
+
+
+def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
+    """Gain k_g [m/Pa] and lags [s] of the displacement X behind the pressure Q at the harmonics `s` [1/s].
+
+    Q = (1 + tau s + beta s^2) X / k_g by least squares; without beta where that comes out negative.
+    """
+    for powers in ((0, 1, 2), (0, 1)):
+        columns = np.column_stack([X * s**power for power in powers])
+        size = np.linalg.norm(columns, axis=0)
+        design = np.concatenate([columns.real, columns.imag]) / size
+        found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
+        if np.all(found > 0):
+            tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
+            root = complex(tau * tau - 4 * beta) ** 0.5
+            pair = [(tau + root) / 2, (tau - root) / 2] if beta > 0 else [complex(tau)]
+            return float(1 / found[0]), tuple(lag if lag.imag else lag.real for lag in pair)
+    return None

@@ -1,0 +1,41 @@
+"""Steps of pressure without load, against the contraction that a model gives.
+
+- `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+"""
+
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("e_ss", "steady-state error", "ratio", headline=True),
+    Result("e_sim", "difference from the simulation, rms", "length"),
+    Result("e_fs", "steady-state error, of full scale", "ratio"),
+)
+METHODS = {
+    "commanded pressure": (
+        "The way of paper 0: the model gets the pressure that was commanded. Errors are simulated minus measured "
+        "contraction, means over the stated window; e_ss over the measured contraction, e_fs over the largest one."
+    ),
+    "measured pressure": (
+        "As with the commanded pressure, but the model gets the pressure that was measured, so that the regulator's "
+        "errors are none of the model's."
+    ),
+}
+KIND = Kind(
+    name="validation",
+    title="Validation of a model",
+    order=80,
+    results=RESULTS,
+    reduction="pmabench.kinds.validation.reduction:reduce",
+    papers=("paper 0, validation",),
+    protocol="pmabench.kinds.validation.protocol:Validation",
+    live="pmabench.kinds.validation.live:measure",
+    moves="displacement",
+    compares="displacement",
+    methods=METHODS,
+    figures={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+    front={
+        "validation": "pmabench.kinds.validation.figures:validations",
+    },
+)

@@ -1,0 +1,232 @@
+"""Reduction of validation runs: measured contraction after a step of pressure against the one that a model gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
+from pmabench.base.quantities import show
+from pmabench.kinds.validation import RESULTS
+from pmabench.model.described import Described
+from pmabench.store.records import Array, RunData, TrialData
+
+KIND = "validation"
+COMMANDED = "commanded pressure"
+"""As paper 0: the simulation gets the pressure that was asked for."""
+MEASURED = "measured pressure"
+"""The simulation gets the pressure that was there: what the regulator does wrong is none of the model's."""
+METHODS = (COMMANDED, MEASURED)
+ALONE = "one run: no repeats part"
+NO_MODEL = "the plan holds no model to compare with"
+FEWEST = 8
+"""Fewest samples of the window."""
+LONGEST_TRACE = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One usable trial; contraction [m] over t [s from the step]."""
+
+    run: RunData
+    trial: TrialData
+    t: Array
+    x: Array
+    simulated: Mapping[str, Array]
+    measured: float
+    """Mean in the window [m]."""
+    window: Mapping[str, float]
+    """Mean of each simulation in the window [m]."""
+
+    def error(self, method: str) -> float:
+        """Simulated minus measured contraction in the window [m]."""
+        return self.window[method] - self.measured
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Error of the model's contraction at each pressure (paper 0, validation): mean in the window, by two inputs.
+
+    e_ss = (simulated - measured) / measured; e_fs is the same difference over the largest measured contraction of the
+    runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan.
+    """
+    dropped: list[Dropped] = []
+    cells: dict[tuple[tuple[str, float], ...], list[_Step]] = {}
+    for run in runs:
+        model = model_of(run)
+        reasons = [unusable(run, trial) or ("" if model else NO_MODEL) for trial in run.trials]
+        dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
+        usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
+        for step in _steps(run, usable, model) if model is not None else []:
+            trial = step.trial
+            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
+            cells.setdefault(key, []).append(step)
+    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("pressure", 0.0)))
+    steps = [step for key in order for step in cells[key]]
+    full = max((step.measured for step in steps), default=0.0)
+    return Analysis.of(
+        KIND,
+        runs,
+        results=RESULTS,
+        estimates=[e for method in METHODS for key in order for e in _estimates(dict(key), cells[key], method, full)],
+        dropped=dropped,
+        findings=_findings(runs, steps, full),
+        traces=[_trace(cells[key][0]) for key in order],
+        facts={
+            "options": dict(options or {}),
+            "trials": len(steps),
+            "cells": len(order),
+            "full_scale": full,
+            "window": list(_window(runs[0])) if runs else [],
+            "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
+        },
+    )
+
+
+def _window(run: RunData) -> tuple[float, float]:
+    low, high = (run.plan.get("settings") or {}).get("window") or (8.0, 10.0)
+    return float(low), float(high)
+
+
+def _begin(trial: TrialData) -> float | None:
+    """When the pressure was commanded [s]."""
+    return next((c.t for c in trial.commands if c.output == "pressure" and c.phase == "step"), None)
+
+
+def inside_window(run: RunData, trial: TrialData) -> NDArray[np.bool_]:
+    """The usable samples of the window."""
+    low, high = _window(run)
+    t = trial.t - (_begin(trial) or 0.0)
+    return _usable(trial) & (t >= low) & (t <= high)
+
+
+def _usable(trial: TrialData) -> NDArray[np.bool_]:
+    both = np.isfinite(trial.channels["displacement"]) & np.isfinite(trial.channels["pressure"])
+    return np.asarray(trial.usable & both)
+
+
+def unusable(run: RunData, trial: TrialData) -> str:
+    """Why a trial cannot be compared with any model; empty where it can."""
+    if trial.status != "finished":
+        return f"the trial is {trial.status}"
+    if not {"pressure", "displacement"} <= set(trial.channels):
+        return "pressure or displacement is not recorded"
+    if _begin(trial) is None:
+        return "no step of pressure is recorded"
+    inside = inside_window(run, trial)
+    if inside.sum() < FEWEST:
+        low, high = _window(run)
+        return f"fewer than {FEWEST} usable samples from {low:g} s to {high:g} s after the step"
+    return "" if trial.channels["displacement"][inside].mean() > 0 else "it did not contract"
+
+
+def _rest(trial: TrialData) -> float:
+    """Where it rested before the step [m]: friction keeps something of what was before."""
+    before = _usable(trial) & (trial.t < (_begin(trial) or 0.0))
+    return float(trial.channels["displacement"][before].mean()) if before.any() else 0.0
+
+
+def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
+    """Usable trials beside their simulations."""
+    found = []
+    origins = [_rest(trial) for trial in trials]
+    driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
+    for trial, by_measured, origin in zip(trials, driven, origins, strict=True):
+        ok, inside = _usable(trial), inside_window(run, trial)
+        simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
+        means = {method: float(values[inside].mean()) for method, values in simulated.items()}
+        x = trial.channels["displacement"]
+        t = trial.t - (_begin(trial) or 0.0)
+        beside = {method: values[ok] for method, values in simulated.items()}
+        found.append(_Step(run, trial, t[ok], x[ok], beside, float(x[inside].mean()), means))
+    return found
+
+
+def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full: float) -> list[Estimate]:
+    scales = Scales.of([step.run for step in members])
+    names = tuple(step.trial.name for step in members)
+
+    def estimate(symbol: str, values: list[float], unit: str, quantity: str, by: float) -> Estimate:
+        """`by`: change of the value per offset of the displacement [SI]."""
+        several = len(values) > 1
+        spread = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / sqrt(len(values)) if several else None
+        channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
+        part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
+        return Estimate(
+            symbol,
+            float(np.mean(values)),
+            unit,
+            quantity,
+            method,
+            at,
+            parts=Parts(repeats=None if spread is None else float(spread), calibration=part),
+            n=len(values),
+            note=sentences("" if several else ALONE, scales.lack(channels, channels)),
+            trials=names,
+        )
+
+    x = float(np.mean([step.measured for step in members]))
+    return [
+        estimate("e_ss", [step.error(method) / step.measured for step in members], "1", "ratio", 1.0 / x),
+        estimate("e_fs", [step.error(method) / full for step in members], "1", "ratio", 1.0 / full),
+        estimate("e_sim", [_rms(step, method) for step in members], "m", "length", 1.0),
+    ]
+
+
+def _rms(step: _Step, method: str) -> float:
+    after = step.t >= 0
+    return float(np.sqrt(np.mean((step.x[after] - step.simulated[method][after]) ** 2)))
+
+
+def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> list[Finding]:
+    if not steps:
+        return []
+    window = _window(runs[0])
+    lines = []
+    for method in METHODS:
+        worst = max(steps, key=lambda step: abs(step.error(method) / step.measured))
+        off = 100 * abs(worst.error(method)) / worst.measured
+        lines.append(
+            Finding(
+                "note",
+                f"{method}: the simulated contraction is off by at most {off:.2g} % of the measured one "
+                f"({show(worst.error(method), 'length', 3)} at {show(worst.trial.point['pressure'], 'pressure')}; mean "
+                f"from {window[0]:g} s to {window[1]:g} s after the step, over the measured contraction; full scale is "
+                f"{show(full, 'length', 4)})",
+            )
+        )
+    model = next(model for run in runs if (model := model_of(run)) is not None)
+    low, high = model.domain
+    outside = sorted({p for step in steps if not low <= (p := step.trial.point.get("pressure", low)) <= high})
+    lines.append(Finding("note", f"simulated with: {model.source}"))
+    if outside:
+        places = ", ".join(show(p, "pressure") for p in outside)
+        lines.append(Finding("doubt", f"the coefficients are continued beyond what is known of them at {places}"))
+    if any(step.trial.point.get("load", 0.0) == 0 for step in steps) and model.source.startswith("analysis"):
+        lines.append(Finding("note", "without load: the model was identified under loads and is continued to 0 N"))
+    return lines
+
+
+def _trace(step: _Step) -> Trace:
+    """Measured and simulated contraction of one step."""
+    pressure = step.trial.point.get("pressure", 0.0)
+    load = step.trial.point.get("load", 0.0)
+    rows = slice(None, None, max(1, -(-len(step.t) // LONGEST_TRACE)))
+    where = show(pressure, "pressure") + (f", {show(load, 'force')}" if load else "")
+    columns = {"t": step.t, "displacement": step.x, "model": step.simulated[MEASURED]}
+    columns["model, commanded pressure"] = step.simulated[COMMANDED]
+    return Trace(
+        f"validation-{pressure * 1e-3:g}-{load:g}",
+        "validation",
+        f"{where}: measured and simulated step",
+        {name: column[rows] for name, column in columns.items()},
+        {"t": "time", **dict.fromkeys(list(columns)[1:], "length")},
+        {"pressure": pressure},
+    )

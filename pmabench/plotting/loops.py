@@ -1,0 +1,246 @@
+"""Figures of driven and free oscillations: loops, values over frequency, growth over gain; draws through `plots`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from math import pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis, Trace
+from pmabench.plotting import plots, time_plots
+from pmabench.plotting.pictures import Picture, bound, has, head, label, numbers, panel, picture, reach, spread, unit_of
+from pmabench.plotting.plots import Panel
+from pmabench.plotting.wording import clean, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LOOPS, ROWS, MOST = 8, 4, 6
+"""Most loops of a figure, rows of a figure of oscillations, and figures of loops."""
+TOGETHER: dict[str, tuple[str, str, str]] = {
+    "loop": ("displacement", "force", "frequency"),
+    "isobaric": ("displacement", "force", "pressure"),
+    "pressure-loop": ("pressure", "displacement", "frequency"),
+}
+"""Kinds of traces that are loops: what is across, what is up, and which mark tells them apart."""
+MOST_TOGETHER = 5
+
+
+def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
+    """One small figure with measured loops on common axes, for the first page.
+
+    Of several operating points the last is shown, of several speeds the slowest.
+    """
+    for kind, (first, second, mark) in TOGETHER.items():
+        groups: dict[str, list[Trace]] = {}
+        for trace in (t for t in traces if t.figure == kind and has(t, first, second)):
+            groups.setdefault(re.sub(r"-[^-]*$", "", trace.name) if kind == "loop" else kind, []).append(trace)
+        if not groups:
+            continue
+        slow_last = sorted(list(groups.values())[-1], key=lambda t: -t.marks.get("speed", 0.0))
+        members = {t.marks.get(mark, float(i)): t for i, t in enumerate(slow_last)}
+        chosen = spread([members[at] for at in sorted(members)], MOST_TOGETHER)
+        names = [_told(t, mark) for t in chosen]
+        panels = [panel(t, {"x": first, "y": second}, name) for t, name in zip(chosen, names, strict=True)]
+        labels = (label(chosen[0], first), label(chosen[0], second))
+        where = clean(chosen[0].title.partition(", ")[2], 60) if kind == "loop" else ""
+        title = f"Loops of {second} over {first}".replace("displacement", "contraction")
+        title += f", {where}" if where else ""
+        caption = "Measured; the area of a loop is the energy lost in a cycle."
+        alt = f"{labels[1]} over {labels[0]} as measured loops on common axes: {', '.join(names)}."
+        table = numbers(list(zip(names, chosen, strict=True)), (first, second))
+        draw = bound(plots.loops_together, panels, *labels)
+        return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
+    return []
+
+
+def _told(trace: Trace, mark: str) -> str:
+    """What sets a loop apart, with its unit."""
+    if mark not in trace.marks:
+        return head(trace)
+    unit = shown(mark)
+    return f"{trace.marks[mark] / unit.scale:.4g} {unit.unit}"
+
+
+def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Loops at each frequency, a figure for each operating point."""
+    groups: dict[str, list[Trace]] = {}
+    for trace in traces:
+        first, second = ("pressure", "displacement") if trace.figure == "pressure-loop" else ("displacement", "force")
+        if has(trace, first, second):
+            groups.setdefault(re.sub(r"-[^-]*$", "", trace.name), []).append(trace)
+    found = []
+    for members in list(groups.values())[:MOST]:
+        chosen = spread(sorted(members, key=lambda t: t.marks.get("frequency", 0.0)), LOOPS)
+        first, second = (
+            ("pressure", "displacement") if chosen[0].figure == "pressure-loop" else ("displacement", "force")
+        )
+        names = {"x": first, "measured": second} | ({"model": "model"} if all(has(t, "model") for t in chosen) else {})
+        panels = [panel(t, names, _frequency(t)) for t in chosen]
+        labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
+        where = clean(chosen[0].title.partition(", ")[2], 60)
+        title = f"Loops of {second} over {first}".replace("displacement", "contraction") + (
+            f", {where}" if where else ""
+        )
+        caption = "Grey: the last measured cycle at each frequency"
+        caption += (
+            "; red: the fitted muscle along the same motion."
+            if "model" in names
+            else ". No model is drawn: stiffness, damping and friction are not all known here."
+        )
+        width = [t.marks["width"] for t in chosen if "width" in t.marks]
+        if width:
+            unit = shown("force")
+            caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
+        alt = (
+            f"{labels['y']} over {labels['x']} as closed loops at {', '.join(p.title for p in panels)}"
+            f"{f', {where}' if where else ''}."
+        ) + (" Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else "")
+        table = numbers([(_frequency(t), t) for t in chosen])
+        draw = bound(plots.loops, panels, labels)
+        found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
+    return found
+
+
+def _frequency(trace: Trace) -> str:
+    return f"{trace.marks['frequency']:.4g} Hz" if "frequency" in trace.marks else head(trace)
+
+
+def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Stiffness, loss per speed and phase over frequency, all operating points together."""
+    able = [t for t in traces if has(t, "frequency", "stiffness", "loss", "speed", "phase")]
+    able = [t for t in able if np.all(t.columns["frequency"] > 0) and np.all(t.columns["speed"] > 0)][:6]
+    if not able:
+        return []
+    panels = []
+    for trace in able:
+        title = clean(trace.title.partition(", ")[2] or trace.title, 40)
+        base = panel(trace, {"frequency": "frequency", "K": "stiffness", "phase": "phase"}, title)
+        damping = shown("damping")
+        speed, f = np.asarray(trace.columns["speed"]), np.asarray(trace.columns["frequency"])
+        columns = dict(base.columns) | {"B": np.asarray(trace.columns["loss"]) / speed / damping.scale}
+        if all(name in trace.marks for name in ("K", "B", "F_c")) and len(f) > 1:
+            fine = np.geomspace(f.min(), f.max(), 60)
+            fast = np.interp(fine, f, speed / f) * fine
+            loss = trace.marks["B"] * fast + 4 * trace.marks["F_c"] / pi
+            amplitude = fast / (2 * pi * fine)
+            columns |= {
+                "frequency fit": fine,
+                "K fit": np.full(60, trace.marks["K"] / shown("stiffness").scale),
+                "B fit": loss / fast / damping.scale,
+                "phase fit": np.degrees(np.arctan2(loss, trace.marks["K"] * amplitude)),
+            }
+        panels.append(Panel(title, columns, dict(trace.marks)))
+    labels = {
+        "frequency": "frequency [Hz]",
+        "K": shown("stiffness").label("K"),
+        "B": shown("damping").label("loss per speed"),
+        "phase": "phase [deg]",
+    }
+    caption = (
+        "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
+        "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
+    ) + ("Lines: the fitted K, B and F_c." if any("B fit" in p.columns for p in panels) else "No line is known.")
+    alt = f"Stiffness, loss per speed and phase over frequency for {'; '.join(p.title for p in panels)}."
+    names = ("frequency", "stiffness", "loss", "speed", "phase", "width")
+    table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], names)
+    title = "Stiffness, damping and phase over frequency"
+    draw = bound(plots.against_frequency, panels, labels, ("K", "B", "phase"))
+    return [picture(draw, title, caption, alt, table, wide=True, simulated=analysis.simulated)]
+
+
+def _growth_panel(trace: Trace) -> Panel | None:
+    if not has(trace, "gain", "log_ratio", "used"):
+        return None
+    names = {"gain": "gain", "log_ratio": "log_ratio", "used": "used"} | ({"fit": "fit"} if has(trace, "fit") else {})
+    base = panel(trace, names, "")
+    unit = unit_of(trace, "gain")
+    if "K_u" not in base.marks:
+        return base
+    K_u = base.marks["K_u"] / unit.scale
+    return Panel(f"K_u = {K_u:.4g}", base.columns, {"K_u": K_u})
+
+
+def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """The growth plot by itself, for the first page."""
+    growth = _growth_panel(traces[0])
+    if growth is None:
+        return []
+    labels = {"gain": label(traces[0], "gain"), "log_ratio": "ln(growth) per half period"}
+
+    def draw() -> Figure:
+        figure = plots.blank(plots.HALF, 2.55)
+        time_plots.growth_axes(figure.add_subplot(plots.grid(figure, 1, 1, left=0.6)[0]), growth, labels)
+        return figure
+
+    table = numbers([("", traces[0])])
+    title = f"Growth of the oscillation over gain, {_setpoint(traces[0])}"
+    caption, alt = (
+        _GROWTH,
+        f"Logarithm of the ratio of successive swings over gain, rising through zero at {growth.title}.",
+    )
+    return [picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated)]
+
+
+_GROWTH = (
+    "Each point is one level of gain: the mean logarithm of the ratio of successive swings. Below 0 the swings die "
+    "out, above they grow. The line is fitted to the filled points; its zero is K_u."
+)
+
+
+def _setpoint(trace: Trace) -> str:
+    return clean(trace.title.rpartition(", ")[2] or trace.title, 60)
+
+
+def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Swings near the ultimate gain beside their growth over gain, a row for each set-point."""
+    pairs: dict[str, list[Trace | None]] = {}
+    for trace in traces:
+        place = 0 if trace.figure == "oscillation" else 1
+        pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
+    rows, told = [], []
+    labels = {
+        "t": "time [s]",
+        "measured": "contraction [mm]",
+        "gain": "gain",
+        "log_ratio": "ln(growth) per half period",
+    }
+    for swing, growth in list(pairs.values())[:ROWS]:
+        left = right = None
+        if swing is not None and has(swing, "t", "displacement"):
+            scale = unit_of(swing, "displacement").scale
+            base = panel(swing, {"t": "t", "measured": "displacement"}, f"Swings near K_u, {_setpoint(swing)}")
+            marks = {k: v / scale for k, v in swing.marks.items() if k == "setpoint"}
+            left = Panel(base.title, base.columns, marks)
+            labels |= {"t": label(swing, "t"), "measured": label(swing, "displacement")}
+            told.append((f"swings, {_setpoint(swing)}", swing))
+        if growth is not None:
+            right = _growth_panel(growth)
+            labels["gain"] = label(growth, "gain")
+            told.append((f"growth, {_setpoint(growth)}", growth))
+        rows.append((left, right))
+    if not any(left or right for left, right in rows):
+        return []
+    caption = "Left: contraction at the gain levels around K_u; dashed, the set-point. Right: growth. " + _GROWTH
+    if len(pairs) > ROWS:
+        caption += f" {ROWS} of {len(pairs)} operating points are shown."
+    gains = [right.title for _, right in rows if right is not None and right.title]
+    alt = (
+        f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points. {'; '.join(gains)}."
+    )
+    draw = bound(time_plots.oscillations, rows, labels)
+    table = numbers(told)
+    return [
+        picture(
+            draw,
+            "Sustained oscillation and ultimate gain",
+            caption,
+            alt,
+            table,
+            wide=True,
+            simulated=analysis.simulated,
+        )
+    ]

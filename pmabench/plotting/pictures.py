@@ -1,0 +1,188 @@
+"""What every figure of a report is: a drawing with number-free title, caption, alternative text and its numbers.
+
+Helpers that figures share: display units of traces, thinning, data tables. Knows no kind of figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pmabench.analysis.results import Analysis, Estimate, Trace
+from pmabench.plotting import plots
+from pmabench.plotting.plots import Array, Panel
+from pmabench.plotting.svg import drawing, to_svg
+from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TABLE_ROWS = 24
+"""Rows of a panel in the table of numbers below its figure."""
+LARGEST = 1e30
+"""Size of a number from which on it is no measurement and breaks a drawing."""
+NOTHING = 1e-9
+"""Share of the largest number of a column below which another one is 0."""
+DRAWN = 700
+"""Points of a line that are drawn."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure, ready for a page."""
+
+    title: str
+    caption: str
+    alt: str
+    svg: str
+    table: pd.DataFrame
+    wide: bool
+    simulated: bool
+
+
+def picture(
+    draw: Callable[[], Figure],
+    title: str,
+    caption: str,
+    alt: str,
+    table: pd.DataFrame,
+    *,
+    wide: bool,
+    simulated: bool,
+) -> Picture:
+    """Draw within the style of reports, stamped where simulated."""
+    with drawing():
+        figure = draw()
+        plots.fit_labels(figure)
+        if simulated:
+            plots.stamp(figure, "SIMULATED")
+        svg = to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")
+    return Picture(title, caption, alt, svg, table, wide, simulated)
+
+
+def drawable(analysis: Analysis) -> Analysis:
+    """The same without what no drawing can bear: numbers that are not finite or beyond `LARGEST`, empty domains."""
+    return replace(
+        analysis,
+        estimates=tuple(e for e in analysis.estimates if _sound(e)),
+        curves=tuple(
+            c
+            for c in analysis.curves
+            if all(_sound(term) for term in c.terms) and _small(*c.domain, c.residual_rms) and c.domain[0] < c.domain[1]
+        ),
+        traces=tuple(
+            replace(t, marks={name: value for name, value in t.marks.items() if _small(value)})
+            for t in analysis.traces
+            if usable(t)
+        ),
+    )
+
+
+def _sound(e: Estimate) -> bool:
+    parts = (e.parts.repeats, e.parts.method, e.parts.calibration, e.parts.skew)
+    return _small(e.value or 0.0, *(part or 0.0 for part in parts), *e.at.values())
+
+
+def _small(*values: float) -> bool:
+    return all(abs(value) < LARGEST for value in values)
+
+
+def usable(trace: Trace) -> bool:
+    """Columns of one length, with something finite in each."""
+    columns = [np.asarray(trace.columns[name]) for name in trace.columns]
+    if not all(values.ndim == 1 and np.issubdtype(values.dtype, np.number) for values in columns):
+        return False
+    if len(columns) < 2 or not all(len(values) == len(columns[0]) >= 2 for values in columns):
+        return False
+    first, *others = (np.isfinite(column(trace, name)).any() for name in trace.columns)
+    return bool(first and any(others))
+
+
+def unit_of(trace: Trace, column: str) -> Shown:
+    """Display unit of a column."""
+    return shown(trace.quantities.get(column, ""))
+
+
+def column(trace: Trace, name: str) -> Array:
+    """A column in its display unit; NaN where it is too large to be drawn."""
+    values = np.asarray(trace.columns[name], dtype=np.float64) / unit_of(trace, name).scale
+    return np.where(np.abs(values) < LARGEST, values, np.nan)
+
+
+def label(trace: Trace, name: str) -> str:
+    """Words and unit of a column, for an axis."""
+    return unit_of(trace, name).label(COLUMNS.get(name) or clean(name, 40))
+
+
+def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
+    """A panel with columns renamed: `names` from the drawing's name to the trace's; thinned evenly."""
+    columns = {new: column(trace, old) for new, old in names.items()}
+    stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
+    first, *others = names.values()
+    beside = tuple(
+        (clean(b.label, 60), b.columns[first] / unit_of(trace, first).scale, b.columns[y] / unit_of(trace, y).scale)
+        for b in trace.beside
+        for y in others
+        if first in b.columns and y in b.columns
+    )
+    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), beside)
+
+
+def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> pd.DataFrame:
+    """The numbers of traces, evenly thinned, with the panel's title in front; text."""
+    frames = []
+    for title, trace in traces:
+        names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
+        length = len(trace.columns[names[0]]) if names else 0
+        rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
+        told = {label(trace, name): _texts(column(trace, name), rows) for name in names}
+        frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **told}))
+    return pd.concat(frames, ignore_index=True).fillna("") if frames else pd.DataFrame()
+
+
+def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
+    """Numbers of a column at some rows; what is nothing beside its largest is 0."""
+    known = np.abs(values[np.isfinite(values)])
+    least = NOTHING * float(known.max()) if len(known) else 0.0
+    return [
+        "" if not np.isfinite(value) else "0" if abs(value) <= least else f"{value:.5g}".replace("-", "−")
+        for value in values[rows]
+    ]
+
+
+def spread(items: Sequence[Trace], most: int) -> list[Trace]:
+    """At most `most` of the items, evenly chosen."""
+    if len(items) <= most:
+        return list(items)
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).astype(int))]
+
+
+def has(trace: Trace, *names: str) -> bool:
+    """Whether these columns are there, with something finite in each."""
+    return all(name in trace.columns and np.isfinite(column(trace, name)).any() for name in names)
+
+
+def head(trace: Trace) -> str:
+    """What a panel is headed: the title up to its colon."""
+    return clean(trace.title.partition(":")[0], 60)
+
+
+def how_many(shown_traces: Sequence[Trace], all_traces: Sequence[Trace]) -> str:
+    """A sentence where not all are shown."""
+    return f" {len(shown_traces)} of {len(all_traces)} are shown." if len(shown_traces) < len(all_traces) else ""
+
+
+def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
+    """`draw` with its arguments, to be called within the style of reports."""
+    return lambda: draw(*arguments)
+
+
+def reach(values: Sequence[float]) -> str:
+    """Least to most of some numbers, two digits."""
+    low, high = (f"{value:.2g}" if value < 99 else f"{value:.0f}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
