@@ -65,7 +65,9 @@ main()
 """
 BUSY = ("did not answer within", "has not answered yet", "engine was silent", "no sample for", "stood still", "stale")
 """Ends of a run at which nothing is wrong but that processes were not given the time that they need."""
-PATIENCE = 60.0
+PAUSE = 2.0
+"""What a person needs to the next terminal [s]; the guard of a killed run has ended by then."""
+PATIENCE = 150.0
 """Longest that a text is waited for [s]."""
 
 
@@ -250,6 +252,7 @@ class Desk:
         if word == "emulate":
             return self._serve(words_of(command))
         if word in ENDLESS and "until" in note:
+            time.sleep(PAUSE)
             return _until(command)
         return _process(command, self._path()) if self._installed else execute(command)
 
