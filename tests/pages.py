@@ -35,7 +35,7 @@ import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from click.testing import CliRunner
@@ -65,8 +65,6 @@ main()
 """
 BUSY = ("did not answer within", "has not answered yet", "engine was silent", "no sample for", "stood still", "stale")
 """Ends of a run at which nothing is wrong but that processes were not given the time that they need."""
-PAUSE = 2.0
-"""What a person needs to the next terminal [s]; the guard of a killed run has ended by then."""
 PATIENCE = 150.0
 """Longest that a text is waited for [s]."""
 
@@ -186,7 +184,7 @@ class Terminal:
             stdout=outside,
             stderr=outside,
             start_new_session=True,
-            env={**os.environ, "TERM": "xterm", **({"PYTHONPATH": path} if path else {})},
+            env={**os.environ, "TERM": "xterm"} | ({"PYTHONPATH": path} if path else {}),
         )
         os.close(outside)
         self.printed, self._closed = "", False
@@ -251,10 +249,12 @@ class Desk:
             self._serve(["emulate", note["serve"]])
         if word == "emulate":
             return self._serve(words_of(command))
-        if word in ENDLESS and "until" in note:
-            time.sleep(PAUSE)
+        if "until" in note and word in ENDLESS:
             return _until(command)
-        return _process(command, self._path()) if self._installed else execute(command)
+        if "until" in note:  # what it adds is for the others
+            command = replace(command, note={**note, "add": ""})
+        alone = self._installed or word == "vent"  # which keeps the lock of its bench to its end
+        return _process(command, self._path()) if alone else execute(command)
 
     def _path(self) -> str:
         """Where processes find what was installed on this page."""
