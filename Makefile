@@ -5,15 +5,19 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint quick studies bench reliability docs pictures schemas lock clean
+.PHONY: demo test lint pytest quick studies bench reliability docs pictures schemas lock clean
 
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
 
-# Tests that wait for processes, wires and time run one after the other; the others share the cores.
-test: lint
-	$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not realtime and not study" $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -q -m realtime $(PYTEST_ARGS)
+test: lint pytest
+
+# First what computes, on every core; then what waits for processes, wires and time, two files next to each other; last
+# what asserts milliseconds or loads the machine, with nothing next to it.
+pytest: $(STAMP)
+	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not realtime and not study" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m "realtime and not alone" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -m "realtime and alone" $(PYTEST_ARGS)
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -q -x -m "not slow"
@@ -50,7 +54,7 @@ lock:
 
 $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install -q --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install -q --no-deps --no-build-isolation -e .
 	touch $(STAMP)
 

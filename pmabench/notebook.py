@@ -61,7 +61,7 @@ def open_analysis(*folders: Path | str) -> Results:
 
     Raises InvalidFile for what is no analysis.
     """
-    from pmabench.report.files.analysis_folder import read_analysis, runs_of
+    from pmabench.store.analyses.folder import read_analysis, runs_of
     from pmabench.store.chain import open_chains
 
     paths = [Path(folder) for folder in folders]

@@ -1,8 +1,14 @@
-"""Generated cases are the same at every run; what outlives a process lies in a folder of the test, not the user's."""
+"""Generated cases are the same at every run; what outlives a process lies in a folder of the test, not the user's.
+
+The whole suite takes only some of the tests that wait in real time, chosen by the hash of the commit, and no study;
+whoever names a file gets all of it. The end of the log lists what was chosen.
+"""
 
 import os
 import subprocess
 import tempfile
+from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,6 +32,8 @@ def _own_state(tmp_path, monkeypatch):
 DRIVERS = (
     "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
 )  # fmt: skip
+WHOLE_RUNS = "tests/drivers/test_whole_runs.py"
+"""The parameter `rig` of its tests begins with the name of a driver's folder: they belong to that rig."""
 RIGS = (
     *(f"tests/drivers/{name}/" for name in DRIVERS),
     "tests/drivers/truth/",
@@ -36,32 +44,89 @@ RIGS = (
     "tests/session/test_wrong_wires.py",
     "tests/benchmarks/test_cluster.py",
 )
-"""Where tests over a wire, a whole session, and a cluster, wait in real time."""
+"""Where tests over a wire, a whole session, and a cluster, wait in real time: every commit takes one of these."""
+CONFORMANCE = "tests/conformance/"
+SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
+SHARE = 12
+"""Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
+CHOSEN = (*RIGS, WHOLE_RUNS, CONFORMANCE, "tests/outside/test_faults.py")
+
+
+@cache
+def commit():
+    """The hash that chooses: of this commit, or the one that `PMABENCH_COMMIT` names, to repeat what a log shows."""
+    named = os.environ.get("PMABENCH_COMMIT", "")
+    command = ["git", "rev-parse", "--verify", "-q", named or "HEAD"]
+    asked = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return asked.stdout.strip() or named or "0"
 
 
 def commit_number():
-    """The hash of the commit as a number: what it chooses gets its turn, and all of it with `make reliability`."""
-    asked = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-    )
-    return int(asked.stdout.strip() or "0", 16)
+    """That hash as a number; all that it chooses from is run by `make reliability`."""
+    return int(commit(), 16)
 
 
-def _rig_of_this_commit():
-    """One of the rigs; `PMABENCH_RIG` names another one."""
-    return os.environ.get("PMABENCH_RIG") or RIGS[commit_number() % len(RIGS)]
+def _whole_suite(config):
+    """Whether no file was named on the command line; a worker of xdist has it from the process that started it."""
+    given = getattr(config, "workerinput", None)
+    return given["whole_suite"] if given else config.args_source is pytest.Config.ArgsSource.TESTPATHS
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    node.workerinput["whole_suite"] = _whole_suite(node.config)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Where only tests in real time are asked for, files that have none need not be imported."""
+    only_realtime = config.option.markexpr.startswith("realtime")
+    if only_realtime and collection_path.match("test_*.py") and "realtime" not in collection_path.read_text("utf-8"):
+        return True
+    return None
+
+
+def _rig_of(item):
+    """The rig that a test belongs to; None where it belongs to none."""
+    if WHOLE_RUNS in item.nodeid:
+        return f"tests/drivers/{item.callspec.params['rig'].partition('-')[0]}/"
+    return next((rig for rig in RIGS if rig in item.nodeid), None)
+
+
+def _taken(waiting):
+    """The tests among `waiting`, which are in real time, that this commit takes."""
+    places = Counter()
+    for item in waiting:
+        if CONFORMANCE in item.nodeid:
+            share = SHARES.get(item.originalname, SHARE)
+            taken = places[share] % share == commit_number() % share
+            places[share] += 1
+        else:
+            rig = _rig_of(item)
+            taken = rig is None or (rig == RIGS[commit_number() % len(RIGS)] and not item.get_closest_marker("slow"))
+        if taken:
+            yield item
 
 
 def pytest_collection_modifyitems(config, items):
-    """The whole suite takes one rig over its wire, and leaves out studies; whoever names a file gets all of it."""
-    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+    if not _whole_suite(config):
         return
-    chosen = _rig_of_this_commit()
-    left_out = []
-    for item in items:
-        rig = next((rig for rig in RIGS if rig in item.nodeid), None)
-        waits = item.get_closest_marker("realtime") is not None and rig is not None
-        if (waits and (rig != chosen or item.get_closest_marker("slow"))) or item.get_closest_marker("study"):
-            left_out.append(item)
-    config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if item not in set(left_out)]
+    waiting = [item for item in items if item.get_closest_marker("realtime")]
+    left_out = set(waiting) - set(_taken(waiting))
+    left_out |= {item for item in items if item.get_closest_marker("study")}
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Which tests were run because the commit's hash chose them."""
+    ran = [
+        report.nodeid
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if getattr(report, "when", "") in {"setup", "call"} and "realtime" in report.keywords
+    ]
+    chosen = sorted({name for name in ran if any(part in name for part in CHOSEN)})
+    if chosen and _whole_suite(config):
+        terminalreporter.section(f"chosen by commit {commit()}; with PMABENCH_COMMIT={commit()} they are chosen again")
+        for name in chosen:
+            terminalreporter.line(name)

@@ -8,7 +8,7 @@ import pytest
 
 from pmabench.kinds.contraction_relaxation.paper1 import DRIVEN, METHODS
 from pmabench.report.document.tables import polynomials_table
-from pmabench.report.files.analysis_folder import read_analysis, write_analysis
+from pmabench.store.analyses.folder import read_analysis, write_analysis
 from tests.test_characterisation import analysed
 
 TABLE = {

@@ -1,6 +1,6 @@
 """What reductions share: results, intervals, verdicts; pure functions over loaded runs. Knows no kind of test.
 
-- `results`: the `Analysis`; `declared`: whether it holds what its kind declares; `trial`: what one trial says by itself
+- `results`: the `Analysis`; `trial`: what one trial says by itself
 - `imported`: what imports say besides their samples; `tuning`: controller settings
 - `many` reduces many runs at once, `cluster` does so on a Dask cluster
 - a library model fitted to a table: `fitting`

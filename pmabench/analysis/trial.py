@@ -61,6 +61,11 @@ class Expected:
             return None
         return float(np.interp(pressure, self.pressure, getattr(self, symbol)))
 
+    def holds(self, pressure: float, load: float) -> bool:
+        """Whether the muscle does not lift `load` [N] at `pressure` [Pa], its friction included."""
+        pull = self.at("F_ce", pressure)
+        return pull is not None and pull - load <= 2 * self.F_c
+
     def lifts(self, force: float) -> float | None:
         """Pressure [Pa] at which F_ce is `force` [N]; None outside the points."""
         if not float(self.F_ce[0]) <= force <= float(self.F_ce[-1]) or np.any(np.diff(self.F_ce) <= 0):

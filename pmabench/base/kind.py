@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any
 
+from pmabench.base.imported import Imported
+
 
 @dataclass(frozen=True)
 class Result:
@@ -64,6 +66,10 @@ class Kind:
     """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
+    imported: Imported | None = None
+    """What it needs of a file of another program; None where such files cannot be of this kind."""
+    loop: bool = False
+    """Its loop acts on calibrated values: runs do not show what it would have done with another calibration."""
     also: tuple[Kind, ...] = ()
     """Other ways to reduce its runs, with results of their own."""
 

@@ -124,7 +124,7 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     """The analyses that a path stands for, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import analyse, load_runs
-    from pmabench.report.files.analysis_folder import analyses_below, read_analysis, runs_of
+    from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
 
     path = Path(text)
     if _is_table(text):

@@ -223,7 +223,7 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
             ConfirmedBeforehand() if yes else person,
             out,
             operator_name=operator,
-            told=tables.append,
+            report=tables.append,
             progress=progress,
         )
     checks = tables[0] if tables else ()

@@ -14,7 +14,7 @@ from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.columns import Proposal
-    from pmabench.store.importers.guess.guess import Guess
+    from pmabench.store.importers.guess.record import Guess
     from pmabench.store.importers.guess.write import Span
 
 SECONDS = 10.0
@@ -24,6 +24,7 @@ SECONDS = 10.0
 def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
     """Tell what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
+    from pmabench.kinds.registry import importable
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.questions import questions_of
@@ -31,7 +32,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     told = dict(map(_span, spans))
     if output is not None and output.exists():
         raise UsageError(f"{output} is there already and is not overwritten; give another name")
-    found = guess_files(files)
+    found = guess_files(files, importable())
     text = map_text(found, told)
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))

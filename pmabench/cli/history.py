@@ -141,7 +141,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     """The analyses of these runs that lie where `process` leaves them, in the order in which they were written."""
-    from pmabench.report.files.analysis_folder import read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
     parent = folder.resolve().parent if folder.resolve().name == "runs" else folder
     found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}

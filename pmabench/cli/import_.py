@@ -54,12 +54,14 @@ def command(
 
         return guess(ui, files, span, output)
     from pmabench.files.shipped import find_file
+    from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
     told = [tuple(text.split("=", 1)) for text in answers if "=" in text]
     if len(told) < len(answers):
         raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
-    runs = import_files(files, find_file("map", map_name), out, [(k, v) for k, v in told], unresolved=unresolved)
+    pairs = [(key, value) for key, value in told]
+    runs = import_files(files, find_file("map", map_name), out, importable(), pairs, unresolved=unresolved)
     asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {
         "schema": "pmabench.import/1",

@@ -165,7 +165,7 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
     A folder of analyses stands for all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
     """
-    from pmabench.report.files.analysis_folder import analyses_below
+    from pmabench.store.analyses.folder import analyses_below
 
     below = {source: analyses_below(source) for source in sources}
     runs = [source for source in sources if not below[source]]
@@ -230,14 +230,14 @@ def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | 
 
 def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
     """An analysis folder for each analysis below `folder`; kinds that come twice are numbered."""
-    from pmabench.report.files.analysis_folder import write_analysis
+    from pmabench.report.files.csv_files import write_with_tables
 
     seen: dict[str, int] = {}
     written = []
     for analysis in analyses:
         seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
         written.append(
-            write_analysis(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
+            write_with_tables(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
         )
     return written
 

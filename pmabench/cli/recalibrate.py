@@ -54,6 +54,7 @@ def command(
     """
     from pmabench.analysis.verdict.changes import changes
     from pmabench.cli.process import analyse, beside, load_runs, without_analyses, write
+    from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.recalibration import refuse_loops
@@ -64,7 +65,7 @@ def command(
     recorded = load_runs(given)
     anew = _asked(recorded, calibrations, skews)
     if anew.scales:
-        refuse_loops(recorded)
+        refuse_loops(recorded, loops())
     changed = open_chains(given, anew)
     told = _told(recorded, changed, anew)
     before = analyse(recorded)

@@ -47,7 +47,7 @@ def command(
     from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of
     from pmabench.report.document.html import write_page
-    from pmabench.report.files.analysis_folder import read_analysis, runs_of
+    from pmabench.store.analyses.folder import read_analysis, runs_of
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")

@@ -128,7 +128,7 @@ def execute(
                     out,
                     operator_name=operator_name,
                     say=ui.note,
-                    told=tables.append,
+                    report=tables.append,
                     **shown,
                     **(session or {}),
                 )

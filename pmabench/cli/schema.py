@@ -56,6 +56,10 @@ def schema_text(kind: str) -> str:
 def _schema(kind: str) -> dict[str, Any]:
     """The model's schema, with `include` allowed, whose files need not hold every key themselves."""
     schema = _of_driver("modbus") if kind == "registers" else _of_models(kind)
+    if kind == "map":
+        from pmabench.kinds.registry import importable
+
+        schema["properties"]["kind"]["enum"] = list(importable())
     for part in (schema, *schema.get("$defs", {}).values()):
         if "schema" in part.get("properties", {}):
             part["properties"]["include"] = {"type": "string", "description": "a file that this one is based on"}

@@ -209,7 +209,7 @@ def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
     from pmabench.analysis.tuning import measured_loops
     from pmabench.base.errors import invalid
-    from pmabench.report.files.analysis_folder import read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
     found = measured_loops(read_analysis(folder))
     if not found:

@@ -62,7 +62,7 @@ class Where:
 
 def holds_model(folder: Path) -> bool:
     """Whether a folder is an analysis whose coefficients make a loop."""
-    from pmabench.report.files.analysis_folder import read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
     return read_analysis(folder).kind in models()
 
@@ -76,7 +76,7 @@ def models() -> dict[str, Kind]:
 
 def by_folder(folder: Path, where: Where) -> Analysis:
     """K_u and T_u by the model of an analysis; without `--period` no hold is counted."""
-    from pmabench.report.files.analysis_folder import read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
     return _found(folder, read_analysis(folder), where, where.period or 0.0)
 

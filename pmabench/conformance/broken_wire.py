@@ -55,22 +55,22 @@ def _fifth(output: OutputRecord) -> float:
 def silent(rig: Rig) -> str:
     """When the device falls silent, every call says so in time, and a write is sent once."""
     rig.need_wire()
-    told: list[str] = []
+    answers: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
         with rig.opened() as device:
             if sampling:
                 rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
             rig.damage(silence)
-            told += _in_silence(rig, device)
+            answers += _in_silence(rig, device)
             if sampling:
-                told.append(_says_that_samples_stay_away(rig, device))
+                answers.append(_says_that_samples_stay_away(rig, device))
             rig.shut()  # in silence, too, within its time
-    return f"{len(told)} calls say so in time; the last: {told[-1]}" if told else "nothing could be asked"
+    return f"{len(answers)} calls say so in time; the last: {answers[-1]}" if answers else "nothing could be asked"
 
 
 def _in_silence(rig: Rig, device: Any) -> list[str]:
     """What each call says; raises Failed where a write is carried out more than once."""
-    told = []
+    answers = []
     for what, act, within in calls(rig, device):
         before = len(sent(rig))
         answer = rig.call(f"{what} in silence", act).judged(within)
@@ -79,13 +79,13 @@ def _in_silence(rig: Rig, device: Any) -> list[str]:
                 f"{what} in silence gave {answer!r} as if all were well; what was not answered is a DeviceError, never "
                 "an answer from memory"
             )
-        told.append(str(answer))
+        answers.append(str(answer))
         time.sleep(0.05)
         for output in rig.record.outputs if what.startswith("write") else ():
             times = times_sent(rig, output, _fifth(output), before)
             if times > 1:
                 raise Failed(f"{what} in silence was carried out {times} times; a write is never repeated")
-    return told
+    return answers
 
 
 def _says_that_samples_stay_away(rig: Rig, device: Any) -> str:
@@ -151,20 +151,20 @@ def hang_up(rig: Rig) -> str:
             rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
         for relay in rig.relays:
             relay.hang_up()
-        told: list[str] = []
+        answers: list[str] = []
         until = time.monotonic() + 2.0
-        while time.monotonic() < until and not told:
+        while time.monotonic() < until and not answers:
             for what, act, within in calls(rig, device):
                 answer = rig.call(f"{what} on a cut line", act).judged(within)
                 if isinstance(answer, DeviceError):
-                    told.append(str(answer))
+                    answers.append(str(answer))
             time.sleep(0.1)
-        if not told and all(relay.address.startswith("/") for relay in rig.relays):
+        if not answers and all(relay.address.startswith("/") for relay in rig.relays):
             raise Failed("2 s after the plug was pulled no call has said so")
         rig.shut()
         rig.renew_wire()
         rig.open()
-    return f"says: {told[0]}" if told else "connects again by itself"
+    return f"says: {answers[0]}" if answers else "connects again by itself"
 
 
 def exchanges(rig: Rig) -> str:
@@ -181,11 +181,12 @@ def exchanges(rig: Rig) -> str:
             given = rig.call(f"{name}()", getattr(device, name), *arguments).good(CALLS_WITHIN)
             time.sleep(0.05)
             asked = b"".join(data for sent, data in relay.heard if not sent)
-            told = b"".join(data for sent, data in relay.heard if sent)
+            answered = b"".join(data for sent, data in relay.heard if sent)
             if asked != question:
                 raise Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
-            if told != answer:
-                raise Failed(f"{name}{arguments} is answered {told!r} by the emulator; by the manual it is {answer!r}")
+            if answered != answer:
+                emulated = f"is answered {answered!r} by the emulator"
+                raise Failed(f"{name}{arguments} {emulated}; by the manual it is {answer!r}")
             if returns and (given != returns[0] or type(given) is not type(returns[0])):
                 raise Failed(f"{name}{arguments} returned {given!r}; what the device answered means {returns[0]!r}")
     return f"{len(listed)} exchanges, byte by byte"

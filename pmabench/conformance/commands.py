@@ -75,6 +75,13 @@ def reaches(rig: Rig, truth: Truth, output: OutputRecord, value: float, within: 
     return _soon(rig, within, lambda: abs(commanded(truth, output) - wanted) <= most)
 
 
+def _travel(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
+    """Wait while an actuator is on its way, the watchdog fed: its vent would stop it, or take it there."""
+    until = rig.bench_clock.now() + MOVES
+    while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
+        rig.feed()
+
+
 def _soon(rig: Rig, within: float, holds: Callable[[], bool]) -> bool:
     until = rig.bench_clock.now() + within
     while not holds():
@@ -147,9 +154,7 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
     if moves:
         began = truth.now()[f"{output.name}_command"]
         _soon(rig, ARRIVES, lambda: abs(commanded(truth, output) - began) > close_enough(output))
-        until = rig.bench_clock.now() + MOVES
-        while not reaches(rig, truth, output, value, 0.05) and rig.bench_clock.now() < until:
-            rig.feed()
+        _travel(rig, truth, output, value)
     if not reaches(rig, truth, output, value):
         got = show(commanded(truth, output), output.quantity)
         raise Failed(
@@ -187,7 +192,7 @@ def _shown(rig: Rig, truth: Truth, output: OutputRecord) -> None:
 
 
 def valves(rig: Rig) -> str:
-    """A valve is energised or not in the plant as it was commanded, others stay, and the device tells which."""
+    """A valve is energised or not in the plant as it was commanded, others stay, and the device reports which."""
     if not rig.record.valves:
         raise NotApplicable("the bench names no valve of it")
     truth = rig.truth()
@@ -305,14 +310,16 @@ def refuse_unsafe(rig: Rig, truth: Truth, after: str, *, by_itself: bool = False
 
     `by_itself`: the device has vented; a drive then only stops.
     """
-    for output in rig.record.outputs:
-        is_length = output.quantity == "length"
-        if is_length and by_itself:
-            continue
-        if not reaches(rig, truth, output, raw(output, output.safe), MOVES if is_length else ARRIVES):
-            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
     for valve in rig.record.valves:
         refuse_position(rig, truth, valve, on=False, after=after, by_itself=by_itself)
+    for output in rig.record.outputs:
+        safe = raw(output, output.safe)
+        if output.quantity == "length":
+            if by_itself:
+                continue
+            _travel(rig, truth, output, safe)
+        if not reaches(rig, truth, output, safe):
+            raise Failed(f"{output.name} is at {show(commanded(truth, output), output.quantity)} in the plant {after}")
 
 
 def safe_state(rig: Rig) -> str:

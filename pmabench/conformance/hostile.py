@@ -62,8 +62,8 @@ class Battle:
                     raise Failed(f"piece {self._damage.done} ({kind}, --seed {self._seed}): {failure}") from None
         finally:
             rig.well()
-        told = ", ".join(f"{count} {what}" for what, count in self._count.most_common())
-        return f"{self._damage.done} damaged pieces: {told}"
+        answer = ", ".join(f"{count} {what}" for what, count in self._count.most_common())
+        return f"{self._damage.done} damaged pieces: {answer}"
 
     def _open(self) -> None:
         """A new driver on a good wire; what came before may still be on its way."""
@@ -113,42 +113,42 @@ class Battle:
     def _output(self, output: Any) -> Any:
         rig = self._rig
         if self._chance.random() < 0.5:
-            told = rig.call("read_back()", self._device.read_back, output.output).judged(CALLS_WITHIN)
-            if not isinstance(told, DeviceError | float | int):
-                raise Failed(f"read_back() gave {told!r}; a number is expected")
-            return self._note(told)
+            answer = rig.call("read_back()", self._device.read_back, output.output).judged(CALLS_WITHIN)
+            if not isinstance(answer, DeviceError | float | int):
+                raise Failed(f"read_back() gave {answer!r}; a number is expected")
+            return self._note(answer)
         value = raw(output, self._chance.uniform(output.low, output.high))
         before = len(sent(rig))
-        told = rig.call(f"write({value:g})", self._device.write, output.output, value).judged(CALLS_WITHIN)
+        answer = rig.call(f"write({value:g})", self._device.write, output.output, value).judged(CALLS_WITHIN)
         times = times_sent(rig, output, value, before)
         if times > 1:
             raise Failed(f"write({value:g}) was carried out {times} times; a write is never repeated")
-        return self._note(told)
+        return self._note(answer)
 
     def _valve(self, valve: Any) -> Any:
         if self._chance.random() < 0.5:
-            told = self._rig.call("is_on()", self._device.is_on, valve.output).judged(CALLS_WITHIN)
-            if not isinstance(told, DeviceError | bool):
-                raise Failed(f"is_on() gave {told!r}; True or False is expected")
-            return self._note(told)
+            answer = self._rig.call("is_on()", self._device.is_on, valve.output).judged(CALLS_WITHIN)
+            if not isinstance(answer, DeviceError | bool):
+                raise Failed(f"is_on() gave {answer!r}; True or False is expected")
+            return self._note(answer)
         on = self._chance.random() < 0.5
         return self._note(
             self._rig.call(f"switch(on={on})", self._device.switch, valve.output, on=on).judged(CALLS_WITHIN)
         )
 
     def _lock(self, lock: Any) -> Any:
-        told = self._rig.call("level()", self._device.level, lock.input).judged(CALLS_WITHIN)
-        if not isinstance(told, DeviceError | bool):
-            raise Failed(f"level() gave {told!r}; True or False is expected")
-        return self._note(told)
+        answer = self._rig.call("level()", self._device.level, lock.input).judged(CALLS_WITHIN)
+        if not isinstance(answer, DeviceError | bool):
+            raise Failed(f"level() gave {answer!r}; True or False is expected")
+        return self._note(answer)
 
     def _samples(self, _nothing: Any) -> Any:
         rig = self._rig
         rig.pass_time(LISTENS)
-        told = rig.call("collect()", self._device.collect).judged(COLLECTS_WITHIN)
-        if not isinstance(told, DeviceError):
+        answer = rig.call("collect()", self._device.collect).judged(COLLECTS_WITHIN)
+        if not isinstance(answer, DeviceError):
             values: dict[str, list[float]] = {channel.name: [] for channel in rig.record.channels}
-            take(rig.record.channels, told, self._times, values)
+            take(rig.record.channels, answer, self._times, values)
             del self._times[:-1]
             for channel in rig.record.channels:
                 inside = [
@@ -156,8 +156,8 @@ class Battle:
                 ]
                 self._count["samples in range"] += sum(inside)
                 self._count["samples that are marked as out of range"] += len(inside) - sum(inside)
-        return self._note(told)
+        return self._note(answer)
 
-    def _note(self, told: Any) -> Any:
-        self._count["refused with a sentence" if isinstance(told, DeviceError) else "answered"] += 1
-        return told
+    def _note(self, answer: Any) -> Any:
+        self._count["refused with a sentence" if isinstance(answer, DeviceError) else "answered"] += 1
+        return answer

@@ -1,4 +1,4 @@
-"""Stands between a driver and its emulator, on TCP or on a pseudo-terminal, and damages what the device sends."""
+"""A relay between a driver and its emulator, on TCP or on a pseudo-terminal, which damages what the device sends."""
 
 from __future__ import annotations
 

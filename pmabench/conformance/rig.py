@@ -27,7 +27,7 @@ from pmabench.guard.owner import PATIENCE, Call, Owner
 OPENS_WITHIN = 2.0
 """Longest time that `open` may take [s]."""
 STARTS_WITHIN = 8.0
-"""And that of a simulation without a wire, which may start a process of its own [s]: so long the guard waits."""
+"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
 COLLECTS_WITHIN = 0.5
 """Longest time that `start`, `collect` and `stop` may take [s]."""
 HUNG = 10.0
@@ -96,7 +96,7 @@ class _Lag:
 class Rig:
     """The device of one record; `wiring` is what its rig's truth file says, where it has one.
 
-    `emulated`: whether an emulator stands behind it; `relays`: where bytes can be damaged.
+    `emulated`: whether an emulator is behind it; `relays`: where bytes can be damaged.
     Without an emulator a driver is tried only where it is a simulation itself.
     """
 
@@ -167,12 +167,25 @@ class Rig:
     def restart(self) -> bool:
         """Switch the emulated device off and on; whether there is one. What it held is gone, the wire stays."""
         if self.emulator is None:
-            return False
+            return self._inject("restart")
         self.emulator.close()
         self.emulator = _emulator(self._served, self._wiring)
         self.server = self.emulator.devices[self.record.name]
         self.renew_wire()
         return True
+
+    def switch_off_watchdog(self) -> bool:
+        """Switch the watchdog off at the emulated device itself; whether that can be done here."""
+        if self.emulator is None:
+            return self._inject("watchdog-off")
+        return bool(getattr(self.server, "switch_off_watchdog", bool)())
+
+    def _inject(self, fault: str) -> bool:
+        """Let it happen to a simulation in another process; whether there is one."""
+        control = getattr(self.device, "control", None)
+        if control is not None:
+            control("inject", fault=fault)
+        return control is not None
 
     def truth(self) -> Truth:
         """What plant and device really do; raises NotChecked where nobody but the driver knows."""
@@ -313,7 +326,7 @@ def free_port() -> int:
 
 @lru_cache
 def _kept_port(_place: str, _driver: str) -> int:
-    """A free port for a simulation that starts a process of its own: one process for all checks."""
+    """A free port for a simulation that starts another process: one process for all checks."""
     return free_port()
 
 

@@ -42,7 +42,7 @@ SETTLES = 0.5
 WINDOW = 0.06
 """How far the time of a sample may be from the plant's for its value [s]."""
 SLOWEST = 0.018
-"""At which a drive of its own moves at least [m/s]."""
+"""Slowest motion of a drive [m/s]."""
 DISTINCT = 20
 """Two states must differ by so many tolerances before a channel counts as checked."""
 SWEEP = 1.2
@@ -183,7 +183,7 @@ def samples(rig: Rig) -> str:
             raise Failed(f"by Identity.clock it stamps with bench time, and its newest sample is {late:.3g} s old")
     for block, before in found.kept:
         if _copy(block) != before:
-            raise Failed("a block that collect() gave was changed later; give each block lists or arrays of its own")
+            raise Failed("a block that collect() gave was changed later; give each block new lists or arrays")
     _ends(rig, found)
     return f"{len(found.times)} samples of {len(found.values)} channels at {rate:g} Hz"
 
@@ -337,7 +337,7 @@ def _agrees(channel: ChannelRecord, others: Sequence[ChannelRecord], states: Seq
 
 
 def _diagnosis(channel: ChannelRecord, others: Sequence[ChannelRecord], states: Sequence[_Seen], most: float) -> str:
-    """What is wrong with a channel, as far as its values tell."""
+    """What is wrong with a channel, as far as its values show."""
     worst = max(states, key=lambda state: state.off[channel.name])
     shown, had = [s.shown[channel.name] for s in states], [s.had[channel.name] for s in states]
     text = (

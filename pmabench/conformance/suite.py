@@ -55,7 +55,7 @@ ATTEMPTS = 3
 
 
 def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection[str] = ()) -> Iterator[Result]:
-    """Every check of one device, or `only` some, each with an emulator of its own.
+    """Every check of one device, or `only` some, each with a new emulator.
 
     `hostile` is how many pieces are damaged.
     """

@@ -83,9 +83,10 @@ def held(rig: Rig) -> str:
         rig.pass_time(0.3)
         if reason := _difference(before, _held(rig, device)):
             raise Failed(f"held(): {reason}, and nothing happened")
-        told = _entries(before)
+        reported = _entries(before)
+        _reports_change(rig, device, before)
         if not rig.restart():
-            raise NotChecked(f"{told}; a restart: there is no emulator that could be switched off and on")
+            raise NotChecked(f"{reported}; a restart: there is no emulator that could be switched off and on")
         rig.bench_clock.wait_until(rig.bench_clock.now() + 0.1)
         after = rig.call("held()", device.held).judged(CALLS_WITHIN)
         if not isinstance(after, DeviceError):
@@ -96,7 +97,19 @@ def held(rig: Rig) -> str:
             )
     if rig.relays:
         _silent(rig)
-    return f"{told}; a fired or disarmed watchdog, a restart and silence are seen"
+    return f"{reported}; a fired or disarmed watchdog, a restart and silence are seen"
+
+
+def _reports_change(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
+    """What is changed at the emulated device itself is reported, where the emulator can change it."""
+    if not getattr(rig.server, "change_held", bool)():
+        return
+    rig.bench_clock.wait_until(rig.bench_clock.now() + NOTICED)
+    after = rig.call("held()", device.held).judged(CALLS_WITHIN)
+    if isinstance(after, DeviceError):  # an answer may be lost; what is refused is refused again
+        after = rig.call("held()", device.held).judged(CALLS_WITHIN)
+    if not isinstance(after, DeviceError) and not _difference(before, after):
+        raise Failed(f"{_entries(before)}: changed at the device, and held() is as before: it answers from memory")
 
 
 def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
@@ -104,7 +117,7 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
     shown = _held(rig, device).get("watchdog")
     if isinstance(shown, str | bool | None) or abs(shown - armed) > 0.01 * armed:
         raise Failed(f'arm_watchdog() gave {armed:g} s, and held() says "watchdog" is {shown!r}')
-    if getattr(rig.server, "switch_off_watchdog", bool)():
+    if rig.switch_off_watchdog():
         rig.bench_clock.wait_until(rig.bench_clock.now() + NOTICED)
         after = rig.call("held()", device.held).judged(CALLS_WITHIN)
         if not isinstance(after, DeviceError) and after.get("watchdog") == shown:

@@ -26,9 +26,9 @@ import json, sys
 from importlib import import_module
 from pmabench.base.clock import RealClock
 from pmabench.bench.records import device_from
-told = json.loads(sys.stdin.read())
+data = json.loads(sys.stdin.read())
 before = set(sys.modules)
-record = device_from(told)
+record = device_from(data)
 module, _, name = record.driver.partition(":")
 driver = getattr(import_module(module), name)
 for _ in getattr(driver, "check", lambda _record: ())(record):
@@ -85,7 +85,7 @@ def interfaces(rig: Rig) -> str:
 
 
 def _descriptors() -> int:
-    """How many files are open; 0 where the system does not tell."""
+    """How many files are open; 0 where the system does not say."""
     try:
         return len(os.listdir("/proc/self/fd"))  # noqa: PTH208
     except OSError:
@@ -141,8 +141,8 @@ def nobody(rig: Rig) -> str:
     for relay in rig.relays:
         relay.close()
     device = rig.build(rig.record)
-    told = rig.call("open() where nobody is", device.open).judged(OPENS_WITHIN)
-    if not isinstance(told, DeviceError):
-        raise Failed(f"open() at {rig.record.address}, where nobody is, gave {told!r}; a DeviceError is expected")
+    answer = rig.call("open() where nobody is", device.open).judged(OPENS_WITHIN)
+    if not isinstance(answer, DeviceError):
+        raise Failed(f"open() at {rig.record.address}, where nobody is, gave {answer!r}; a DeviceError is expected")
     rig.call("close() after that", device.close).good(OPENS_WITHIN)
-    return f"says: {told}"
+    return f"says: {answer}"

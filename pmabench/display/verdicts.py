@@ -11,7 +11,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from pmabench.analysis.shared.motion import nothing_moved
+from pmabench.analysis.shared.motion import never, not_moved
 from pmabench.analysis.trial import Expected, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.display.quantities import measure
@@ -26,8 +26,6 @@ LEAST = 0.01
 """... where they are more than this, relative."""
 USED = ("finished", "failed")
 """Only trials that came to their end have numbers."""
-DRIVEN = ("frequency", "speed", "step", "amplitude", "lower", "upper", "setpoint")
-"""Entries of an operating point that say that the free end is driven."""
 REACHED = (0.02, 3e3)
 """A pressure counts as reached within this share of the command, at least this [Pa]."""
 
@@ -108,7 +106,9 @@ class Verdicts:
         except (ValueError, KeyError, IndexError, TypeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
             measured, reasons = [], [f"its numbers cannot be computed ({error})"]
         doubts += [reason for reason in reasons if reason not in doubts]
-        doubts += _not_moved(run.kind, trial, self.expected)
+        kind = registry.find(run.kind)
+        if kind and not_moved(kind.moves, trial, self.expected.holds if self.expected is not None else never):
+            doubts.append(f"{kind.moves} changed by less than its noise: nothing moved")
         doubts += _not_reached(trial)
         key = tuple(sorted((name, round(value, 6)) for name, value in trial.point.items()))
         before = self._earlier.setdefault(key, {})
@@ -162,27 +162,6 @@ def _flagged(trial: TrialData) -> list[str]:
         return []
     names = [str(flag.name) for flag in Flag if flag and flag & UNUSABLE and (bad & np.uint16(flag)).any()]
     return [f"{int(np.count_nonzero(bad))} of {len(bad)} samples flagged {', '.join(names)}"]
-
-
-def _not_moved(kind: str, trial: TrialData, expected: Expected | None) -> list[str]:
-    """What should have moved in a trial of this kind and did not."""
-    known = registry.find(kind)
-    channel = known.moves if known else ""
-    if not channel or _holds_still(trial, expected) or not nothing_moved(trial, channel):
-        return []
-    return [f"{channel} changed by less than its noise: nothing moved"]
-
-
-def _holds_still(trial: TrialData, expected: Expected | None) -> bool:
-    """Whether the muscle is not meant to move: without pressure, or under a load that the specimen's file says it
-    does not lift.
-    """
-    P, load = trial.point.get("pressure"), trial.point.get("load")
-    if P is None or any(name in trial.point for name in DRIVEN):
-        return False
-    F_ce = expected.at("F_ce", P) if expected is not None and load is not None else None
-    held = F_ce is not None and load is not None and expected is not None and F_ce - load <= 2 * expected.F_c
-    return held or (P <= 0 and "from" not in trial.point)
 
 
 def _not_reached(trial: TrialData) -> list[str]:

@@ -71,7 +71,7 @@ class Acquisition:
         self.on_trip: Callable[[str, bool], None] = lambda _why, _latches: None
         """Begins the safe state, from whatever thread finds its cause; whether that is one that latches the bench."""
         self.beat: Callable[[], None] = lambda: None
-        """Tells the guard that the program lives, while samples are waited for."""
+        """Reports to the guard that the program lives, while samples are waited for."""
         self.holding: set[str] = set()
         """Limits with the action `hold` that are crossed now."""
         self._watch: Watch | None = Watch(bench.trips, bench.channels, self.commanded)
@@ -92,7 +92,7 @@ class Acquisition:
                 self._sources.append(Source(device.name, opened, device.channels, record))
 
     def switched(self, name: str, *, safe: bool) -> None:
-        """Note in the record where a valve stands from now on: as in the safe state, or the other way."""
+        """Note in the record the position of a valve from now on: as in the safe state, or the other way."""
         at_rest = next(valve.safe for valve in self._bench.valves if valve.name == name)
         position = at_rest if safe else "closed" if at_rest == "open" else "open"
         self._recorder.event("valve", self.clock.now(), valve=name, position=position, text=f"{name} {position}")
@@ -139,7 +139,7 @@ class Acquisition:
         """Record samples from now on, or no longer."""
         with self._lock:
             for source in self._sources:
-                source.tell(source.spacing.settle())
+                source.flag(source.spacing.settle())
                 self._hand_over(source, source.kept())
             self._recording = on
 
@@ -171,7 +171,7 @@ class Acquisition:
     def until(self, deadline: float, stop: Stop | None = None) -> float | None:
         """Sample until `deadline` [s], or until `stop` says so; the time of the stop [s], or None.
 
-        Raises LimitTripped when a measured limit is crossed; time then stands at that sample where it can.
+        Raises LimitTripped when a measured limit is crossed; time is then at that sample where it can be.
         """
         with self._lock:
             self._stop, self._stopped = stop, None
@@ -239,7 +239,7 @@ class Acquisition:
                 continue
             try:
                 if not self._lock.acquire(timeout=self._block / 2):
-                    # another thread waits for a device or the disk, which have deadlines of their own
+                    # another thread waits for a device or the disk, which have their deadlines
                     if now - self._collected < HUNG:
                         self.beat()
                     continue
@@ -342,7 +342,7 @@ class Acquisition:
         self.latest.update(values)
         before, _ = source.spacing.look((time_ns,))
         source.last = time_ns
-        source.tell(before)
+        source.flag(before)
         flags = self._ranges.one(source.channels.values(), values)
         if self._recording and source.recorded:
             count = source.keep(time_ns, columns, flags, self._arrival(block.host))
@@ -368,7 +368,7 @@ class Acquisition:
     ) -> None:
         before, apart = source.spacing.look(time_ns)
         source.last = int(time_ns[-1])
-        source.tell(before)
+        source.flag(before)
         for name, value in values.items():
             self.latest[name] = float(value[-1])
         flags = self._ranges.block(source.channels, values, len(time_ns)) | np.array(apart, dtype=np.uint16)

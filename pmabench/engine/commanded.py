@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
+from pmabench.bench.interface import Load
 from pmabench.guard import course
 
 SETTLES = 2.0
@@ -19,7 +20,7 @@ SETTLES = 2.0
 
 
 class Commands(Protocol):
-    """What both faces of the guard take."""
+    """What the engine needs of the guard, in this process or in another."""
 
     def set(self, name: str, value: float) -> float:
         """A set-point [SI]; what the device got."""
@@ -34,11 +35,19 @@ class Commands(Protocol):
         ...
 
     def valves(self, *, closed: bool, only: str = "") -> None:
-        """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state."""
+        """Valves, or `only` one, as in a run, or (not `closed`) in the safe state."""
         ...
 
     def value_sent(self, name: str, value: float) -> float:
         """What the device would get [SI]."""
+        ...
+
+    def place(self, load: Load) -> None:
+        """Hands put a load on."""
+        ...
+
+    def release(self) -> None:
+        """The vent path of the bench is proven."""
         ...
 
 
@@ -76,7 +85,7 @@ class Commanded:
 
     _courses: dict[str, _Course] = field(default_factory=dict)
     _falls: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    """How fast each output was told to go down [SI/s], and until when a pressure may still follow that [s]."""
+    """How fast each output was commanded down [SI/s], and until when a pressure may still follow that [s]."""
     _lows: dict[str, _Lows] = field(default_factory=dict)
 
     def set(self, output: str, t: float, value: float) -> None:
@@ -104,7 +113,7 @@ class Commanded:
         return None if at is None else at(t)
 
     def falling(self, output: str, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How fast the output was told to go down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast."""
+        """How fast the output was commanded down [SI/s], of shape (n,) as `t` [s]: a pressure may fall as fast."""
         allowed = np.zeros(len(t))
         for until, rate in self._falls.get(output, ()):
             allowed = np.where(t < until, np.maximum(allowed, rate), allowed)
@@ -156,7 +165,7 @@ class Commander:
         self._commanded.sine(output, self._clock.now(), mean, amplitude, frequency, cycles)
 
     def valve(self, name: str, *, safe: bool) -> None:
-        """One valve into its safe state, or as it stands in a run."""
+        """One valve into its safe state, or as in a run."""
         self.wait()
         self._guard.valves(closed=not safe, only=name)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -56,18 +56,6 @@ class TrialFailed(VerdictFailed):
     """A step reached its limit and the plan says that the trial has failed then."""
 
 
-class Bench(Commands, Protocol):
-    """What the executor needs of the guard, wherever that lives."""
-
-    def place(self, load: Load) -> None:
-        """Hands put a load on."""
-        ...
-
-    def valves(self, *, closed: bool, only: str = "") -> None:
-        """Close every valve (or one), or open them."""
-        ...
-
-
 LIVE_EVERY = 1.0
 """In real time, while nothing is recorded, the newest values become an event so often [s]: `watch` has no others."""
 LONGEST_HOLD = 60.0
@@ -80,7 +68,7 @@ class Executor:
 
     plan: Plan
     bench: CompiledBench
-    guard: Bench
+    guard: Commands
     acquisition: Acquisition
     recorder: Recorder
     operator: Operator
@@ -122,7 +110,7 @@ class Executor:
         left = sum(step.longest() for step in steps)
         number = 0
         after: int | None = None
-        """What stands right behind the trial before; hands and preconditioning are not repeated."""
+        """What comes right after the trial before; hands and preconditioning are not repeated."""
         again: int | None = None
         """Where the last trial is begun again."""
         while True:
@@ -154,12 +142,12 @@ class Executor:
         """One step, now."""
         self._act[type(step)](step)
 
-    def heed(self) -> None:
+    def handle_keys(self) -> None:
         """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.
 
         A repeat means the trial under way, or between trials the one before.
         """
-        self._tell_live()
+        self._record_live()
         for what, text in self.operator.poll(self.acquisition.latest):
             if what == "note":
                 self._event("note", text=text, trial=self._trial)
@@ -172,7 +160,7 @@ class Executor:
             elif text == "v":
                 raise Interrupted("the operator (key v)", 130)
 
-    def _tell_live(self) -> None:
+    def _record_live(self) -> None:
         """Put the newest values into the record where their samples do not go there."""
         if not self.bench.realtime or self.acquisition.recording:
             return
@@ -359,7 +347,7 @@ class Executor:
             self.guard.valves(closed=True)
 
     def _hands_at_pressure(self) -> float:
-        """Highest measured pressure for hands at pressure [Pa]: the bench's, and what its channel cannot tell."""
+        """Highest measured pressure for hands at pressure [Pa]: the bench's, and the uncertainty of its channel."""
         most = self.bench.hands_at_pressure
         channel = next((c for c in self.bench.channels if c.name == "pressure"), None)
         if channel is None or most == 0.0:

@@ -23,7 +23,7 @@ CARRIED = 0.25
 MISSING = 0.75
 """So many periods beyond what the steps should be make a lost sample, and not a late one [1]."""
 WAITING = 12
-"""No more samples wait for what the next one tells: polls that are made up come a few at once, or not at all."""
+"""No more samples wait for the next one: polls that are made up come a few at once, or not at all."""
 
 
 class Spacing:
@@ -31,7 +31,7 @@ class Spacing:
 
     Polls at absolute deadlines that are late by x periods make one step of 1 + x and, with those that are made up, the
     next ones shorter by x in all; where a sample is missing they stay longer. So where x is near 1 or more the samples
-    after tell, and until they are there the last ones are `open`.
+    after decide, and until they are there the last ones are `open`.
     """
 
     def __init__(self, rate: float) -> None:
@@ -43,7 +43,7 @@ class Spacing:
 
     @property
     def open(self) -> int:
-        """Of how many of the newest samples the next one tells the flag."""
+        """Of how many of the newest samples the next one decides the flag."""
         return len(self._open)
 
     def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
@@ -62,8 +62,8 @@ class Spacing:
                 self._open.append(self._open[-1] + step - 1.0)
                 flags.append(0)
                 continue
-            told = self._decide(step)
-            flags[len(flags) - len(told) :] = told
+            decided = self._decide(step)
+            flags[len(flags) - len(decided) :] = decided
             step += self._late
             flags.append(int(Flag.LATE) if APART < step <= LATE_ONLY else 0)
             if step > LATE_ONLY:
@@ -83,7 +83,7 @@ class Spacing:
         return True
 
     def settle(self) -> list[int]:
-        """The flags of the samples that are open, where no other one will tell."""
+        """The flags of the samples that are open, where no other one follows."""
         return self._decide(1.0)
 
     def _decide(self, step: float) -> list[int]:
@@ -94,10 +94,10 @@ class Spacing:
         beyond = late[-1] + step - 1.0
         lost = floor(beyond + 1.0 - MISSING) if beyond >= MISSING else 0
         self._late = late[-1] - lost if not lost or late[-1] - lost > CARRIED else 0.0
-        told = [int(Flag.LATE) if x - lost > APART - 1.0 else 0 for x in late]
+        found = [int(Flag.LATE) if x - lost > APART - 1.0 else 0 for x in late]
         if lost:
-            told[0] = int(Flag.GAP)
-        return told
+            found[0] = int(Flag.GAP)
+        return found
 
 
 class Ranges:

@@ -59,7 +59,7 @@ class LoadCheck:
         self._kept: dict[str, tuple[Array, Array]] = {}
 
     def put_on(self, force: float, asked: str, displacement: float | None) -> None:
-        """Hands put F_L = `force` [N] on, where the free end stood at `displacement` [m]."""
+        """Hands put F_L = `force` [N] on, with the free end at `displacement` [m]."""
         self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
         self._kept = {}
 

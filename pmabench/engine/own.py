@@ -1,4 +1,4 @@
-"""Devices that only measure: the engine opens them itself, each called from a thread of its own with a deadline."""
+"""Devices that only measure: the engine opens them itself, each called from its own thread with a deadline."""
 
 from __future__ import annotations
 

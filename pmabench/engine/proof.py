@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench
 from pmabench.engine.acquire import Acquisition, Samples, Stop
+from pmabench.engine.commanded import Commands
 from pmabench.engine.recorder import Recorder
 
 FILLED = 0.8
 """Of the asked pressure, from where on the bench counts as filled."""
 
 
-class Provable(Protocol):
-    """What the test needs of the guard."""
-
-    def set(self, name: str, value: float) -> float:
-        """A set-point."""
-        ...
-
-    def valves(self, *, closed: bool) -> None:
-        """All valves."""
-        ...
-
-    def release(self) -> None:
-        """The bench is proven."""
-        ...
-
-
-def prove(bench: CompiledBench, guard: Provable, acquisition: Acquisition, recorder: Recorder) -> None:
+def prove(bench: CompiledBench, guard: Commands, acquisition: Acquisition, recorder: Recorder) -> None:
     """Try the vent path of a bench that declares a proof test; raises LimitTripped where it does not vent in time."""
     proof = bench.proof
     if proof is None:
@@ -49,7 +32,7 @@ def prove(bench: CompiledBench, guard: Provable, acquisition: Acquisition, recor
         )
     vented_at = clock.now()
     guard.set("pressure", safe)
-    acquisition.commanded.set("pressure", vented_at, safe)  # it falls because it is told to: no burst
+    acquisition.commanded.set("pressure", vented_at, safe)  # it falls as commanded: no burst
     guard.valves(closed=False)
     vented = acquisition.pass_time(proof.within, _crossing(below=proof.below))
     if vented is None:

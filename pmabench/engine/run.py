@@ -16,7 +16,7 @@ from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.bench.compile import Mounted
-from pmabench.bench.interface import CompiledBench
+from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
 from pmabench.engine.ending import exit_code, sentence, status_of
 from pmabench.engine.executor import Executor, Progress
@@ -51,6 +51,8 @@ class Outcome:
     trials_failed: tuple[int, ...]
     extremes: Mapping[str, tuple[float, float]]
     """Lowest and highest value [SI] measured on each channel."""
+    tripped: TripRecord | None = None
+    """The limit on a measured channel that ended it."""
     events: tuple[tuple[str, float, dict[str, Any]], ...] = ()
     """Events of a run that was only tried."""
 
@@ -113,8 +115,7 @@ def run_plan(
     the same watch and the same ending. `before_proof` is done before the proof test, without pressure.
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
-    `begun` is told the folder before anything is commanded. Raises DeviceError, LimitRefused or RecordError only where
-    it failed before anything was commanded.
+    `begun` gets the folder before. Raises DeviceError, LimitRefused or RecordError only where nothing was commanded.
     """
     bench = mounted.bench
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
@@ -126,26 +127,19 @@ def run_plan(
         if own is not None:
             own.open()
         identities = {**guard.identities, **(own.identities if own is not None else {})}
-        if not bench.realtime and not all(identity.simulated for identity in identities.values()):
-            raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
-        bench = replace(bench, simulated=any(identity.simulated for identity in identities.values()))
+        bench = _as_answered(bench, identities)
         recorder: Recorder = NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            told: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
-            told["drivers"] = as_data(bench)
-            if bench.realtime:
-                told["priority"] = why or "real time"
-            if unproven := not_proven(identities):
-                told["scales_not_proven"] = unproven
-            told |= {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
+            entries = {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
             if continues is not None:
-                told["continues"] = dict(continues.manifest)
-            writer = _new_folder(plan, mounted, bench, out, protocol_text, told)
+                entries["continues"] = dict(continues.manifest)
+            opened = _opened(bench, identities, why or "real time")
+            writer = _new_folder(plan, mounted, bench, out, protocol_text, {**opened, **entries})
             recorder = writer
             begun(writer.folder)
+        streams = {**guard.devices, **(own.streams if own is not None else {})}
         with Signals() as signals:
-            streams = {**guard.devices, **(own.streams if own is not None else {})}
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             if continues is not None:
@@ -155,9 +149,8 @@ def run_plan(
                 return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
     finally:
         guard.close()
-        if own is not None:
+        if own is not None:  # in real time
             own.close()
-        if bench.realtime:
             ordinary()
 
 
@@ -165,7 +158,7 @@ def run_plan(
 def _no_long_collection() -> Iterator[None]:
     """What is there now is garbage-collected once, and left alone until the run is over.
 
-    A collection of everything stops all threads: 0.37 s were measured beside busy neighbours, longer than the guard
+    A collection of everything stops all threads: 0.37 s were measured on a busy computer, longer than the guard
     allows an engine to be silent.
     """
     gc.collect()
@@ -174,6 +167,25 @@ def _no_long_collection() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
+
+
+def _as_answered(bench: CompiledBench, identities: Mapping[str, Identity]) -> CompiledBench:
+    """The bench, simulated where one of its devices is; raises DeviceError for a real device in virtual time."""
+    simulated = [identity.simulated for identity in identities.values()]
+    if not bench.realtime and not all(simulated):
+        raise DeviceError(bench.name, '"time: virtual" is for simulated devices only')
+    return replace(bench, simulated=any(simulated))
+
+
+def _opened(bench: CompiledBench, identities: Mapping[str, Identity], priority: str) -> dict[str, Any]:
+    """What the manifest says of the devices that answered, and of the `priority` of this process."""
+    entries: dict[str, Any] = {"devices": {name: vars(identity) for name, identity in identities.items()}}
+    entries["drivers"] = as_data(bench)
+    if bench.realtime:
+        entries["priority"] = priority
+    if unproven := not_proven(identities):
+        entries["scales_not_proven"] = unproven
+    return entries
 
 
 def _new_folder(
@@ -281,23 +293,23 @@ class _Run:
 
     def _check(self) -> None:
         self.signals.check()
-        self.executor.heed()
+        self.executor.handle_keys()
 
     def _controlled_stop(self) -> None:
         """Take the pressure down at the bench's rate first; whatever comes meanwhile ends that at once."""
         output = next((o for o in self.bench.outputs if o.name == "pressure"), None)
-        stands = self.acquisition.commanded.at("pressure", self.clock.now())
-        if output is None or stands is None or not self.bench.stop_rate or stands <= output.safe:
+        commanded = self.acquisition.commanded.at("pressure", self.clock.now())
+        if output is None or commanded is None or not self.bench.stop_rate or commanded <= output.safe:
             return
         self.signals.news()
         self.acquisition.check = self.signals.check
         with suppress(BaseException):  # another signal, a trip, a lost device: the safe state follows now
             self.acquisition.begin_controlled_stop()
             now = self.clock.now()
-            self.executor.recorder.event("controlled-stop", now, origin=stands, rate=self.bench.stop_rate)
-            self.guard.ramp("pressure", stands, output.safe, self.bench.stop_rate)
-            self.acquisition.commanded.ramp("pressure", now, stands, output.safe, self.bench.stop_rate)
-            self.acquisition.pass_time((stands - output.safe) / self.bench.stop_rate)
+            self.executor.recorder.event("controlled-stop", now, origin=commanded, rate=self.bench.stop_rate)
+            self.guard.ramp("pressure", commanded, output.safe, self.bench.stop_rate)
+            self.acquisition.commanded.ramp("pressure", now, commanded, output.safe, self.bench.stop_rate)
+            self.acquisition.pass_time((commanded - output.safe) / self.bench.stop_rate)
 
     def _measure(self) -> Mapping[str, float]:
         """Newest values for the safe state; more signals shorten its waits."""
@@ -350,6 +362,7 @@ class _Run:
             acquisition.counts["rows"],
             tuple(executor.failed),
             dict(acquisition.extremes),
+            cause.trip.limit if isinstance(cause, Tripped) else None,
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
         )
 

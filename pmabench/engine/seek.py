@@ -79,7 +79,7 @@ class Moves:
         return self.clock.now() + abs(target - origin) / rate
 
     def valve(self, name: str, *, safe: bool) -> float:
-        """One valve into its safe state, or as it stands in a run; returns the bench time [s]."""
+        """One valve into its safe state, or as in a run; returns the bench time [s]."""
         self._guard.valve(name, safe=safe)
         self.acquisition.switched(name, safe=safe)
         return self.clock.now()
@@ -108,16 +108,16 @@ def run_seek(
 def _always(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
 ) -> dict[str, Any]:
-    """Sample by sample; a command that stands is not sent again."""
-    stands: float | None = None
+    """Sample by sample; a command that is unchanged is not sent again."""
+    sent: float | None = None
     t, values = acquisition.sample()
     while not law.done:
         command = min(max(law.update(t, values), step.low), step.high)
-        if command == stands:
+        if command == sent:
             guard.wait()
         else:
             guard.set(step.output, command)
-            stands = command
+            sent = command
         if clock.now() >= deadline:
             return _late(step, law)
         t, values = acquisition.sample()
@@ -128,7 +128,7 @@ def _rarely(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
 ) -> dict[str, Any]:
     """The same, block by block, where time can be taken back to the sample at which the law changes its command."""
-    stands: float | None = None
+    sent: float | None = None
     command = step.low
 
     def changes(samples: Samples) -> int | None:
@@ -139,7 +139,7 @@ def _rarely(
             command = min(
                 max(law.update(t, {name: column[i] for name, column in columns.items()}), step.low), step.high
             )
-            if command != stands or law.done:
+            if command != sent or law.done:
                 return i
         return None
 
@@ -148,7 +148,7 @@ def _rarely(
             guard.wait()
         else:
             guard.set(step.output, command)
-            stands = command
+            sent = command
         if clock.now() >= deadline:
             return _late(step, law)
     acquisition.sample()

@@ -22,7 +22,7 @@ class Signals:
         self.pending: list[int] = []
         self.waiting = False
         self._shut = False
-        self._heeded = 0
+        self._acted_on = 0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
@@ -50,15 +50,15 @@ class Signals:
             self.check()
 
     def check(self) -> None:
-        """Raise what has been noted and not been heeded."""
-        if len(self.pending) > self._heeded and not self._shut:
-            number = self.pending[self._heeded]  # the first is the cause
+        """Raise what has been noted and not been acted on."""
+        if len(self.pending) > self._acted_on and not self._shut:
+            number = self.pending[self._acted_on]  # the first is the cause
             raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
 
     def news(self) -> bool:
-        """Whether a signal has come since the last call; it counts as heeded then."""
-        before, self._heeded = self._heeded, len(self.pending)
-        return self._heeded > before
+        """Whether a signal has come since the last call; it counts as acted on then."""
+        before, self._acted_on = self._acted_on, len(self.pending)
+        return self._acted_on > before
 
     @property
     def gently(self) -> bool:

@@ -44,7 +44,7 @@ class Source:
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 
-        The newest ones wait where the next one tells whether they are late or samples are missing before them.
+        The newest ones wait where only the next one shows whether they are late or samples are missing before them.
         """
 
     def ahead(self, newest: int, arrived: float) -> float:
@@ -53,8 +53,8 @@ class Source:
         self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead
 
-    def tell(self, flags: Sequence[int]) -> None:
-        """Give the samples that wait, the newest last, what the next one has told of them."""
+    def flag(self, flags: Sequence[int]) -> None:
+        """Give the samples that wait, the newest last, the flags that the next one has decided."""
         for place, flag in enumerate(flags, len(self._rows) - len(flags)):
             if flag and place >= 0:  # what came before the recording began is not kept
                 time_ns, columns, before, arrival = self._rows[place]
@@ -80,15 +80,17 @@ class Source:
         self, time_ns: NDArray[np.int64], raw: Mapping[str, Any], flags: NDArray[np.uint16], host: int | None
     ) -> Iterator[Piece]:
         """What was kept and then this block, but for the newest samples that wait for the next block."""
-        told = max(0, len(time_ns) - self.spacing.open)
+        ready = max(0, len(time_ns) - self.spacing.open)
         columns = {name: raw[name] for name in self.recorded}
-        if told == len(time_ns):
+        if ready == len(time_ns):
             yield from self.kept()
             yield Piece(time_ns, columns, flags, host)
             return
-        if told:
+        if ready:
             yield from self.kept()
-            yield Piece(time_ns[:told], {name: column[:told] for name, column in columns.items()}, flags[:told], None)
-        for i in range(told, len(time_ns)):
+            yield Piece(
+                time_ns[:ready], {name: column[:ready] for name, column in columns.items()}, flags[:ready], None
+            )
+        for i in range(ready, len(time_ns)):
             one = {name: column[i : i + 1] for name, column in columns.items()}
             self.keep(int(time_ns[i]), one, int(flags[i]), host)

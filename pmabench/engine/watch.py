@@ -50,7 +50,7 @@ class Trip:
         if limit.kind == "frozen":
             return f"{name} has not changed from {shown} for {limit.delay:g} s {where}"
         if limit.kind == "off-range":
-            return f"{name} {shown} is at the end of what the channel can tell {where}"
+            return f"{name} {shown} is at the end of what the channel can measure {where}"
         if limit.kind == "following":
             return f"{name} {shown} is further than {high} from what is commanded {where}"
         if limit.kind == "burst":
@@ -73,7 +73,7 @@ class _Watched:
         self.since: float | None = None
         """Since when the value is outside [s]."""
         self.active = False
-        """Whether an action that does not end the run has been told."""
+        """Whether an action that does not end the run was reported."""
         self.heard: float | None = None
         self.t: Array = np.zeros(0)
         self.kept: Array = np.zeros(0)
@@ -158,7 +158,7 @@ class Watch:
         return False
 
     def _one(self, watched: _Watched, t: Array, samples: Array) -> list[Trip]:
-        outside, told = self._outside(watched, t, samples)
+        outside, shown = self._outside(watched, t, samples)
         found: list[Trip] = []
         since, limit = watched.since, watched.limit
         instant = limit.kind == "frozen"  # its delay is in what counts as outside
@@ -169,7 +169,7 @@ class Watch:
                 continue
             since = t[index] if since is None else since
             if (instant or t[index] - since >= limit.delay) and not watched.active:
-                found.append(Trip(limit, int(index), float(t[index]), float(told[index])))
+                found.append(Trip(limit, int(index), float(t[index]), float(shown[index])))
                 if limit.action in ENDS:
                     return found
                 watched.active = True
@@ -183,7 +183,7 @@ class Watch:
             found.append(Trip(watched.limit, index, t, value, over=True))
 
     def _outside(self, watched: _Watched, t: Array, samples: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Which samples are outside, and the value that is told of each."""
+        """Which samples are outside, and the value that is reported of each."""
         limit = watched.limit
         if limit.kind in {"rate", "burst"}:
             return self._falls(watched, t, samples)

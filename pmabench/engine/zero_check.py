@@ -15,7 +15,7 @@ LONGEST = 5.0
 
 
 def zero_check(acquisition: Acquisition, zeroed: tuple[str, ...], *, unloaded: bool) -> dict[str, dict[str, Any]]:
-    """Mean of each zeroed channel now [SI]; it is a `drift` where the channel stands at its zero again.
+    """Mean of each zeroed channel now [SI]; it is a `drift` where the channel is at its zero again.
 
     The pressure does, vented. The force does where hands took every load off. Nobody knows of the displacement.
     """

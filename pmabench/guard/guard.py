@@ -2,7 +2,7 @@
 
 Small enough to be read in one sitting. It does not trust the engine: values outside the active limits, NaN and
 infinity are refused here again, whatever was checked before. Knows devices through `pmabench.bench.interface` only.
-In virtual time it lives in the engine's process, at a real bench in one of its own (`pmabench.guard.process`).
+In virtual time it lives in the engine's process, at a real bench in the guard process (`pmabench.guard.process`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class State(Enum):
 class Guard:
     """Commands the outputs of one compiled bench.
 
-    `threads`: each device is called from a thread of its own, and those that only measure are left to the engine.
+    `threads`: each device is called from its own thread, and those that only measure are left to the engine.
     `forgiving`: devices that cannot be opened are left out, each is vented as soon as it is open, and those that
     confirm the vent are opened even where they only measure.
     """
@@ -85,11 +85,11 @@ class Guard:
     def open(self) -> None:
         """Open every device; nothing is commanded. On failure those already open are closed."""
         records = [
-            record for record in self.bench.devices if record.guarded or not self._threads or self._tells(record)
+            record for record in self.bench.devices if record.guarded or not self._threads or self._confirms(record)
         ]
         self.links.open(records, self._first_of, forgiving=self._forgiving)
 
-    def _tells(self, record: DeviceRecord) -> bool:
+    def _confirms(self, record: DeviceRecord) -> bool:
         """Whether a device that only measures is opened too: a forgiving guard has nobody else to confirm a vent by."""
         wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
@@ -141,7 +141,7 @@ class Guard:
         output = self._allowed(name, origin, target)
         if not (isfinite(rate) and rate > 0) or (output.rate and rate > output.rate * (1 + 1e-9)):
             raise LimitRefused(f'"{name}" cannot be ramped at {rate} per second; at most {output.rate}')
-        refuse_jump(output, self._stands(output), origin)
+        refuse_jump(output, self._now_at(output), origin)
         self.links.call(output.device, self._ramping(output, origin, target, rate))
         self._courses[name] = course.ramp(self.clock.now(), origin, target, rate)
 
@@ -153,7 +153,7 @@ class Guard:
         fastest = 6.283185307179586 * frequency * abs(amplitude)
         if output.rate and fastest > output.rate:
             raise LimitRefused(f'"{name}": the sine moves at {fastest:.4g} per second; at most {output.rate:.4g}')
-        refuse_jump(output, self._stands(output), mean)
+        refuse_jump(output, self._now_at(output), mean)
         segment = Segment(
             "sine",
             self.clock.now(),
@@ -166,11 +166,11 @@ class Guard:
         self._courses[name] = course.sine(segment.start, mean, amplitude, frequency, cycles)
 
     def place(self, load: Load) -> None:
-        """Tell the devices that have an operator inside what hands did."""
+        """Report what hands did to the devices that have an operator inside."""
         self.links.place(load)
 
     def valves(self, *, closed: bool, only: str = "") -> None:
-        """Valves, or `only` one, as they stand in a run, or (not `closed`) in the safe state: dump open for hands."""
+        """Valves, or `only` one, as in a run, or (not `closed`) in the safe state: dump open for hands."""
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
             self._switch(valve, closed=closed == (valve.safe == "open"))
@@ -215,7 +215,7 @@ class Guard:
     def _course(self, output: OutputRecord) -> course.Course:
         return self._courses.get(output.name, course.step(output.safe))
 
-    def _stands(self, output: OutputRecord) -> float:
+    def _now_at(self, output: OutputRecord) -> float:
         return self._course(output)(self.clock.now())
 
     def _ramping(self, output: OutputRecord, origin: float, target: float, rate: float) -> Act:
@@ -298,16 +298,16 @@ class Guard:
         return self._outputs.get(action.target) or self._valves.get(action.target)
 
     def _action(self, action: SafeAction, target: OutputRecord | ValveRecord) -> Act:
-        """A safe action as a call; that of a ramp tells how long the ramp takes [s]."""
+        """A safe action as a call; that of a ramp returns how long the ramp takes [s]."""
         if isinstance(target, ValveRecord):
             return self.links.switching(target, closed=action.do == "close")
         if action.do == "stop":
             return self.links.halting(target)
         if action.do == "ramp":
-            stands = self._stands(target)
-            follow = self._ramping(target, stands, action.value, action.rate)
-            self._courses[target.name] = course.ramp(self.clock.now(), stands, action.value, action.rate)
-            lasts = abs(action.value - stands) / action.rate
+            origin = self._now_at(target)
+            follow = self._ramping(target, origin, action.value, action.rate)
+            self._courses[target.name] = course.ramp(self.clock.now(), origin, action.value, action.rate)
+            lasts = abs(action.value - origin) / action.rate
             return lambda: (follow(), lasts)[1]
         self._courses[target.name] = course.step(action.value)
         return self.links.writing(target, action.value)

@@ -85,9 +85,9 @@ def refuse_outside(output: OutputRecord, values: tuple[float, ...], most: float)
             raise LimitRefused(f"{shown} for {output.name} is above {bound}: the bench is not proven yet")
 
 
-def refuse_jump(output: OutputRecord, stands: float, origin: float) -> None:
-    """An output with a highest rate starts a motion where it stands [SI]."""
+def refuse_jump(output: OutputRecord, now: float, origin: float) -> None:
+    """An output with a highest rate starts a motion at its commanded value `now` [SI]."""
     room = 1e-3 * (output.high - output.low) + abs(output.resolution * output.scale.slope)
-    if output.rate and abs(origin - stands) > room:
-        where, shown = show(stands, output.quantity), show(origin, output.quantity)
-        raise LimitRefused(f'"{output.name}" stands at {where} and cannot jump to {shown}')
+    if output.rate and abs(origin - now) > room:
+        where, shown = show(now, output.quantity), show(origin, output.quantity)
+        raise LimitRefused(f'"{output.name}" is at {where} and cannot jump to {shown}')

@@ -1,4 +1,4 @@
-"""How the guard calls the devices of a bench, each from a thread of its own; decides nothing."""
+"""How the guard calls the devices of a bench, each from its own thread; decides nothing."""
 # mypy: disable-error-code="type-abstract"
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def load_driver(record: DeviceRecord, clock: Clock) -> Device:
 
 
 class Links:
-    """The open devices, by name. `threads`: each is called from a thread of its own."""
+    """The open devices, by name. `threads`: each is called from its own thread."""
 
     def __init__(self, bench: CompiledBench, clock: Clock, *, threads: bool) -> None:
         self.devices: dict[str, Device] = {}
@@ -204,13 +204,13 @@ class Links:
         for record in self._bench.devices:
             if record.watchdog:
                 device = self.need(record.name, Watchdog, "has no watchdog, and the bench file says that it has")
-                told = self.call(record.name, partial(device.arm_watchdog, record.watchdog))
-                if not 0 < told <= record.watchdog * 1.01:
+                armed = self.call(record.name, partial(device.arm_watchdog, record.watchdog))
+                if not 0 < armed <= record.watchdog * 1.01:
                     asked = f"{record.watchdog:g} s was asked for"
-                    raise DeviceError(record.name, f"its watchdog says {told:g} s where {asked}")
+                    raise DeviceError(record.name, f"its watchdog says {armed:g} s where {asked}")
 
     def feed_watchdogs(self) -> None:
-        """Tell every armed device that the program lives; raises DeviceError where one said before that it failed."""
+        """Send every armed device a sign of life; raises DeviceError where one said before that it failed."""
         for record in self._bench.devices:
             device = self.devices.get(record.name)
             if record.watchdog and isinstance(device, Watchdog):
@@ -230,7 +230,7 @@ class Links:
                     raise LimitRefused(f'the interlock "{interlock.name}" is open ({record.name}.{interlock.input})')
 
     def place(self, load: Load) -> None:
-        """Tell the devices that have an operator inside what hands did."""
+        """Report what hands did to the devices that have an operator inside."""
         for name, device in list(self.devices.items()):
             if isinstance(device, Hands):
                 self.call(name, partial(device.place, load))

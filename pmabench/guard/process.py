@@ -1,8 +1,8 @@
-"""The guard as a process of its own, in its own session: serves one engine over a loopback socket, and outlives it.
+"""The guard process, in its own session: serves one engine over a loopback socket, and outlives it.
 
 The engine's requests are its heartbeat. When they stop, when the engine's end of the socket closes, when an interlock
-opens, when a device has changed by itself, when the guard or the computer stood still, or when somebody asks for it,
-the guard runs the safe state by itself.
+opens, when a device has changed by itself, when the guard or the computer was stopped for a while, or when somebody
+asks for it, the guard runs the safe state by itself.
 Messages are those of `pmabench.guard.wire`; each request names what to `do`, each answer has `state` and what `ended`.
 """
 
@@ -35,7 +35,7 @@ from pmabench.guard.wire import Messages, encode, keys
 
 SILENCE = 0.25
 """The engine is lost when nothing was heard of it for so long while it commands [s]."""
-STOOD_STILL = 0.25
+LOST_TIME = 0.25
 """A guard that lost so much time [s] does not know what happened meanwhile, and ends the run."""
 STRANGERS = 32
 """Links that have not shown the key yet; of more than these the oldest is closed."""
@@ -57,7 +57,7 @@ PASSED_ON: Mapping[str, Callable[..., Any]] = {
 }
 """Requests that are a call of the guard and no more; its result is the answer's `value`."""
 STALE = 0.5
-"""A command that was sent longer ago [s] is not carried out: whoever sent it to a guard that stood still gave up."""
+"""A command that was sent longer ago [s] is not carried out: whoever sent it to a stopped guard gave up."""
 
 
 class _Peer:
@@ -107,9 +107,9 @@ class Service:
         self._ended: dict[str, str] = {}
         self._vent: Vent | None = None
         self._noticed: list[str] = []
-        """What devices did while the guard stood still."""
+        """What devices did while the guard was stopped."""
         self._kept: dict[str, list[Block]] = {}
-        self._served = self._told_to_end = False
+        self._served = self._asked_to_end = False
 
     def serve(self) -> None:
         """Until it is over."""
@@ -153,10 +153,10 @@ class Service:
         """Whether the bench is safe, and nobody is there any more who could command it."""
         here = self._engine is not None or (not self._served and time.monotonic() - self._heard < CONNECTS_WITHIN)
         busy = self.guard.state in {*ACTIVE, State.STOPPING}
-        return not busy and (not here or self._told_to_end)
+        return not busy and (not here or self._asked_to_end)
 
     def _note_signal(self, number: int, _frame: FrameType | None) -> None:
-        self._told_to_end = True
+        self._asked_to_end = True
 
     def _hear(self, peer: _Peer) -> None:
         if peer not in self._peers:
@@ -188,11 +188,11 @@ class Service:
             answer = self._do(peer, message.pop("do", ""), message.pop("at", None), message)
             payload = answer.pop("payload", b"")
         except PmaError as error:
-            told = {"type": type(error).__name__, "text": str(error)}
+            said = {"type": type(error).__name__, "text": str(error)}
             if isinstance(error, DeviceError):  # a driver's own kinds of it are not known at the other end
-                told = {"type": "DeviceError", "device": error.device, "channel": error.channel, "text": error.message}
-            answer = {"error": told}
-        except Exception as error:  # an engine's mistake: told to it, and nothing was done
+                said = {"type": "DeviceError", "device": error.device, "channel": error.channel, "text": error.message}
+            answer = {"error": said}
+        except Exception as error:  # an engine's mistake: reported to it, and nothing was done
             _write_down()
             answer = {"error": {"type": "PmaError", "text": f"guard: {type(error).__name__}: {error}"}}
         if peer is self._engine:
@@ -227,7 +227,7 @@ class Service:
         if self.guard.devices:
             raise LimitRefused("the bench is open already")
         latched = self.station.latched()
-        told = (
+        tripped = (
             f"the bench is tripped: {latched}. Look at it, then: "
             f'pmabench vent "{self.guard.bench.name}" --reset --operator NAME --because TEXT'
         )
@@ -235,11 +235,11 @@ class Service:
             self.guard.open()
         except DeviceError as error:
             if latched:
-                raise LimitRefused(f"{told}. Besides, a device cannot be opened: {error}") from error
+                raise LimitRefused(f"{tripped}. Besides, a device cannot be opened: {error}") from error
             raise
         if latched:
             self._end("trip", latched)
-            raise LimitRefused(told)
+            raise LimitRefused(tripped)
         for identity in self.guard.identities.values():
             if identity.serial and not identity.simulated:  # the same device behind another address
                 self.station.take_device(f"{identity.maker} {identity.model} serial {identity.serial}")
@@ -303,8 +303,8 @@ class Service:
         if self.guard.state in ACTIVE:
             if now - self._heard > SILENCE:
                 self._end("lost", f"the engine was silent for {now - self._heard:.2f} s")
-            elif self._told_to_end:
-                self._end("lost", "the guard was told to end")
+            elif self._asked_to_end:
+                self._end("lost", "the guard was asked to end")
             elif now - self._looked > LOOK:
                 self._looked = now
                 self._look()
@@ -318,9 +318,9 @@ class Service:
 
     def _refuse_lost_time(self) -> None:
         self._pulse.look()
-        if self._pulse.lost > STOOD_STILL and self.guard.state in ACTIVE:
+        if self._pulse.lost > LOST_TIME and self.guard.state in ACTIVE:
             lost = f"{self._pulse.lost:.2f} s"
-            self._end("trip", f"the guard stood still for {lost}: stopped, starved, or this computer slept")
+            self._end("trip", f"the guard was stopped for {lost}: suspended, starved, or this computer slept")
             self._noticed = self.guard.supervision.differences()
 
     def _look(self) -> None:
@@ -332,7 +332,7 @@ class Service:
             self._end("trip" if isinstance(error, LimitRefused) else "lost", str(error))
 
     def _end(self, how: str, why: str, *, tripped: bool = True, hurry: bool = False) -> None:
-        """Begin the safe state; the first cause is the one that is told."""
+        """Begin the safe state; the first cause is reported."""
         if not self._ended:
             self._ended = {"how": how, "why": why}
             self.guard.latest.clear()
@@ -359,7 +359,7 @@ class Service:
         if self._engine is None and self.guard.run:
             run = Path(self.guard.run)
             about = {"run": run.name, "cause": self._ended["why"], "t": self.guard.clock.now(), "vent": vars(vent)}
-            with suppress(OSError, ValueError):  # beside the run: its folder may be sealed at any moment (R12)
+            with suppress(OSError, ValueError):  # not into the run: its folder may be sealed at any moment (R12)
                 late = run.with_name(f"{run.name}.late")
                 late.mkdir(exist_ok=True)
                 part = late / ".guard.json.part"

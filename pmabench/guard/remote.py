@@ -1,4 +1,4 @@
-"""The engine's side of a guard that is a process of its own: the same face as `Guard`, over a loopback socket."""
+"""The engine's side of a guard in another process: the same face as `Guard`, over a loopback socket."""
 
 from __future__ import annotations
 
@@ -254,10 +254,10 @@ def _ended(ended: Mapping[str, str]) -> PmaError:
     return DeviceError("guard", f"has taken over: {ended['why']}")
 
 
-def _raised(told: Mapping[str, str]) -> PmaError:
-    """The error that the guard told of."""
-    if told["type"] == "DeviceError":
-        return DeviceError(told["device"], told["text"], told["channel"])
-    kind = getattr(errors, told["type"], PmaError)
-    error: PmaError = kind(told["text"])
+def _raised(reported: Mapping[str, str]) -> PmaError:
+    """The error that the guard reported."""
+    if reported["type"] == "DeviceError":
+        return DeviceError(reported["device"], reported["text"], reported["channel"])
+    kind = getattr(errors, reported["type"], PmaError)
+    error: PmaError = kind(reported["text"])
     return error

@@ -190,7 +190,7 @@ class SafeState:
 
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
-    """What is measured, or else the bound, in the unit that people read; in SI where the channel's name tells none."""
+    """What is measured, or else the bound, in the unit that people read; in SI where the channel's name has none."""
     quantity = QUANTITIES.get(action.target)
-    told = action.value if value is None else value
-    return f"{told:.4g}" if quantity is None else quantity.show(told, 4)
+    shown = action.value if value is None else value
+    return f"{shown:.4g}" if quantity is None else quantity.show(shown, 4)

@@ -9,6 +9,7 @@ from typing import Any
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
+from pmabench.analysis.shared.motion import with_motion
 from pmabench.analysis.verdict.acceptance import not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import agreement
@@ -78,7 +79,8 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     """The reduction of a kind, with the checks and the repeats of its trials."""
     record = registry.kind_of(kind)
     analysis = record.part("reduction")(runs, options)
-    checked = with_record(without_doubtful(with_checks(analysis, runs), runs), runs)
+    analysis = with_motion(with_checks(analysis, runs), runs, record.moves)
+    checked = with_record(without_doubtful(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(record.compares, runs)))
 
 

@@ -13,6 +13,7 @@ from pkgutil import iter_modules
 
 from pmabench import kinds
 from pmabench.base.errors import did_you_mean
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, load
 
 GROUP = "pmabench.kinds"
@@ -67,6 +68,16 @@ def options_for(asked: Mapping[str, object]) -> dict[str, dict[str, object]]:
         if mine:
             found[kind.name] = mine
     return found
+
+
+def importable() -> dict[str, Imported]:
+    """What each kind that files of other programs can be of needs of them, by its name."""
+    return {name: kind.imported for name, kind in all_kinds().items() if kind.imported is not None}
+
+
+def loops() -> tuple[str, ...]:
+    """The kinds whose runs cannot be taken with another calibration."""
+    return tuple(name for name, kind in all_kinds().items() if kind.loop)
 
 
 def protocols() -> dict[str, Kind]:

@@ -16,8 +16,8 @@ from pmabench.files.quantity import Force, Pressure, Time
 from pmabench.protocol.common import Compilation
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis, Estimate
     from pmabench.model.curve import Curve
+    from pmabench.store.analyses.results import Analysis, Estimate
 
 SPECIMEN = "specimen"
 
@@ -227,7 +227,7 @@ def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
 
     A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
     """
-    from pmabench.report.files.analysis_folder import ANALYSIS, read_analysis
+    from pmabench.store.analyses.folder import ANALYSIS, read_analysis
 
     places = [Path(name), Path(str(c.document.path)).parent / name]
     folders = [file.parent for place in places for file in (place / ANALYSIS, *sorted(place.glob(f"*/{ANALYSIS}")))]

@@ -1,7 +1,7 @@
-"""What is done once before runs, and beside them, on the armed bench; each is a run of its own under the same guard.
+"""What is done on the armed bench before runs and between them; each is a run under the same guard.
 
 - `session`: before the first run, again when it has run out: self-test, warm-up, zeros; `ensure` is its face, `state`
-  keeps it beside the bench, `zeros` takes and applies zeros
+  keeps it in the folder of the bench, `zeros` takes and applies zeros
 - `length`: how long a session takes, for `check`
 - `self_test`: the start check; made of `at_rest` (noise, supply), `stepping` (small steps), `wiring` (what
   readings of a right bench satisfy), `cause` (which wire explains what they do not), `checks` (one line of the table)

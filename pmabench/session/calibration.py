@@ -204,7 +204,7 @@ class _Work:
         self._measured = next(
             c for c in executor.bench.channels if c.name == ("pressure" if channel is None else channel.name)
         )
-        self._stands = output.safe if output is not None else 0.0
+        self._commanded = output.safe if output is not None else 0.0
         self._at: float | None = None
 
     @property
@@ -238,16 +238,16 @@ class _Work:
     def _go(self, target: float) -> float:
         """Bring the quantity to `target` [SI]; what is meant to be there then."""
         if self._at == target:
-            return self._stands if self._output is not None else target
+            return self._commanded if self._output is not None else target
         self._at = target
         if self._output is not None:
             if self._output.rate:
-                self._executor.do(Ramp(PHASE, self._output.name, self._stands, target, TRAVEL * self._output.rate))
+                self._executor.do(Ramp(PHASE, self._output.name, self._commanded, target, TRAVEL * self._output.rate))
             else:
                 self._executor.do(Set(PHASE, self._output.name, target))
             self._executor.do(Hold(PHASE, 1.0))
-            self._stands = self._executor.guard.value_sent(self._output.name, target)
-            return self._stands
+            self._commanded = self._executor.guard.value_sent(self._output.name, target)
+            return self._commanded
         weights = self._mounted.bench_file.weights
         quantity = self._measured.quantity
         text, load = f"Bring {self._measured.name} to {show(target, quantity)} of the reference.", None

@@ -36,9 +36,9 @@ from pmabench.session.wiring import (
 PLUGS = (PRESSURE, FORCE, DISPLACEMENT, SET, PLACE, "supply")
 """Channels whose plugs may be swapped."""
 WORDS = {
-    AIR: "a leak, too little supply or a regulator that does not follow",
+    AIR: "the air: a leak, too little supply or a regulator that does not follow",
     HOSE: "the hose to the muscle, or a free end that is held",
-    PLATES: "the plates that are on",
+    PLATES: "the plates (is the whole load on the free end, and no more?)",
     EXPECTED: "`expected` of the specimen file",
 }
 KINDS = {
@@ -131,14 +131,16 @@ def words(wiring: Wiring, cause: Cause) -> str:
         return f"{plugs[0]} are swapped ({wiring.input(*cause.swaps[0])})"
     if len(named) == 1 and not swaps:
         if cause.wires[0] in WORDS:
-            return f"look for {named[0]}"
+            return f"look at {named[0]}"
         if wiring.dump is not None and cause.wires[0] == wiring.dump.name:
             return f"{named[0]} has no effect, or the opposite one: look at its wire, and at its `energised`"
         return KINDS[cause.kind].format(named[0])
     if not swaps and not named:
         return "no single wire explains all that is wrong"
-    last = [*named, *swaps]
-    return f"{UNDECIDED[cause.kind]}; undecided between {', '.join(last[:-1])} and {last[-1]}"
+    *first, last = *named, *swaps
+    then = "; look at the plates first, then at the sensor, its range and its calibration"
+    undecided = f"{UNDECIDED[cause.kind]}; undecided between {', '.join(first)} and {last}"
+    return undecided + (then if PLATES in cause.wires else "")
 
 
 def _named(wiring: Wiring, wire: str) -> str:

@@ -34,5 +34,5 @@ def refuse(checks: Sequence[Check]) -> None:
     """Raise SelfTestFailed where a check has failed, with every hint."""
     failed = [check for check in checks if check.verdict == FAILED]
     if failed:
-        told = "; ".join(f"{check.name} {check.value}: {check.hint}" for check in failed)
-        raise SelfTestFailed(f"the self-test failed: {told}")
+        reasons = "; ".join(f"{check.name} {check.value}: {check.hint}" for check in failed)
+        raise SelfTestFailed(f"the self-test failed: {reasons}")

@@ -34,18 +34,18 @@ def highest(bench: CompiledBench, output: OutputRecord) -> float:
 
 @dataclass
 class Jog:
-    """Where the outputs stand [SI], and by how much a key moves them."""
+    """The commanded values of the outputs [SI], and by how much a key moves them."""
 
     executor: Executor
     mounted: Mounted
-    stands: dict[str, float] = field(default_factory=dict)
+    values: dict[str, float] = field(default_factory=dict)
     size: int = 2
     """Index of the step in `STEPS`."""
     over: bool = False
 
     def __post_init__(self) -> None:
         self._outputs = {output.name: output for output in self.executor.bench.outputs}
-        self.stands = {name: output.safe for name, output in self._outputs.items()}
+        self.values = {name: output.safe for name, output in self._outputs.items()}
 
     def press(self, key: str) -> str:
         """Do what a key says; what was done, in words, empty for a key that means nothing."""
@@ -70,30 +70,30 @@ class Jog:
 
     def settings(self) -> str:
         """What is commanded, in words."""
-        told = []
-        for name, value in self.stands.items():
+        lines = []
+        for name, value in self.values.items():
             output = self._outputs[name]
             most = show(highest(self.executor.bench, output), output.quantity, 4)
-            told.append(f"{name} {show(value, output.quantity, 4)} (up to {most})")
-        return "commanded " + "   ".join(told)
+            lines.append(f"{name} {show(value, output.quantity, 4)} (up to {most})")
+        return "commanded " + "   ".join(lines)
 
     def _step(self, name: str, way: int) -> str:
         output = self._outputs[name]
-        wanted = self.stands[name] + way * STEPS[name][self.size]
+        wanted = self.values[name] + way * STEPS[name][self.size]
         value = min(max(wanted, output.low), highest(self.executor.bench, output))
-        told = self.go(name, value)
-        return told if value == wanted else f"{told}: its limit here"
+        sent = self.go(name, value)
+        return sent if value == wanted else f"{sent}: its limit here"
 
     def go(self, name: str, value: float) -> str:
-        """Send an output to `value` [SI], slowly where it has a highest rate; where it stands then, in words."""
+        """Send an output to `value` [SI], slowly where it has a highest rate; its value then, in words."""
         output = self._outputs[name]
-        before = self.stands[name]
+        before = self.values[name]
         if value != before:
             if output.rate:
                 self.executor.do(Ramp(PHASE, name, before, value, TRAVEL * output.rate))
             else:
                 self.executor.do(Set(PHASE, name, value))
-            self.stands[name] = value
+            self.values[name] = value
         return f"{name} {show(value, output.quantity, 4)}"
 
 
@@ -118,12 +118,12 @@ def jog(
         executor.acquisition.record(on=True)
         while not work.over:
             series = listen(executor.acquisition, BLOCK)
-            told = []
+            lines = []
             for key in keys():
-                told.append(work.press(key))
+                lines.append(work.press(key))
                 if key == "z":
                     executor.recorder.event("tare", executor.clock.now())
-            shown(series, work, [line for line in told if line])
+            shown(series, work, [line for line in lines if line])
 
     plan = guided_plan(mounted, "setup", f"set-up of {mounted.bench.name}")
     return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)

@@ -12,7 +12,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 
 OTHER_CLOCK = 0.5
-"""A stream whose samples seem to come this much [s] before or after now has a clock of its own."""
+"""A stream whose samples seem to come this much [s] before or after now has another clock."""
 
 
 @dataclass(frozen=True)

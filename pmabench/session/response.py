@@ -76,7 +76,7 @@ def delay(pressure: tuple[Series, Series], other: tuple[Series, Series]) -> floa
     """By how much `other` comes later than the pressure [s]: both over one step up and one down.
 
     Where `other` follows the pressure by any rising curve, it passes half its way at the same pressure up and down.
-    The delay is the one that makes it so; within `MOST_DELAY`. None where there is none.
+    That holds for one delay, which is looked for within `MOST_DELAY`. None where there is none.
     """
     up, down = other
     low, high = up.y[: max(3, len(up.y) // 50)].mean(), up.mean(0.2 * (up.t[-1] - up.t[0]))

@@ -36,16 +36,16 @@ NORMAL = 1.96
 class SelfTesting:
     """Every check of a session's self-test, in two parts: before the proof of the vent path, and after it.
 
-    `told` gets the table as far as it came, also when a check has failed. Raises SelfTestFailed with the wire to
+    `report` gets the table as far as it came, also when a check has failed. Raises SelfTestFailed with the wire to
     look at.
     """
 
-    def __init__(self, mounted: Mounted, told: Callable[[Sequence[Check]], None]) -> None:
+    def __init__(self, mounted: Mounted, report: Callable[[Sequence[Check]], None]) -> None:
         test = mounted.session.self_test if mounted.session is not None else None
         if test is None:
             name = mounted.bench.name
             raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
-        self._mounted, self._test, self._told = mounted, test, told
+        self._mounted, self._test, self._report = mounted, test, report
         self._before = [*_interlocks(mounted), _relief(mounted)]
         self._others: list[Check] = []
         self._leaks: dict[str, float] | None = None
@@ -87,22 +87,24 @@ class SelfTesting:
             if isinstance(error, Tripped) and error.trip.limit.kind in VALUES and self._stepping is not None:
                 name = error.trip.limit.channel
                 self._stepping.ended({name: executor.acquisition.latest[name]}, name)
-            self._tell(executor)
+            self._record(executor)
             raise
         if last:
-            self._tell(executor)
+            self._record(executor)
 
     def ended(self, outcome: Outcome) -> None:
         """Report what the channels read where a limit has ended the run before anything was looked at."""
         if outcome.exit_code and self._stepping is None and outcome.extremes:
             means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
-            self._others = table(Wiring(self._mounted), [Stage(means)])
-            self._told(self.checks)
+            limit = outcome.tripped
+            tripped = limit.channel if limit is not None and limit.kind in VALUES else ""
+            self._others = table(Wiring(self._mounted), [Stage(means, tripped=tripped)])
+            self._report(self.checks)
 
-    def _tell(self, executor: Executor) -> None:
+    def _record(self, executor: Executor) -> None:
         checks = [asdict(check) for check in self.checks]
         executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks)
-        self._told(self.checks)
+        self._report(self.checks)
 
     def _run(self, executor: Executor, stepping: Stepping) -> None:
         mounted, test = self._mounted, self._test
@@ -164,11 +166,11 @@ def run_self_test(
     out: Path | None,
     *,
     operator_name: str = "",
-    told: Callable[[Sequence[Check]], None],
+    report: Callable[[Sequence[Check]], None],
     progress: Callable[[Progress], None] = lambda _progress: None,
 ) -> Outcome:
     """The self-test alone, as a run of kind `self-test`; raises UsageError where the bench file declares none."""
-    test = SelfTesting(mounted, told)
+    test = SelfTesting(mounted, report)
 
     def procedure(executor: Executor) -> None:
         executor.acquisition.record(on=True)
@@ -188,9 +190,9 @@ def run_self_test(
     return outcome
 
 
-def refuse_backwards(executor: Executor, stood: float) -> None:
-    """Raise SelfTestFailed where the displacement, at `stood` [m] without pressure, has fallen under pressure."""
-    change = executor.acquisition.latest["displacement"] - stood
+def refuse_backwards(executor: Executor, rest: float) -> None:
+    """Raise SelfTestFailed where the displacement, at `rest` [m] without pressure, has fallen under pressure."""
+    change = executor.acquisition.latest["displacement"] - rest
     if change < -MOVED:
         channel = next(c for c in executor.bench.channels if c.name == "displacement")
         raise SelfTestFailed(

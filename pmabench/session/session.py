@@ -44,14 +44,14 @@ def ensure(
     skip_warm_up: str = "",
     anew: bool = False,
     say: Callable[[str], None] = lambda _line: None,
-    told: Callable[[Sequence[Check]], None] = lambda _checks: None,
+    report: Callable[[Sequence[Check]], None] = lambda _checks: None,
     progress: Callable[[Progress], None] = lambda _progress: None,
     begun: Callable[[Path], None] = lambda _folder: None,
 ) -> Mounted:
     """The bench with the zeros of its session, which is done first where none counts (or `anew`).
 
     A bench whose file declares no session is given back as it is. `skip_warm_up` is why the warm-up is left out; the
-    record says so. `say` gets a line on what is done and why, `told` the table of the self-test. Raises SessionFailed.
+    record says so. `say` gets a line on what is done and why, `report` the self-test's table. Raises SessionFailed.
     """
     if mounted.session is None:
         return mounted
@@ -59,7 +59,7 @@ def ensure(
     why = "asked for" if anew else state.out_of_date(session, mounted, state.utc_now())
     if why:
         say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
-        session = _hold(mounted, operator, out, operator_name, skip_warm_up, told, progress, begun)
+        session = _hold(mounted, operator, out, operator_name, skip_warm_up, report, progress, begun)
         if out is not None:
             state.keep(mounted.bench.name, session)
     else:
@@ -75,7 +75,7 @@ def _hold(
     out: Path | None,
     operator_name: str,
     skip_warm_up: str,
-    told: Callable[[Sequence[Check]], None],
+    report: Callable[[Sequence[Check]], None],
     progress: Callable[[Progress], None],
     begun: Callable[[Path], None],
 ) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _hold(
     shortened = list(declared.shortened())
     started = state.utc_now()
     zeros: dict[str, ZeroTaken] = {}
-    test = SelfTesting(mounted, told) if declared.self_test is not None else None
+    test = SelfTesting(mounted, report) if declared.self_test is not None else None
 
     def procedure(executor: Executor) -> None:
         executor.recorder.event("session", executor.clock.now(), skipped=skipped, shortened=shortened)
@@ -99,15 +99,13 @@ def _hold(
         executor.recorder.event("zeros", executor.clock.now(), channels=as_data(zeros))
         executor.acquisition.record(on=False)
 
-    plan = guided_plan(mounted, "session", f"session of {mounted.bench.name}")
-    deviations = [f"{what} skipped because {why}" for what, why in skipped.items()]
     outcome = run_plan(
-        plan,
+        guided_plan(mounted, "session", f"session of {mounted.bench.name}"),
         mounted,
         operator,
         out=out,
         operator_name=operator_name,
-        deviations=[*deviations, *shortened],
+        deviations=[*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened],
         progress=progress,
         begun=begun,
         before_proof=test.before_proof if test is not None else lambda _executor: None,
@@ -140,15 +138,15 @@ def _warm_up(executor: Executor, warm_up: WarmUp) -> None:
     executor.recorder.event("warm-up", clock.now(), duration=warm_up.duration, pressure=warm_up.pressure)
     executor.acquisition.record(on=False)
     cycles = 0
-    stood = executor.acquisition.latest.get("displacement")
+    rest = executor.acquisition.latest.get("displacement")
     while clock.now() < end - 1e-6:
         for pressure in (warm_up.pressure, 0.0):
             left = end - clock.now()
             executor.progress(Progress(cycles, cycles, None, 0, clock.now(), left, f"warm-up, {in_words(left)} left"))
             executor.do(Set("warm-up", "pressure", pressure))
             executor.do(Hold("warm-up", min(warm_up.period / 2, max(end - clock.now(), 0.1))))
-            if cycles == 0 and pressure and stood is not None:
-                refuse_backwards(executor, stood)
+            if cycles == 0 and pressure and rest is not None:
+                refuse_backwards(executor, rest)
         cycles += 1
     executor.do(Record("warm-up", on=True))
     executor.recorder.event("warmed-up", clock.now(), cycles=cycles)

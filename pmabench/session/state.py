@@ -1,4 +1,4 @@
-"""The session as it is kept beside the bench, and why one that is kept does not count any more; commands nothing."""
+"""The session that is kept for a bench, and why it is no longer valid; commands nothing."""
 
 from __future__ import annotations
 

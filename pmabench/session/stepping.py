@@ -42,8 +42,6 @@ READ_BACK = 0.1
 """After which the set-point is read back [s]."""
 WAY, SPEED = 1.5e-3, 5e-3
 """How far [m] and how fast [m/s] a drive is moved without pressure."""
-EASILY = 1.3
-"""The muscle lifts a load when it pulls with so many times its weight."""
 
 
 class Stepping:

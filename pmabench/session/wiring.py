@@ -177,10 +177,11 @@ class Wiring:
             yield replace(claim, wires=(DISPLACEMENT, PLACE))
 
     def _tripped(self, stage: Stage) -> Claim:
-        """No limit is crossed at the small pressures of a self-test."""
+        """No limit is crossed at the small pressures of a self-test, nor before them."""
         name = stage.tripped
         value = show(stage.means[name], self.channels[name].quantity, 4)
-        return Claim(f"limit of {name}", (name, OUT) if name == PRESSURE else (name,), False, value, "not crossed")
+        wires = (name, OUT) if name == PRESSURE else (name,)
+        return Claim(f"limit of {name}", wires, False, value, "not crossed", SCALE if stage.pressure else WRONG)
 
     def _near(self, row: str, name: str, value: float, limit: float, state: str) -> Claim:
         quantity = self.channels[name].quantity
@@ -294,12 +295,12 @@ class Wiring:
         value = f"{show(rise, 'force', 4)} for {show(load, 'force', 4)}"
         if load and self.hangs(rises):
             within = f"within {show(limit, 'force', 3)}"
-            yield Claim("load cell", (FORCE, PLATES), abs(rise - load) <= limit, value, within, SCALE, exact=True)
+            yield Claim("load cell", (PLATES, FORCE), abs(rise - load) <= limit, value, within, SCALE, exact=True)
         else:
             most = load + limit + FRICTION
-            held = (HOSE,) if not load else (PLATES,)
+            held = PLATES if load else HOSE
             at_most = f"at most {show(most, 'force', 3)}"
-            yield Claim("force of a load on its support", (FORCE, *held), rise <= most, value, at_most)
+            yield Claim("force of a load on its support", (held, FORCE), rise <= most, value, at_most)
 
     def _as_expected(self, stage: Stage, rises: Mapping[str, float], rest: float) -> Iterator[Claim]:
         """What the specimen file expects, within a rough factor: of contraction under a load, of a blocked force.
@@ -312,18 +313,19 @@ class Wiring:
         muscle = believed(expected, stage.pressure)
         pull, stiffness, friction, load = muscle.F_ce, muscle.K, muscle.F_c, stage.load or 0.0
         x, way = stage.means.get(DISPLACEMENT, 0.0), (pull - load - friction) / stiffness
+        plates = (PLATES,) if load else ()
         if stage.load is not None and DISPLACEMENT in rises and way > 2 * MOVED * ROUGH:
             low, high = way / ROUGH + min(rest, 0.0), way * ROUGH + max(rest, 0.0)
             limit = f"{show(low, 'length', 3)} to {show(high, 'length', 3)}, by the specimen file"
             value = show(x, "length", 3)
-            yield Claim("contraction as expected", (DISPLACEMENT, EXPECTED), low <= x <= high, value, limit)
+            yield Claim("contraction as expected", (*plates, DISPLACEMENT, EXPECTED), low <= x <= high, value, limit)
         blocked = min(pull, load) if stage.load is not None else pull - stiffness * x
         still = stage.load is None or (pull - load) / stiffness < LIFTED
         if FORCE in rises and still and blocked > max(5 * friction, 20.0):
             near = blocked / ROUGH - friction <= rises[FORCE] <= blocked * ROUGH + friction
             limit = f"{show(blocked / ROUGH - friction, 'force', 3)} to {show(blocked * ROUGH + friction, 'force', 3)}"
             value = show(rises[FORCE], "force", 3)
-            yield Claim("force as expected", (FORCE, EXPECTED), near, value, f"{limit}, by the specimen file")
+            yield Claim("force as expected", (*plates, FORCE, EXPECTED), near, value, f"{limit}, by the specimen file")
 
     def _drive(self, stages: Sequence[Stage]) -> Iterator[Claim]:
         """Where the drive was sent, where it reports to be, where the transducer is: three that agree two by two."""

@@ -1,4 +1,4 @@
-"""Zeros: taken under their rules, applied to a bench as another offset; the calibration stays beside it."""
+"""Zeros: taken under their rules, applied to a bench as another offset; the calibration is unchanged."""
 
 from __future__ import annotations
 

@@ -6,47 +6,85 @@ test; a record that was read is input from a stranger, and is checked.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
-from pmabench.base.errors import InvalidFile, invalid
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
 from pmabench.store.folder import plain
+from pmabench.store.json_files import read_model
 from pmabench.store.records import Event, RunData
 
 SCHEMA = "pmabench.exported-run/1"
 NAME = "run.json"
-KEPT = frozenset(
-    ("trial-begin", "trial-end", "command", "found", "limit-reached", "valve", "load", "load-check", "zero-check")
-)
+Kept = Literal[
+    "trial-begin", "trial-end", "command", "found", "limit-reached", "valve", "load", "load-check", "zero-check"
+]
 """Events that say what was done to the specimen and what was found; those of devices and operators are left out."""
-MOST_BYTES, MOST_EVENTS, DEEPEST = 50_000_000, 1_000_000, 12
+MOST_BYTES, MOST_EVENTS = 50_000_000, 1_000_000
+Positive = Annotated[float, Field(ge=0)]
 
 
-@dataclass(frozen=True)
-class Exported:
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, populate_by_name=True)
+
+
+class Known(_Part):
+    """What the record knew of a channel [SI]."""
+
+    channel: str
+    offset_uncertainty: Positive
+    gain_uncertainty: Positive
+    sensor_lag: Positive
+
+
+class Line(_Part):
+    """One event."""
+
+    t: Annotated[float, Field(ge=-1e9, le=1e9)]
+    kind: Kept
+    data: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _of_a_trial(self) -> Line:
+        trial, point = self.data.get("trial"), self.data.get("point") or {}
+        numbered = isinstance(trial, int) and not isinstance(trial, bool) and 0 <= trial < 10**6
+        if {"kind", "t", "self"} & self.data.keys() or not (numbered or trial is None):
+            raise ValueError("the trial is no number, or an entry of the event stands twice")
+        if self.kind == "trial-begin" and not (
+            numbered and isinstance(point, dict) and all(map(_finite, point.values()))
+        ):
+            raise ValueError("a trial begins whose operating point is no numbers")
+        return self
+
+
+class Exported(_Part):
     """A record as it was read."""
 
-    run: str
+    run: Annotated[str, Field(max_length=200)]
     """Name of the run that was exported."""
-    kind: str
+    kind: Annotated[str, Field(max_length=80)]
     simulated: bool
-    started: str
-    """UTC, as in the manifest; may be empty."""
-    about: Mapping[str, Any]
+    started_utc: Annotated[str, Field(max_length=40)] = ""
+    """As in the manifest; may be empty."""
+    about: dict[str, Any] = {}
     """Entries of the manifest: `specimen`, `protocol`, `source`, `bench`."""
-    plan: Mapping[str, Any]
+    plan: dict[str, Any] = {}
     """`settings` of the reduction and limits of acceptance, as in plan.json."""
-    file: str
+    file: Annotated[str, Field(max_length=200)]
     """Name of the file with the samples."""
     rate: float
     """Samples a second [Hz]."""
-    columns: Mapping[str, Mapping[str, Any]]
-    """Head of a column -> what the record knew of its channel (`channel`, uncertainties, range) in SI."""
-    events: tuple[Event, ...]
+    columns: dict[str, Known]
+    """By the head of the column."""
+    lines: Annotated[list[Line], Field(alias="events", max_length=MOST_EVENTS)]
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The events of the run."""
+        return tuple(Event(number, line.t, line.kind, line.data) for number, line in enumerate(self.lines))
 
 
 def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, Any]:
@@ -57,7 +95,7 @@ def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, An
     excluded = {trial.index for trial in run.trials if trial.status == "excluded"}
     events = []
     for event in run.events:
-        if event.kind not in KEPT:
+        if event.kind not in get_args(Kept):
             continue
         data = dict(event.data)
         if event.kind == "trial-end" and data.get("trial") in excluded and data.get("status") in ("finished", "failed"):
@@ -96,80 +134,9 @@ def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, An
 
 def read_record(path: Path) -> Exported:
     """A record file; raises InvalidFile where it is none, is too large or is damaged."""
-    try:
-        if not path.is_file():
-            raise invalid(path, "there is no such record of exported samples; it lies next to them as run.json")
-        if path.stat().st_size > MOST_BYTES:
-            raise invalid(path, f"is larger than {MOST_BYTES // 1_000_000} MB: no record of exported samples")
-        data = json.loads(path.read_bytes())
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise invalid(path, f"is not JSON ({' '.join(str(error).split())[:120]})") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise invalid(path, f"is no record of exported samples: its schema is not {SCHEMA}")
-    try:
-        return _checked(path, data)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise invalid(path, f"is a damaged record of exported samples ({type(error).__name__}: {error})") from error
-
-
-def _checked(path: Path, data: Mapping[str, Any]) -> Exported:
-    events = data["events"]
-    if not isinstance(events, list) or len(events) > MOST_EVENTS:
-        raise _damaged(path, "its events are no list, or too long a one")
-    kept = tuple(_event(path, number, event) for number, event in enumerate(events))
-    columns = data["columns"]
-    for head, column in columns.items():
-        numbers = [column[key] for key in ("offset_uncertainty", "gain_uncertainty", "sensor_lag")]
-        if not all(_finite(number) and number >= 0 for number in numbers) or not isinstance(column["channel"], str):
-            raise _damaged(path, f'column "{head[:60]}" has an uncertainty or a lag that is none')
-    about, plan = data.get("about") or {}, data.get("plan") or {}
-    if not isinstance(data["simulated"], bool) or not isinstance(about, dict) or not isinstance(plan, dict):
-        raise _damaged(path, '"simulated", "about" or "plan" is of another kind')
-    if not _finite(data["rate"]) or not _shallow(data, DEEPEST):
-        raise _damaged(path, "its rate is no number, or it is nested too deeply")
-    return Exported(
-        run=str(data["run"])[:200],
-        kind=str(data["kind"])[:80],
-        simulated=data["simulated"],
-        started=str(data.get("started_utc") or "")[:40],
-        about=about,
-        plan=plan,
-        file=str(data["file"])[:200],
-        rate=float(data["rate"]),
-        columns=columns,
-        events=kept,
-    )
-
-
-def _event(path: Path, number: int, event: Any) -> Event:
-    t, kind, data = event["t"], event["kind"], event["data"]
-    known = kind in KEPT and isinstance(data, dict) and not {"kind", "t", "self"} & data.keys()
-    if not known or not _finite(t) or abs(t) > 1e9:
-        raise _damaged(path, f"event {number + 1} has no time, an unknown kind or no data")
-    trial = data.get("trial")
-    if trial is not None and (not isinstance(trial, int) or isinstance(trial, bool) or not 0 <= trial < 10**6):
-        raise _damaged(path, f"event {number + 1} is of a trial that is no number")
-    if kind == "trial-begin":
-        point = data.get("point") or {}
-        if trial is None or not isinstance(point, dict) or not all(map(_finite, point.values())):
-            raise _damaged(path, f"event {number + 1} begins a trial whose operating point is no numbers")
-    return Event(number, float(t), kind, data)
-
-
-def _damaged(path: Path, what: str) -> InvalidFile:
-    return invalid(path, f"is a damaged record of exported samples: {what}")
+    missing = "there is no such record of exported samples; it lies next to them as run.json"
+    return read_model(Exported, path, SCHEMA, "record of exported samples", MOST_BYTES, missing)
 
 
 def _finite(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-
-
-def _shallow(value: Any, left: int) -> bool:
-    """Whether a value is nested no deeper than `left` levels."""
-    if isinstance(value, dict):
-        return left > 0 and all(_shallow(item, left - 1) for item in value.values())
-    if isinstance(value, list):
-        return left > 0 and all(_shallow(item, left - 1) for item in value)
-    return True

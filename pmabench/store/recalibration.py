@@ -5,7 +5,7 @@ Knows the columns of a stream and its samples; not the files that calibrations a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 LONGEST = 60.0
 """Most that a channel can be moved in time [s]."""
-OF_A_LOOP = ("ultimate-gain", "positioning")
-"""Kinds whose loop acted on the values of the old calibration: another one does not tell what it would have done."""
 Line = tuple[float, float]
 """What becomes of a value [SI] of the old scale: factor and summand."""
 
@@ -131,11 +129,14 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
     return names.pop()
 
 
-def refuse_loops(runs: Sequence[RunData]) -> None:
-    """Raise InvalidFile for runs whose results rest on what a loop did with the values that it was given."""
+def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
+    """Raise InvalidFile for runs whose results rest on what a loop did with the values that it was given.
+
+    `loops`: the kinds of test whose loop acts on calibrated values.
+    """
     problems: list[Problem] = []
     for run in runs:
-        if run.kind in OF_A_LOOP:
+        if run.kind in loops:
             what = f"is of kind {run.kind}: its loop acted on the old values; another calibration needs a new run"
             problems.extend(invalid(run.path, what).problems)
     if problems:

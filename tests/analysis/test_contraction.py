@@ -204,7 +204,13 @@ def coverage(bench: Rig, truth: dict[str, Law], seeds: range) -> tuple[float, fl
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("plant", "truth", "seeds"), [("paper0", PAPER0, 20), ("serres2009", SERRES, 10)], ids=["paper0", "serres2009"]
+    ("plant", "truth", "seeds"),
+    [
+        pytest.param("paper0", PAPER0, 3, id="paper0"),
+        pytest.param("paper0", PAPER0, 20, id="paper0 study", marks=pytest.mark.study),
+        pytest.param("serres2009", SERRES, 2, id="serres2009"),
+        pytest.param("serres2009", SERRES, 10, id="serres2009 study", marks=pytest.mark.study),
+    ],
 )
 def test_intervals_cover_the_truth(plant: str, truth: dict[str, Law], seeds: int):
     covered, alone, width = coverage(rig(plant), truth, range(seeds))

@@ -21,7 +21,6 @@ from pmabench.kinds.recorded_step import reduction as recorded_steps
 from pmabench.kinds.sinusoidal_displacement import reduction as sine
 from pmabench.kinds.static_load import reduction as static_load
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.loop_rig import as_run
@@ -29,6 +28,7 @@ from tests.analysis.simulate import LOADS, PRESSURES, contraction_run, rig, stat
 from tests.analysis.sine_rig import Muscle51
 from tests.analysis.test_static_load import found_at
 from tests.analysis.test_ultimate_gain import clean
+from tests.importing import import_files
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
 BENCH = Muscle51(F_s=10.0, F_c=6.0, noise=(2e-6, 0.3, 500.0), lag=0.005)

@@ -7,10 +7,10 @@ import pytest
 
 from pmabench.analysis.shared.sessions import mean_over_sessions
 from pmabench.kinds.isometric import reduction as isometric
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from tests import fixtures_old_runs as made
 from tests.analysis.labs import SLOPE, lab
+from tests.importing import import_files
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"

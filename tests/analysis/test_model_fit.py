@@ -234,7 +234,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say_in_forty_fits():
     assert 0.90 <= coverage(40, 11, CASES[:2]) <= 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_hold_the_truth_as_often_as_they_say():
     assert 0.93 <= coverage(200, 12, CASES) <= 0.97
 

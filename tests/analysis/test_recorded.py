@@ -12,11 +12,11 @@ from pmabench.kinds.isometric import reduction as isometric
 from pmabench.kinds.recorded_sine import reduction as recorded_sines
 from pmabench.kinds.recorded_step import reduction as recorded_steps
 from pmabench.kinds.reduce import reduce_runs, verdicts
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from pmabench.store.records import Command, Flag, TrialData
 from tests import fixtures_old_runs as made
 from tests.analysis.loop_rig import as_run
+from tests.importing import import_files
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"

@@ -93,7 +93,7 @@ def test_stiction_is_told_from_a_linear_loop(seed: int) -> None:
     assert not seen_as_stiction(muscle(seed, same_B=False))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_stiction_is_told_in_20_of_20_and_in_none_of_20_without() -> None:
     places = (0.01, 0.02, 0.03, 0.04, 0.06)
     sticky = [muscle(seed, places[seed % 5], friction=10.0, same_B=seed % 2 == 0) for seed in range(20)]

@@ -10,11 +10,10 @@ from pmabench.base.errors import InvalidFile
 from pmabench.kinds.reduce import reduce_runs, verdicts
 from pmabench.notebook import Run
 from pmabench.report.files.export import export_run
-from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text, still_open
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import recorded
+from tests.importing import guess_files, import_files
 
 MAS = "mas-20-250-paper0"
 BARE = ("prepare.precondition.cycles", "0")

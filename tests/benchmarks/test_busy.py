@@ -100,6 +100,7 @@ def vent_time(folder, *, first):
     return moment - began
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("load", [0, 2, 8])
 def test_beside_busy_processes(benchmark, tmp_path, load):
     seconds = 1 if benchmark.disabled else 20

@@ -26,7 +26,7 @@ def sampled(how, seconds):
     return np.array(done["times"]), done["missed"]
 
 
-@pytest.mark.parametrize("how", ["absolute", "relative"])
+@pytest.mark.parametrize("how", ["absolute", pytest.param("relative", marks=pytest.mark.study)])
 def test_sampling_at_500_hz(benchmark, how):
     times, missed = benchmark.pedantic(sampled, args=(how, SHORT if benchmark.disabled else SECONDS), rounds=1)
     span = times[-1] - times[0]

@@ -4,56 +4,20 @@ A trial aloft of 20 s at 500 Hz: four pressures behind 40 ms and a first-order l
 knows no rest. Work is processor time, so that what else the machine does counts less. `make bench` prints it.
 """
 
-import math
-import time
-
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from pmabench.model import slip
 from pmabench.model.plant import STEP
 from pmabench.model.signal import constant
-from tests.benchmarks.test_plant_speed import ALOFT, CASES, SAMPLES, levels, plant
+from tests.benchmarks.least import least
+from tests.benchmarks.test_plant_speed import ALOFT, levels, peer, plant
 
 MICROMETRE = 1e-6
 
 
-def peer(mass, method, rtol, atol=None):
-    """The contraction by `solve_ivp`, restarted at every command, the right-hand side in plain Python like ours."""
-    made = plant(mass=mass, friction=0)
-    muscle, lag, force = made.muscle, made.supply.regulator.lag, made.force
-    f_ce, stiffness, B_c, B_r = (curve.function() for curve in (muscle.F_ce, muscle.K, muscle.B_c, muscle.B_r))
-    P0, y, parts, exp = 0.0, [0.0, 0.0], [np.zeros(20)], math.exp
-    for i, level in enumerate(ALOFT):
-        begin, end = 5.0 * i + 0.04, min(5.0 * (i + 1) + 0.04, 20.0)
-
-        def rate(t, y, begin=begin, level=level, P0=P0):
-            p, (x, v) = level + (P0 - level) * exp(-(t - begin) / lag), y
-            pull = f_ce(p) - stiffness(p) * x - (B_c if v > 0 else B_r)(p) * v - force
-            return [0.0, 0.0] if x <= 0 and v <= 0 and pull <= 0 else [v, pull / mass]
-
-        t = SAMPLES[(SAMPLES >= begin - 1e-12) & (SAMPLES < end - 1e-12)]
-        given = {"rtol": rtol, "atol": rtol * 1e-2 if atol is None else atol}
-        solution = solve_ivp(rate, (begin, end), y, method=method, t_eval=np.maximum(t, begin), **given)
-        assert solution.success, solution.message
-        parts.append(solution.y[0])
-        y, P0 = solution.y[:, -1], level + (P0 - level) * exp(-(end - begin) / lag)
-    return np.concatenate(parts)
-
-
 def ours(mass):
     return levels(plant(mass=mass, friction=0), ALOFT)
-
-
-def worked(run, times=3):
-    """Least processor time of a run [s], and what it gave."""
-    took = []
-    for _ in range(times):
-        begin = time.process_time()
-        found = run()
-        took.append(time.process_time() - begin)
-    return min(took), found
 
 
 @pytest.mark.parametrize(("mass", "method"), [(8.0, "DOP853"), (1.0, "LSODA"), (0.1, "LSODA"), (0.01, "LSODA")])
@@ -101,10 +65,10 @@ def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
     for rtol in (1e-5, 1e-6, 1e-7, 1e-9) if timed else (1e-7,):
         monkeypatch.setattr(slip, "RELATIVE", rtol)
         monkeypatch.setattr(slip, "ABSOLUTE", rtol * 5e-2)
-        rows.append((f"plant{' (as shipped)' if rtol == 1e-7 else ''}", rtol, *worked(lambda: ours(8.0))))
+        rows.append((f"plant{' (as shipped)' if rtol == 1e-7 else ''}", rtol, *least(lambda: ours(8.0))))
     for method in ("LSODA", "RK45"):
         for rtol in (1e-4, 1e-6, 1e-8) if timed else (1e-6,):
-            rows.append((f"solve_ivp {method}", rtol, *worked(lambda m=method, r=rtol: peer(8.0, m, r))))
+            rows.append((f"solve_ivp {method}", rtol, *least(lambda m=method, r=rtol: peer(8.0, m, r))))
     print("\n\nmethod                  rtol   ms / 20 s   times real time   error nm")
     table = {}
     for name, rtol, took, found in rows:
@@ -117,26 +81,3 @@ def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
         exact = [t for (name, _), (t, e) in table.items() if name == f"solve_ivp {method}" and e < MICROMETRE]
         assert exact or timed
         assert not timed or not exact or min(exact) > 3 * took, f"{method} is as good"
-
-
-LEAST = {
-    "steps, stiction": 2000,
-    "steps, everything": 2000,
-    "steps, everything, 10 g": 2000,
-    "closed loop at 500 Hz, everything": 80,
-    "ramp 2 kPa/s, stick-slip": 1200,
-    "sine 0.5 Hz, stiction": 800,
-    "dmsp-40-305, steps": 1200,
-    "driven, daerden with air": 800,
-    "closed loop at 500 Hz": 100,
-}
-"""Times real time; what a slow machine reaches."""
-
-
-@pytest.mark.parametrize(("case", "least"), LEAST.items())
-def test_times_real_time(request, case, least):
-    timed = request.config.getoption("benchmark_enable")
-    seconds, run = CASES[case]
-    took, _ = worked(run, 5 if timed else 1)
-    print(f"\n{case}: {seconds / took:.0f} times real time in processor time")
-    assert not timed or seconds / took > least

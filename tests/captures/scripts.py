@@ -16,9 +16,9 @@ from pmabench_drivers.labjack import LabJack
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.ni_daq import NiDaq
 from pmabench_drivers.ni_daq.connection import Connection
-from pmabench_drivers.polling import Cycle
 from pmabench_drivers.serial_ascii import SerialIndicator
 from pmabench_drivers.serial_line_daq import SerialLineDaq
+from pmabench_drivers.shared.polling import Cycle
 
 from pmabench.base.clock import RealClock
 from tests.drivers.alicat.rigs import controller
@@ -54,7 +54,7 @@ def sampled(device):
     """One sample of a device that is asked for its samples."""
     if isinstance(device, ModbusDevice):
         device._streaming = True  # as while its thread asks
-    device._poll()
+    device._tick()
     if isinstance(device, ModbusDevice):
         device._streaming = False
     for name, column in sorted(device.collect().columns.items()):

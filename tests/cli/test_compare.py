@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
 from pmabench.cli.main import main
-from pmabench.report.files.analysis_folder import write_analysis
+from pmabench.store.analyses.folder import write_analysis
 
 EVIL = '<script>alert(1)</script>"\x1b[31m=1+1'
 

@@ -26,6 +26,12 @@ SHORT = [
     "sweep.matrix.load=[6 kg]",
     "--set",
     "sweep.matrix.pressure=[300 kPa]",
+    "--set",
+    "trial.contract.hold=2 s",
+    "--set",
+    "trial.relax.hold=1 s",
+    "--set",
+    "trial.relax.hold_at_end=1 s",
 ]
 
 

@@ -10,11 +10,11 @@ from click.testing import CliRunner
 
 import pmabench.report.many.many
 from pmabench.cli.main import main
-from pmabench.report.files.analysis_folder import runs_of
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many.many import process_many
 from pmabench.report.many.many_table import table_rows
 from pmabench.report.many.processed import process_one
+from pmabench.store.analyses.folder import runs_of
 from pmabench.store.below import tasks_below
 from pmabench.store.fingerprint import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run

@@ -47,7 +47,10 @@ def applies(name, driver, record, example):
         return example
     if mutant.needs == "Watchdog" and not record.watchdog:
         return False
-    outputs = dict.fromkeys(("SetPoint", "Follower", "Motion", "Rescue"), record.outputs)
+    if mutant.found_by == "held" and not issubclass(driver, interface.Supervised):
+        return False
+    outputs = dict.fromkeys(("SetPoint", "Follower", "Motion"), record.outputs)
+    outputs["Rescue"] = (*record.outputs, *record.valves)
     things = {**outputs, "Stream": record.channels, "Switch": record.valves, "Inputs": record.interlocks}
     if len(things.get(mutant.needs, " ")) < mutant.least:
         return False

@@ -16,7 +16,7 @@ class _Wire:
     kind = None
 
     def _connect(self):
-        return self.kind(self._device.name, self._device.address, self._timeout)
+        return self.kind(self._device.name, self._device.address, self._options.timeout)
 
 
 class _Trusting(Connection):

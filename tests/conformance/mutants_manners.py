@@ -81,7 +81,7 @@ class HeldFromMemory:
         return self.first
 
 
-@fault("Supervised", "held", "watchdog")
+@fault("Watchdog", "held", "watchdog")
 class HeldRemembersTheWatchdog:
     """What was armed is shown, not what the device says."""
 
@@ -99,7 +99,7 @@ class HeldRemembersTheWatchdog:
         return {**super().held(), "watchdog": self.armed}
 
 
-@fault("Supervised", "held", "watchdog")
+@fault("Watchdog", "held", "watchdog")
 class HeldWithoutAWatchdog:
     def held(self):
         return {name: value for name, value in super().held().items() if name != "watchdog"}
@@ -133,7 +133,7 @@ class RescueDoesNothing:
         pass
 
 
-@fault("Rescue", "second way", "after rescue()")
+@fault("Rescue", "second way", "after rescue()", least=2)
 class RescueOfTheFirstOutputOnly:
     """Valves are left as they are."""
 
@@ -294,7 +294,7 @@ class ForgetsToRefuse:
 
     def close(self):
         super().close()
-        self.read_back = self.is_on = self.level = self._none
+        self.read_back = self.is_on = self.level = self.collect = self._none
 
-    def _none(self, _name):
+    def _none(self, *_name):
         raise AttributeError("'NoneType' object has no attribute 'ask'")

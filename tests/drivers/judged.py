@@ -4,8 +4,6 @@ import os
 import signal
 import time
 
-import pytest
-
 from tests.drivers.whole_run import one_step
 
 TRUTH = {
@@ -90,7 +88,6 @@ BY_ITSELF = ("all killed", "all frozen")
 """Nobody is left: the watchdog of a device vents."""
 SLACK = 1.5
 """More than promised on a machine that has much else to do [s]."""
-whoever_dies = pytest.mark.parametrize("who", [who for who in WHO if who != "all killed"])
 
 
 def assert_vents(run, act, within, *, ends=True, code=None):

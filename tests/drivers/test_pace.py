@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from pmabench_drivers.pace import Pace
+from pmabench_drivers.shared.pace import Pace
 
 
 def told(pace, taken_and_now):

@@ -147,7 +147,7 @@ def test_a_computer_that_slept_ends_the_run_whatever_was_sent_before(monkeypatch
         serving.rig.reports["watchdog"] = 0.0
         serving.service.turn()
         assert outputs_of(serving.rig)[:3] == SAFE_COMMANDS, "before anything else"
-        ended_by(serving, "the guard stood still for", how="trip")
+        ended_by(serving, "the guard was stopped for", how="trip")
         noticed = "dac: its watchdog was 1 when the bench was armed and is 0 now"
         assert any(action.startswith(noticed) for action in serving.service._vent.actions)
 
@@ -162,7 +162,7 @@ def test_a_guard_that_only_waits_for_a_device_has_not_stood_still(monkeypatch):
         link = serving.armed()
         collect = serving.guard.links.collect
         monkeypatch.setattr(
-            serving.guard.links, "collect", lambda name: (time.sleep(1.2 * process.STOOD_STILL), collect(name))[1]
+            serving.guard.links, "collect", lambda name: (time.sleep(1.2 * process.LOST_TIME), collect(name))[1]
         )
         assert "error" not in serving.ask(link, "collect", device="dac", seen={})
         serving.service._refuse_lost_time()
@@ -212,7 +212,7 @@ def test_a_command_that_is_acknowledged_and_not_carried_out_is_noticed():
 
 def test_a_bench_that_does_what_it_was_told_is_left_alone(monkeypatch):
     monkeypatch.setattr(process, "SILENCE", 60.0)  # this test is not about a machine that is busy
-    monkeypatch.setattr(process, "STOOD_STILL", 60.0)
+    monkeypatch.setattr(process, "LOST_TIME", 60.0)
     with Serving(threads=True) as serving:
         link = serving.armed()
         serving.rig.reports["uptime"] = 6.0
@@ -266,7 +266,7 @@ def test_a_guard_that_is_told_to_end_vents_first():
         serving.armed()
         serving.service._note_signal(15, None)
         assert not serving.service._over()
-        ended_by(serving, "told to end")
+        ended_by(serving, "asked to end")
         assert serving.service._over()
 
 
@@ -363,7 +363,7 @@ def test_bytes_that_are_no_message_end_the_link_and_the_run(raw):
 
 @pytest.mark.parametrize("at", [None, 0.0, "a minute ago", 1e12, float("nan"), "now"])
 def test_a_command_that_was_sent_too_long_ago_is_not_carried_out(at):
-    """A guard that stood still must not do afterwards what its engine has given up."""
+    """A guard that was stopped must not do afterwards what its engine has given up."""
     at = time.monotonic() - 60.0 if at == "a minute ago" else at
     with Serving() as serving:
         link = serving.armed()

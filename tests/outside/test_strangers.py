@@ -12,7 +12,7 @@ from tests.outside.strangers import STRANGERS, WAYS, false_guard
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
-LASTS = 2.5
+LASTS = 1.5
 """How long each stranger is there [s]."""
 SAMPLES = 0.15
 """Longest time between two samples that no limit of the bench minds [s]; an undisturbed run may have longer ones."""

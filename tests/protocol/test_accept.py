@@ -78,5 +78,5 @@ def test_a_kind_without_checks_says_so(tmp_path):
 
 def test_static_load_is_not_held_against_itself(tmp_path):
     text = (ROOT / "protocols" / "static-load.yaml").read_text().split("\naccept:")[0]
-    with pytest.raises(InvalidFile, match=""static-load" has no such comparison"):
+    with pytest.raises(InvalidFile, match='"static-load" has no such comparison'):
         plan(tmp_path, "  F_ce: {of_static: 3 %}", text)

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.errors import InvalidFile
 from pmabench.protocol.plan import Plan, Seek, Set
-from pmabench.report.files.analysis_folder import write_analysis
+from pmabench.store.analyses.folder import write_analysis
 from tests.protocol.test_compile import ROOT, plan
 
 GAINS = "controller.gains"

@@ -50,7 +50,7 @@ def main(names: list[str]) -> int:
 
 
 def _rows() -> dict[str, str]:
-    """Rows that stand in the page."""
+    """Rows that are in the page."""
     text = PAGE.read_text("utf-8") if PAGE.is_file() else ""
     return {
         found[1]: found[0] for found in re.finditer(r"^\| ([a-z-]+) \|.*\|$", text, re.MULTILINE) if found[1] != "part"
@@ -81,9 +81,9 @@ def _run(part: Part) -> tuple[str, bool]:
         seconds = time.monotonic() - began
         count, missed = _count(report)
     cases, failures = count["cases"], max(count["failures"], int(code not in (0, 5)))
-    told = str(cases) if not missed else f"{cases}; {'; '.join(missed)}"
+    tried = str(cases) if not missed else f"{cases}; {'; '.join(missed)}"
     date = datetime.now(UTC).date().isoformat()
-    cells = (part.name, part.promise, part.what, told, str(failures), f"{seconds:.0f}", date, commit)
+    cells = (part.name, part.promise, part.what, tried, str(failures), f"{seconds:.0f}", date, commit)
     return f"| {' | '.join(cells)} |", failures > 0
 
 
@@ -92,14 +92,14 @@ def _count(report: Path) -> tuple[Counter[str], list[str]]:
     count: Counter[str] = Counter()
     missed: dict[str, None] = {}
     for test in ET.parse(report).iter("testcase") if report.is_file() else ():
-        told = {entry.get("name"): int(entry.get("value") or 0) for entry in test.iter("property")}
+        properties = {entry.get("name"): entry.get("value") or 0 for entry in test.iter("property")}
         skipped = test.find("skipped")
         if skipped is not None:
             missed[str(skipped.get("message"))] = None
             continue
         bad = test.find("failure") is not None or test.find("error") is not None
-        count["cases"] += told.get("cases", 1)
-        count["failures"] += told.get("failures", int(bad)) or int(bad)
+        count["cases"] += int(properties.get("cases", 1))
+        count["failures"] += int(properties.get("failures", bad)) or int(bad)
     return count, list(missed)
 
 

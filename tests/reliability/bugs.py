@@ -226,7 +226,7 @@ BUGS = (
         ("tests/guard/test_service.py",),
     ),
     Bug(
-        "a guard that stood still carries out what is old",
+        "a guard that was stopped carries out what is old",
         "pmabench/guard/process.py",
         "abs(time.monotonic() - sent) <= STALE",
         "sent <= time.monotonic()",
@@ -242,7 +242,7 @@ BUGS = (
     Bug(
         "what was sent before a pause counts as a sign of life",
         "pmabench/guard/process.py",
-        "if self._pulse.lost > STOOD_STILL and",
+        "if self._pulse.lost > LOST_TIME and",
         "if self._pulse.lost > 1e9 and",
         ("tests/guard/test_service.py",),
     ),

@@ -8,7 +8,7 @@ import pytest
 
 from pmabench.analysis.results import Trace
 from pmabench.base.errors import InvalidFile
-from pmabench.report.files.analysis_folder import file_names, read_analysis, runs_of, write_analysis
+from pmabench.store.analyses.folder import file_names, read_analysis, runs_of, write_analysis
 
 from . import samples
 

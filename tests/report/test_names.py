@@ -16,9 +16,10 @@ from pmabench.report.document.content import content_of
 from pmabench.report.document.front import tiles_of
 from pmabench.report.document.html import page_of
 from pmabench.report.document.workbook import workbook_bytes
-from pmabench.report.files.analysis_folder import read_analysis, write_analysis
+from pmabench.report.files.csv_files import write_with_tables
 from pmabench.report.terminal_coefficients import print_coefficients
 from pmabench.report.words.names import declared, distinct
+from pmabench.store.analyses.folder import read_analysis, write_analysis
 
 from . import samples
 
@@ -136,7 +137,7 @@ def test_what_is_withheld_is_in_every_table(tmp_path):
     assert list(frame["K [N/mm]"]).count("withheld") == 2
     parts = tables.parts_table(analysis)
     assert (parts["note"].str.startswith("withheld: the fit leaves")).sum() == 3
-    folder = write_analysis(analysis, tmp_path / "a")
+    folder = write_with_tables(analysis, tmp_path / "a")
     rows = list(csv.DictReader((folder / "estimates.csv").read_text(encoding="utf-8").splitlines()))
     held = [row for row in rows if row["note"].startswith("withheld: the fit leaves")]
     assert [(row["symbol"], row["value"]) for row in held] == [("K", ""), ("K", ""), ("F_c", "")]

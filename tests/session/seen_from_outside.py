@@ -29,6 +29,8 @@ class Outside:
     load: float = 0.0
     """What hangs on it before anybody asks [N]."""
     strength: float = 1.0
+    hung: float = 1.0
+    """Share of the load that was asked for which hands really put on."""
     exhaust: float = LAG
     """Lag of the regulator when it vents [s]."""
     zeros: dict = field(default_factory=dict)
@@ -71,7 +73,7 @@ class Bench:
     def _ask(self, step):
         self._send("pressure", 0.0)
         self.pass_time(1.0)
-        self.load, _ = step.load
+        self.load = self.outside.hung * step.load[0]
         self.x = self._resting()
         self.pass_time(HANDS_OUT)
 

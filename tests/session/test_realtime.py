@@ -32,7 +32,7 @@ def lab(tmp_path):
 def test_a_session_and_a_run_with_its_zeros(lab, tmp_path):
     bench, plant = lab
     tables = []
-    ready = ensure(bench, ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    ready = ensure(bench, ConfirmedBeforehand(), tmp_path / "runs", report=tables.append)
     assert {check.verdict for check in tables[0]} <= {"ok", "not measured", "not checked"}
     assert ready.in_session["zeros"]["pressure"]["value"] == pytest.approx(2500.0, abs=150.0)
     steps = one_trial(Set("c", "pressure", 2e5), Hold("c", 1.5))

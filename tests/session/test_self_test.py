@@ -76,7 +76,7 @@ def test_the_free_end_driven(tmp_path):
     test = SelfTest((50e3, 100e3), 1.5, None, noise, 0.05, 0.02, 80.0)
     bench = replace(bench, session=Session(test, None, {"pressure": Zero(5e3), "force": Zero(5.0)}))
     tables = []
-    ready = ensure(bench, ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    ready = ensure(bench, ConfirmedBeforehand(), tmp_path / "runs", report=tables.append)
     table = {check.name: check for check in tables[0]}
     assert table["force under pressure"].value == "rises by 59 N at 100 kPa"  # 1.08 x 100 - 49
     assert abs(float(table["time of force against pressure"].value.split()[0])) < 5.0
@@ -102,7 +102,7 @@ safe_state:
 """
     )
     tables = []
-    outcome = run_self_test(mount(path, SPECIMEN), ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    outcome = run_self_test(mount(path, SPECIMEN), ConfirmedBeforehand(), tmp_path / "runs", report=tables.append)
     check = next(check for check in tables[0] if check.name == "leak")
     assert check.verdict == said
     top = 100.0 / (1 + leak * 0.0955)  # what a regulator of that lag holds against the leak

@@ -33,7 +33,7 @@ def failing(tmp_path, **options):
 def test_step_of_the_regulator_against_its_closed_form(tmp_path):
     """Dead time 0.04 s and a lag T = 0.0955 s: 5 % after 0.04 - T ln 0.95, 10 to 90 % in T ln 9, 5 % band at 0.04 + T ln 20."""
     tables = []
-    ensure(mounted(BENCH), ConfirmedBeforehand(), tmp_path / "runs", told=tables.append)
+    ensure(mounted(BENCH), ConfirmedBeforehand(), tmp_path / "runs", report=tables.append)
     table = {check.name: check for check in tables[0]}
     assert all(check.verdict != "failed" for check in tables[0])
 

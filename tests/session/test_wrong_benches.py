@@ -7,9 +7,11 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.bench.interface import TripRecord
 from pmabench.engine.acquire import Tripped
+from pmabench.engine.run import Outcome
 from pmabench.engine.watch import Trip
 from pmabench.session.cause import cause_of, words
 from pmabench.session.checks import FAILED
+from pmabench.session.self_test import SelfTesting
 from pmabench.session.wiring import Stage, Wiring
 from tests.engine.benches import SPECIMEN
 from tests.reliability.cases import cases
@@ -55,6 +57,16 @@ def test_a_right_bench_passes_wherever_it_rests(rig):
         unchecked = {check.name for check in checks if check.verdict == "not checked"} - {"load cell"}
         exchanged = {"plugs of displacement and displacement_command"} if name in UNDECIDABLE else set()
         assert unchecked == exchanged, (name, outside)
+
+
+@pytest.mark.parametrize("hung", [0.0, 0.5])
+def test_of_a_load_that_was_not_hung_the_plates_are_named_first(rig, hung):
+    """Nothing, and half of it: the plates, and the cell only after them. At a driven bench nothing is asked for."""
+    _, failure, _ = self_tested(rig[2], rig[2], Outside(hung=hung))
+    assert ("plates (is the whole load on the free end, and no more?)" in failure) == (
+        rig[2].bench.free_end == "weights"
+    ), failure
+    assert "the scale of the force" not in failure
 
 
 def test_a_slow_exhaust_is_no_wrong_zero(rig):
@@ -177,6 +189,18 @@ def test_a_limit_on_another_channel_names_that_channel(wiring):
     """A scale of ten times too much crosses the limit of the contraction before the hold is over."""
     tripped = Stage({"displacement": 71e-3}, 100e3, load=10.79, settled=False, tripped="displacement")
     assert said(wiring, rest(), tripped).startswith("the scale of the displacement (t7.AIN1) is wrong")
+
+
+def test_a_limit_that_trips_before_anything_was_looked_at_names_the_wire(rig):
+    """A force 110 N too low is outside its range in the first block, in which no load is known that it would be of."""
+    right = rig[2]
+    limit = TripRecord("force", None, None, 0.01, "vent", kind="off-range")
+    test = SelfTesting(right, lambda _checks: None)
+    means = {channel.name: (0.0, 0.0) for channel in right.bench.channels} | {"force": (-110.4, -109.6)}
+    test.ended(Outcome("tripped", "", 5, None, None, 0.1, 0, (), means, limit))
+    failed, *_ = (check for check in test.checks if check.verdict == FAILED)
+    wire = next(f"{c.device}.{c.input}" for c in right.bench.channels if c.name == "force")
+    assert failed.hint == f"look at the wire of the force ({wire}), at its range and at its calibration"
 
 
 def test_a_channel_that_falls_silent_accuses_no_wire(rig):

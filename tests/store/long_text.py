@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pmabench.store.importers import warm
-from pmabench.store.importers.importing import import_files
+from tests.importing import import_files
 
 NAMES = ("t_s", "pressure_kPa", "force_N", "disp_mm", "set_kPa", "supply_kPa", "temp", "flow", "volt", "aux")
 ROLES = ("time", "pressure", "force", "displacement", "pressure_command", "supply")

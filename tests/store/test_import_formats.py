@@ -14,13 +14,12 @@ from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
+from pmabench.store.formats.lvm import read_lvm
 from pmabench.store.importers import warm
-from pmabench.store.importers.importing import import_files
-from pmabench.store.importers.lvm import read_lvm
-from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.warm import ReaderMissing, read_apart
 from pmabench.store.reader import open_run
 from tests import fixtures_foreign as made
+from tests.importing import import_files, read_map
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
 FILES = {
@@ -51,7 +50,9 @@ def no_child_stays():
 
 
 def read(kind, content, wanted=None):
-    return read_apart(kind, "old", content, wanted)
+    question = {"layout": {"format": kind}, "wanted": wanted, "optional": [], "ignored": []}
+    (answer,) = read_apart(kind, "old", [content], question)
+    return answer
 
 
 def refused(kind, content, wanted=None):
@@ -259,7 +260,11 @@ def test_a_package_that_is_not_installed_is_named_with_the_remedy(tmp_path, monk
 
 
 def test_the_maps_name_every_format():
-    assert {read_map(OLD / f"{kind}.yaml").layout.format for kind in ("lvm", "tdms", "mat")} == {"lvm", "tdms", "mat"}
+    assert {read_map(OLD / f"{kind}.yaml").file.file.format for kind in ("lvm", "tdms", "mat")} == {
+        "lvm",
+        "tdms",
+        "mat",
+    }
 
 
 def test_names_in_a_file_reach_no_terminal_as_they_are(tmp_path):

@@ -20,10 +20,9 @@ from pmabench.files.document import read_document
 from pmabench.store.importers import outliers, warm
 from pmabench.store.importers.child import CPU
 from pmabench.store.importers.guess import guess as guessing
-from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.importing import prepare
-from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.prepare import prepare
+from tests.importing import guess_files, read_map
 from tests.reliability.cases import cases
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
@@ -85,7 +84,9 @@ def silent(found, whole, rules):
     counted = len(found.t) == len(whole.t)
     row = np.arange(len(found.t)) if counted else aligned(found.t, whole.t)
     if counted:
-        late = np.abs(found.t - whole.t) > rules.gap + np.abs(whole.t) * (rules.rate[1] / rules.rate[0] - 1.0)
+        late = np.abs(found.t - whole.t) > rules.file.sampling.gap + np.abs(whole.t) * (
+            rules.file.sampling.rate[1] / rules.file.sampling.rate[0] - 1.0
+        )
         if (late & good).any():
             wrong.append("time")
     for channel, before in zip(found.checked, whole.checked, strict=True):
@@ -154,7 +155,8 @@ def test_the_judge_sees_a_number_that_was_changed_in_silence(tmp_path):
 
 def test_the_seconds_and_bytes_of_a_reader_are_limited_by_the_system():
     content = (OLD / "foreign" / "one.lvm").read_bytes()
-    warm.read_apart("lvm", "old", content, None)
+    question = {"layout": {"format": "lvm"}, "wanted": None, "optional": [], "ignored": []}
+    list(warm.read_apart("lvm", "old", [content], question))
     limits = Path(f"/proc/{warm._children['lvm'].process.pid}/limits")
     if limits.exists():
         line = next(line for line in limits.read_text().splitlines() if line.startswith("Max address space"))
@@ -169,7 +171,7 @@ def test_a_damaged_file_is_guessed_or_refused_and_its_map_is_yaml(tmp_path, name
     count = min(cases(10), 1000)
     content = SOURCES[name][0].read_bytes()
     path = tmp_path / SOURCES[name][0].name
-    monkeypatch.setattr(guessing, "_known", lambda path: "")
+    monkeypatch.setattr(guessing, "_known", lambda path, kinds: "")
     rng = random.Random(f"guess {name}")
     for _ in range(count):
         path.write_bytes(mutated(content, rng))

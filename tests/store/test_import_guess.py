@@ -13,13 +13,12 @@ from pmabench.display.sparkline import sparkline
 from pmabench.files.document import read_document
 from pmabench.store.importers import warm
 from pmabench.store.importers.guess.columns import lattice, unit_in
-from pmabench.store.importers.guess.guess import guess_files, sine_of
 from pmabench.store.importers.guess.layout import guess_layout
+from pmabench.store.importers.guess.signs import sine_of
 from pmabench.store.importers.guess.write import Span, map_text, still_open
-from pmabench.store.importers.importing import import_files
-from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.questions import dotted, left_open
 from pmabench.store.reader import open_run
+from tests.importing import guess_files, import_files, read_map
 from tests.recorded import recorded_data
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
@@ -90,7 +89,7 @@ def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
     runs = [open_run(run.path) for run in import_files(files, path, tmp_path / "runs", unresolved=True)]
     assert {run.trials[0].point["contraction"] for run in runs} == {0.0, 0.004}
     assert runs[0].trials[0].channels["pressure"].max() == pytest.approx(640e3, rel=0.01)
-    assert read_map(path, unresolved=True).siblings == {"force": 0.3, "pressure": 0.1}
+    assert read_map(path, unresolved=True).file.siblings == {"force": 0.3, "pressure": 0.1}
 
 
 @pytest.mark.parametrize(

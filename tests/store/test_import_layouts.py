@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.importing import prepare_all
-from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.prepare import prepare_all
 from pmabench.store.importers.units import spelled
+from tests.importing import guess_files, read_map
 
 ROWS = 500
 T = np.arange(ROWS) * 0.02

@@ -10,10 +10,10 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store.importers import long, spool
-from pmabench.store.importers.importing import import_files, prepare
-from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.prepare import prepare
 from pmabench.store.importers.table import read_table
 from pmabench.store.reader import open_run
+from tests.importing import import_files, read_map
 from tests.store import long_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,12 +117,12 @@ def test_pieces_of_any_size_give_the_same_rows(tmp_path, monkeypatch, piece):
         "sampling: {rate: [0.1 Hz, 10 Hz], gap: 10 s}\ntrials: {by: file}\nspecimen: {type: X}\n"
     )
     rules = read_map(tmp_path / "map.yaml")
-    table = read_table(path, rules.layout, ["t", "p", "f"])
+    table = read_table(path, rules.file.file, ["t", "p", "f"])
     assert table.columns["t"].tolist() == [k + 0.5 for k in range(99)]
     assert [table.line(0), table.line(98)] == [4, 102]
     path.write_bytes(text.replace("50;100", "50;1OO").encode())
     with pytest.raises(InvalidFile) as caught:
-        read_table(path, rules.layout, ["t", "p", "f"])
+        read_table(path, rules.file.file, ["t", "p", "f"])
     assert [problem.line for problem in caught.value.problems] == [54]
 
 

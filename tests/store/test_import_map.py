@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pmabench.base.errors import InvalidFile
 from pmabench.files.document import read_document
 from pmabench.store.importers.map_file import MapFile
-from pmabench.store.importers.map_rules import factor_of, form_pattern, read_map
+from pmabench.store.importers.map_rules import factor_of, form_pattern
+from tests.importing import read_map
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted([*(ROOT / "fixtures" / "maps").glob("*.yaml"), *(ROOT / "fixtures" / "old-runs").glob("*.yaml")])
@@ -52,7 +53,7 @@ def test_shipped_maps_are_good_and_satisfy_the_schema(path):
 
 def test_every_shipped_map_names_its_source():
     for path in (ROOT / "fixtures" / "maps").glob("*.yaml"):
-        assert "github" in read_map(path).source
+        assert "github" in read_map(path).file.source
 
 
 def test_scales_come_out_in_si(tmp_path):
@@ -179,10 +180,10 @@ def test_the_map_in_the_documentation_is_good(tmp_path):
     text = (ROOT / "docs" / "maps.md").read_text(encoding="utf-8")
     example = text.split("```yaml\n")[1].split("```")[0]
     rules = rules_of(tmp_path, example)
-    assert rules.analysis.force_above == 20.0
+    assert rules.file.analysis.force_above == 20.0
     fields = [
         *MapFile.model_fields,
-        *rules.layout.model_fields_set,
+        *rules.file.file.model_fields_set,
         "late_by",
         "stale_after",
         "blip",

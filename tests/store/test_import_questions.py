@@ -12,10 +12,9 @@ from pmabench.cli.main import main
 from pmabench.files.document import Document
 from pmabench.store.importers import warm
 from pmabench.store.importers.guess.columns import words
-from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.map_rules import read_map
 from pmabench.store.importers.questions import questions_of
+from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
 RISE = 500.0 * np.clip(T / 10, 0, 1) * np.clip((20 - T) / 10, 0, 1)

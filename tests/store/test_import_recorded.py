@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pmabench.store.importers import warm
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
+from tests.importing import import_files
 from tests.recorded import recorded_data
 
 MAPS = Path(__file__).resolve().parents[2] / "fixtures" / "maps"

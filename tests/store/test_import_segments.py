@@ -9,10 +9,9 @@ from pmabench.kinds.isometric.reduction import reduce as isometric
 from pmabench.kinds.recorded_sine.reduction import reduce as sines
 from pmabench.kinds.recorded_step.reduction import reduce as steps
 from pmabench.store.importers import motion, warm
-from pmabench.store.importers.guess.guess import guess_files
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.importing import import_files
 from pmabench.store.reader import open_run
+from tests.importing import guess_files, import_files
 
 MAP = """\
 schema: pmabench.map/1

@@ -1,18 +1,30 @@
 """Text is read with the layout that is given; whatever does not fit it is refused at its line."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.importers.map_file import TextLayout
+from pmabench.store.formats.text import TextLayout
+from pmabench.store.formats.text_reader import TextReader
 from pmabench.store.importers.table import read_table
-from pmabench.store.importers.text import parse
 
 PLAIN = {"delimiter": "comma", "header": "none", "names": ["t", "p", "f"]}
 NAMED = {"delimiter": "comma", "header": "first line"}
 GOOD = b"0,1.5,-3\n0.1,2.5,4e2\n0.2,3.5,+5\n"
+
+
+def parse(path, content, layout, wanted, piece=4_000_000, **more):
+    """All rows of a file that is fed piece by piece, with what the reader says of its end."""
+    reader = TextReader(path, layout, wanted, **more)
+    rows = reader.joined(
+        [*(reader.feed(content[at : at + piece]) for at in range(0, len(content), piece)), reader.end()]
+    )
+    told = {name: getattr(reader, name) for name in ("cut_end", "cut_row", "head")}
+    return SimpleNamespace(**vars(rows), **told)
 
 
 def table(tmp_path, content, layout=PLAIN, wanted=("t", "p", "f"), **more):
@@ -135,9 +147,8 @@ def test_what_is_no_file_is_refused(tmp_path):
             read_table(path, TextLayout(**PLAIN), ["t"])
 
 
-def test_more_rows_than_one_chunk(tmp_path, monkeypatch):
-    monkeypatch.setattr("pmabench.store.importers.text.PIECE", 7)
-    read = table(tmp_path, b"".join(b"%d,1,2\n" % k for k in range(100)))
+def test_more_rows_than_one_piece(tmp_path):
+    read = table(tmp_path, b"".join(b"%d,1,2\n" % k for k in range(100)), piece=7)
     assert read.columns["t"].tolist() == list(range(100))
 
 
@@ -157,3 +168,11 @@ def test_mutated_files_are_read_or_refused(data):
         assert refused.problems
     else:
         assert all(np.isfinite(column).all() for column in read.columns.values())
+
+
+def test_rows_without_a_time_are_a_period_apart(tmp_path):
+    (tmp_path / "log.csv").write_bytes(GOOD)
+    layout = TextLayout(**{**PLAIN, "names": ["x", "p", "f"], "period": "20 ms"})
+    read = read_table(tmp_path / "log.csv", layout, ["@time", "p"], (), ["x", "f"])
+    assert read.columns["@time"].tolist() == [0.0, 0.02, 0.04]
+    assert read.columns["p"].tolist() == [1.5, 2.5, 3.5]

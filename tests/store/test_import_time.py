@@ -7,11 +7,10 @@ import pytest
 from scipy.io import savemat
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.importers.guess.guess import guess_files
+from pmabench.store.formats.times import clock_seconds, date_seconds, seconds_of
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.importing import prepare, prepare_all
-from pmabench.store.importers.map_rules import read_map
-from pmabench.store.importers.times import clock_seconds, date_seconds, seconds_of
+from pmabench.store.importers.prepare import prepare, prepare_all
+from tests.importing import guess_files, read_map
 
 HEAD = """schema: pmabench.map/1
 name: made here

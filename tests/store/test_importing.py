@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile, RecordError
-from pmabench.store.importers import importing
-from pmabench.store.importers.importing import import_files
-from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers import importing, prepare
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.records import Flag
 from pmabench.store.verify import verify
 from tests import fixtures_old_runs as made
+from tests.importing import import_files, read_map
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
 ISOMETRIC = OLD / "isometric.yaml"
@@ -206,7 +205,7 @@ def test_mutated_logs_are_prepared_or_refused(tmp_path_factory, data):
         content[at:until] = data.draw(st.text(alphabet="0123456789.,-e\n", max_size=8)).encode()
     (folder / "step_data.dat").write_bytes(bytes(content))
     try:
-        prepared = importing.prepare(folder / "step_data.dat", read_map(OLD / "step.yaml"))
+        prepared = prepare.prepare(folder / "step_data.dat", read_map(OLD / "step.yaml"))
     except InvalidFile as refused:
         assert refused.problems
     else:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -21,9 +21,9 @@ from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.layout import Layout, read_layout
 from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
 from pmabench_drivers.alicat.reading import HELD, Reading
-from pmabench_drivers.serial_ascii.lines import Splitter, Unreadable, Wrong
-from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, readable
-from pmabench_drivers.serial_port import hand_over
+from pmabench_drivers.shared.lines import LONGEST_LINE, Splitter, Unreadable, Wrong, readable
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
+from pmabench_drivers.shared.serial_port import hand_over, open_port, received
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -42,10 +42,6 @@ SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
 FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
 _ABOUT = re.compile(r"\S\s+M(?P<number>\d\d) (?P<text>.*)")
 _LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
-
-
-class Unanswered(DeviceError):
-    """The question was sent and no answer to it came."""
 
 
 class AsciiLink:
@@ -111,9 +107,7 @@ class AsciiLink:
                 return None
             return self._reading("", deadline)
 
-    def command(
-        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
-    ) -> Reading | None:
+    def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
         """Send a set-point once; what the device then holds decides. Nothing is sent if `still()` is false."""
         text = self._written(value)
         with self._turn(deadline):
@@ -129,9 +123,7 @@ class AsciiLink:
             raise DeviceError(self._device, message, OUTPUT)
         return reading
 
-    def vent(
-        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
-    ) -> Reading | None:
+    def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
         """The set-point that vents, and no hold of the valves; both are sent, whatever the first one's answer."""
         text, lost = self._written(value), None
         with self._turn(deadline):
@@ -194,14 +186,7 @@ class AsciiLink:
     # -- opening --------------------------------------------------------------------------------------------------
 
     def _open_port(self) -> None:
-        import serial
-
-        try:
-            self._port = serial.Serial(self._address, baudrate=self._options.baud, timeout=PIECE, exclusive=True)
-        except (OSError, ValueError) as error:
-            busy = "temporarily unavailable" in str(error) or "exclusively lock" in str(error)
-            why = "another program has it open" if busy else getattr(error, "strerror", None) or str(error)
-            raise DeviceError(self._device, f"cannot open {self._address}: {why}") from None
+        self._port = open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
         self._splitter, self._lines = Splitter(b"\r", whole=True), []
         self._clean, self._late_until = True, 0.0
 
@@ -247,22 +232,16 @@ class AsciiLink:
 
     @property
     def _shape(self) -> Layout:
-        if self._layout is None:
-            raise DeviceError(self._device, "is not open")
-        return self._layout
+        return opened(self._layout, self._device)
 
     @contextmanager
     def _turn(self, deadline: float) -> Iterator[None]:
         """The line for oneself; its failures become sentences."""
-        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
-            raise DeviceError(self._device, "the line was busy with another call until the deadline")
-        try:
-            yield
-        except (OSError, TypeError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
-            raise DeviceError(self._device, f"lost {self._address}: {why}") from None
-        finally:
-            self._lock.release()
+        with turn(self._lock, deadline, self._device):
+            try:
+                yield
+            except (OSError, TypeError, ValueError) as error:
+                raise DeviceError(self._device, f"lost {self._address}: {reason(error)}") from None
 
     def _reading(self, command: str, deadline: float, patience: float = 0.0) -> Reading:
         """Ask what is answered by a data line."""
@@ -334,9 +313,7 @@ class AsciiLink:
 
     def _receive(self) -> bool:
         """Take what comes within a short time; whether anything came."""
-        port = self._opened()
-        data = port.read(1)
-        data += port.read(port.in_waiting)
+        data = received(self._opened())
         self._lines += self._splitter.feed(data.replace(b"\n", b""))
         return bool(data)
 
@@ -350,7 +327,4 @@ class AsciiLink:
         return bool(lines)
 
     def _opened(self) -> Any:
-        port = self._port
-        if port is None:
-            raise DeviceError(self._device, "is not open")
-        return port
+        return opened(self._port, self._device)

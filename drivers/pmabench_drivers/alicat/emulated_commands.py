@@ -30,12 +30,7 @@ HEAD = "D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES______________
 FIRMWARE = "10v20.0-R24"
 ABSOLUTE, GAUGE, VOLUME, MASS = 34, 38, 36, 37
 """Variables of the loop by their statistics."""
-NAMES = {
-    ABSOLUTE: "Abs Press Setpt",
-    GAUGE: "Gauge Press Setpt",
-    VOLUME: "Volu Flow Setpt",
-    MASS: "Mass Flow Setpt",
-}
+NAMES = {ABSOLUTE: "Abs Press Setpt", GAUGE: "Gauge Press Setpt", VOLUME: "Volu Flow Setpt", MASS: "Mass Flow Setpt"}
 GASES = (
     *("Air", "Ar", "CH4", "CO", "CO2", "C2H6", "H2", "He", "N2", "N2O", "Ne", "O2", "C3H8", "n-C4H10", "C2H2"),
     *("C2H4", "i-C2H10", "Kr", "Xe", "SF6", "C-25", "C-10", "C-8", "C-2", "C-75", "A-75", "A-25", "A1025"),

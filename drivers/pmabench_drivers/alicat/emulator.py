@@ -13,37 +13,15 @@ from math import copysign
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.alicat.emulated_commands import (
-    ABSOLUTE,
-    AIR,
-    FULL_FLOW,
-    FULL_SCALE,
-    GASES,
-    GAUGE,
-    MASS,
-    PER_SECOND,
-    VOLUME,
-    Commands,
-)
+from pmabench_drivers.alicat import emulated_commands as c
 from pmabench_drivers.alicat.options import ASCII, MCD, UNITS, Options, read_options
-from pmabench_drivers.emulator.faults import (
-    IGNORE,
-    LINK,
-    MODBUS,
-    OVER,
-    RESTART,
-    SETPOINT,
-    STATUS,
-    STUCK,
-    Faults,
-    Outgoing,
-)
-from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
+from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, RESTART, SETPOINT, STATUS, STUCK, Faults
+from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request, read_cells
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import RtuDevice
+from pmabench_drivers.emulator.on_terminal import OnTerminal
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import Terminal
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}
 STATUS_FAULTS = {"held": "HLD", "sensor": "ADC", "limit": "OPL"}
@@ -54,9 +32,7 @@ FILLS = 101325.0 / 60 / 0.1
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevice | RtuDevice:
     """The controller that a device of the driver `alicat` talks to."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     controller = Controller(device, options, plant, log)
     if options.protocol == ASCII:
         return AsciiDevice(controller, options.letter, log)
@@ -84,7 +60,7 @@ class Controller:
         self.source = "S"
         self.valves = ""
         """`HLD` or `EXH` where the valves are set by a command."""
-        self.variable, self.locked = GAUGE, False
+        self.variable, self.locked = c.GAUGE, False
         self.gas_number, self._tared, self._filled, self._at = 0, 0.0, 0.0, monotonic()
         self.ramp, self.ramp_time, self.ramps = 0.0, 4, [True, True, False, False]
         self.registers = {85: 2, 21: 500, 22: 5000, 23: 1000}
@@ -96,21 +72,21 @@ class Controller:
         status = {self.valves} if self.valves else set()
         if fault in STATUS_FAULTS:
             status.add(STATUS_FAULTS[fault])
-        if fault == "over" or not abs(pressure) <= FULL_SCALE:
-            pressure = FULL_SCALE
+        if fault == "over" or not abs(pressure) <= c.FULL_SCALE:
+            pressure = c.FULL_SCALE
             status.add("POV")
-        return (pressure + (AIR if self.variable == ABSOLUTE else 0.0)) / self._pascal, frozenset(status)
+        return (pressure + (c.AIR if self.variable == c.ABSOLUTE else 0.0)) / self._pascal, frozenset(status)
 
     def command(self, value: float) -> None:
         """A set-point; it is ignored where the source is not the serial line, and clipped to the full scale."""
         with self._lock:
             taken = self.source == "S"
-            if self.variable in {MASS, VOLUME}:
-                wanted = min(max(value, 0.0), FULL_FLOW)
+            if self.variable in {c.MASS, c.VOLUME}:
+                wanted = min(max(value, 0.0), c.FULL_FLOW)
                 self._log.note("flow", self.device.name, raw=value, connection=1, held=not taken)
             else:
-                over = AIR if self.variable == ABSOLUTE else 0.0
-                si = min(max(value * self._pascal - over, -over), FULL_SCALE)
+                over = c.AIR if self.variable == c.ABSOLUTE else 0.0
+                si = min(max(value * self._pascal - over, -over), c.FULL_SCALE)
                 wanted = (si + over) / self._pascal
                 names = [output.name for output in self.device.outputs] or ["pressure"]
                 self._log.note("set", self.device.name, output=names[0], raw=value, si=si, connection=1, held=not taken)
@@ -128,44 +104,44 @@ class Controller:
             now = monotonic()
             passed, self._at = now - self._at, now
             if self.set_point != self.requested:
-                step = self.ramp * PER_SECOND[self.ramp_time] * passed
+                step = self.ramp * c.PER_SECOND[self.ramp_time] * passed
                 off = self.requested - self.set_point
                 self.set_point = (
                     self.requested if abs(off) <= step or not step else self.set_point + copysign(step, off)
                 )
                 self._regulate()
-            if self.variable in {MASS, VOLUME} and self.set_point > 0 and not self.valves:
-                self._filled = min(self._filled + self.mass_flow() * FILLS * passed, FULL_SCALE)
+            if self.variable in {c.MASS, c.VOLUME} and self.set_point > 0 and not self.valves:
+                self._filled = min(self._filled + self.mass_flow() * FILLS * passed, c.FULL_SCALE)
                 self._plant.command(self._filled)
 
     def mass_flow(self) -> float:
         """What flows in while a flow is controlled [SLPM]; while a pressure is, the muscle stands still here."""
-        if self.variable not in {MASS, VOLUME} or self.valves or self._filled >= FULL_SCALE:
+        if self.variable not in {c.MASS, c.VOLUME} or self.valves or self._filled >= c.FULL_SCALE:
             return 0.0
-        return self.set_point * (1 + self._filled / AIR) if self.variable == VOLUME else self.set_point
+        return self.set_point * (1 + self._filled / c.AIR) if self.variable == c.VOLUME else self.set_point
 
     def volume_flow(self) -> float:
         """The same at the pressure of the moment [LPM]."""
-        return self.mass_flow() / (1 + self._filled / AIR)
+        return self.mass_flow() / (1 + self._filled / c.AIR)
 
     @property
     def gas(self) -> str:
         """The name of the gas for which flows are shown."""
-        return self.mixes.get(self.gas_number) or GASES[self.gas_number % len(GASES)]
+        return self.mixes.get(self.gas_number) or c.GASES[self.gas_number % len(c.GASES)]
 
     def choose_gas(self, number: int) -> bool:
         """Another gas; whether there is one."""
-        known = number < len(GASES) or number in self.mixes
+        known = number < len(c.GASES) or number in self.mixes
         self.gas_number = number if known else self.gas_number
         return known
 
     def choose(self, variable: int) -> bool:
         """Another variable of the loop, from set-point 0 on; whether it can be."""
         with self._lock:
-            known = {GAUGE, ABSOLUTE, MASS, VOLUME} if self.options.emulate == MCD else {GAUGE}
+            known = {c.GAUGE, c.ABSOLUTE, c.MASS, c.VOLUME} if self.options.emulate == MCD else {c.GAUGE}
             if variable in known and variable != self.variable:
                 self.variable, self.set_point, self.requested = variable, 0.0, 0.0
-                self._filled = min(max(self._plant.quantities()["pressure"], 0.0), FULL_SCALE)
+                self._filled = min(max(self._plant.quantities()["pressure"], 0.0), c.FULL_SCALE)
                 self._regulate()
             return variable in known
 
@@ -196,29 +172,20 @@ class Controller:
     def _regulate(self) -> None:
         if self.valves == "EXH":
             self._plant.command(0.0)
-        elif not self.valves and self.variable in {MASS, VOLUME}:
+        elif not self.valves and self.variable in {c.MASS, c.VOLUME}:
             self._plant.command(self._filled)
         elif not self.valves:
-            over = AIR if self.variable == ABSOLUTE else 0.0
+            over = c.AIR if self.variable == c.ABSOLUTE else 0.0
             self._plant.command(max(self.set_point * self._pascal - over, 0.0))
 
 
-class AsciiDevice:
+class AsciiDevice(OnTerminal):
     """The controller on a pseudo-terminal, one answer to one question."""
 
     def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
-        self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
-        self.address, self.faults = (
-            controller.device.address,
-            Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT),
-        )
-        self._terminal, self._outgoing = Terminal(self.address, log.tap(controller.device.name)), Outgoing()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name=f"emulated {controller.device.name}", daemon=True)
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
+        self.controller, self._letter, self._commands = controller, letter, c.Commands(controller, letter)
+        super().__init__(controller.device, log, Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT))
+        self._data = b""
 
     def restart(self) -> None:
         """As after power-on; the line stays."""
@@ -228,45 +195,37 @@ class AsciiDevice:
         """Another set-point, entered at its display."""
         self.controller.change_set_point(value)
 
-    def close(self) -> None:
-        """Hang up."""
-        self._ended.set()
-        self._terminal.close()
+    def change_held(self) -> bool:
+        """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
+        self.controller.source = "A"
+        return True
 
     def by_hand(self, _output: str, value: float) -> None:
         """A set-point [its own unit] from its keys."""
         self.controller.command(value)
 
-    def _serve(self) -> None:
-        data = b""
-        while not self._ended.is_set():
-            received = self._terminal.read(0.02)
-            if received is None:
-                return
-            self.controller.advance()
-            data = (data + received)[-200:]
-            while b"\r" in data:
-                line, data = data.split(b"\r", 1)
-                try:
-                    if not self._answer(line.decode("ascii", "replace").strip().upper()):
-                        return
-                except OSError:
-                    return
+    def wait(self) -> float:
+        """Often enough for its own ramps."""
+        return 0.02
 
-    def _answer(self, question: str) -> bool:
-        """Carry out and answer with the fault of the moment; whether there is anybody to talk to."""
+    def take(self, data: bytes) -> None:
+        """Answer each question."""
+        self.controller.advance()
+        *lines, rest = (self._data + data)[-200:].split(b"\r")
+        self._data = rest
+        for line in lines:
+            self._answer(line.decode("ascii", "replace").strip().upper())
+
+    def _answer(self, question: str) -> None:
+        """Carry out and answer with the fault of the moment."""
         if question[:1] != self._letter:
-            return True
-        fault = self.faults.next()
-        if fault.kind in {"hang-up", "reset"}:
-            self._terminal.close()
-            return False
+            return
+        fault = self.next_fault()
         if fault.kind == "silence":
-            return True
+            return
         lines = self._commands.answer(question[1:], fault.kind)
         answer = "".join(f"{line}\r" for line in lines).encode("ascii")
-        self._terminal.write(self._outgoing.of(answer, fault))
-        return True
+        self.terminal.write(self.outgoing(answer, fault))
 
 
 class ModbusCells:
@@ -291,7 +250,6 @@ class ModbusCells:
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the device says no."""
-        wanted = range(request.address, request.address + request.count)
         if request.values:
             if request.function != 16:
                 raise Refused(1)
@@ -299,10 +257,7 @@ class ModbusCells:
             return []
         if request.function not in {3, 4}:
             raise Refused(1)
-        cells = self._cells()
-        if any(address not in cells for address in wanted):
-            raise Refused(ADDRESS)
-        return [cells[address] for address in wanted]
+        return read_cells(self._cells(), request)
 
     def _cells(self) -> Mapping[int, int]:
         pressure, status = self.controller.measured(self.faults.peek().kind)

@@ -15,8 +15,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pmabench_drivers.serial_ascii.lines import Unreadable, Wrong
-from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, readable
+from pmabench_drivers.shared.lines import Unreadable, Wrong, readable, text_of
 
 HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
 ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
@@ -139,9 +138,4 @@ def _fits(column: Column, word: str) -> bool:
 
 
 def _text(line: bytes) -> str:
-    if len(line) > LONGEST_LINE:
-        raise Unreadable("a line longer than any that is expected")
-    try:
-        return line.decode("ascii").rstrip()
-    except UnicodeDecodeError:
-        raise Unreadable(f'"{readable(line)}"') from None
+    return text_of(line).rstrip()

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from time import monotonic
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
@@ -20,6 +18,7 @@ from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.options import OUTPUT, Options
 from pmabench_drivers.alicat.reading import Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -61,7 +60,7 @@ class ModbusLink:
 
     def open(self, deadline: float) -> Identity:
         """Open the port and read what is read later; who it is cannot be asked over Modbus."""
-        from pmabench_drivers.modbus.adapter import Line, Serial, Unanswered
+        from pmabench_drivers.modbus.adapter import Line, Serial
 
         options = self._options
         self._line = Line(
@@ -105,9 +104,7 @@ class ModbusLink:
         with self._turn(deadline):
             return self._read(deadline)
 
-    def command(
-        self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True
-    ) -> None:
+    def command(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
         """Send a set-point once and read it back; before it, the exhaust is closed. Nothing if `still()` is false."""
         words = self._words(value)
         with self._turn(deadline):
@@ -120,7 +117,7 @@ class ModbusLink:
             lost = self._put(SET_POINT, words, deadline)
             self._refuse_other_set_point(value, deadline, tolerance, lost)
 
-    def vent(self, value: float, deadline: float, tolerance: float, still: Callable[[], bool] = lambda: True) -> None:
+    def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
         """The set-point that vents, then exhaust (one valve: no hold); both are sent, whatever comes of the first."""
         words, setting = self._words(value), EXHAUST if self._options.valves > 1 else CANCEL
         with self._turn(deadline):
@@ -144,15 +141,9 @@ class ModbusLink:
 
     # -- registers ------------------------------------------------------------------------------------------------
 
-    @contextmanager
-    def _turn(self, deadline: float) -> Iterator[None]:
+    def _turn(self, deadline: float) -> AbstractContextManager[None]:
         """The line for oneself, from the first to the last question of one action."""
-        if not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
-            raise DeviceError(self._device, "the line was busy with another call until the deadline")
-        try:
-            yield
-        finally:
-            self._lock.release()
+        return turn(self._lock, deadline, self._device)
 
     def _read(self, deadline: float) -> Reading:
         asked = self._clock.now()
@@ -221,7 +212,4 @@ class ModbusLink:
             raise DeviceError(self._device, f"refuses the valve setting {what}: {why}{hint}", COMMAND.name)
 
     def _opened(self) -> Line:
-        line = self._line
-        if line is None:
-            raise DeviceError(self._device, "is not open")
-        return line
+        return opened(self._line, self._device)

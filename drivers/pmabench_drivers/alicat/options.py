@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import Reader
 
 ASCII, MODBUS = "ascii", "modbus"
 PCD, MCD = "PCD", "MCD"
@@ -70,14 +70,11 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
             letter = base.letter
     else:
         number = reader.whole(given, "unit_id", place, 1, 247, base.number)
-    baud = reader.whole(given, "baud", place, BAUDS[0], BAUDS[-1], base.baud)
-    if baud not in BAUDS:
-        reader.fault((*place, "baud"), f"{baud} is not known here; known: {', '.join(map(str, BAUDS))}")
     return Options(
         protocol=protocol,
         letter=letter,
         number=number,
-        baud=baud,
+        baud=reader.one_of(given, "baud", place, BAUDS, base.baud),
         unit=_unit(device, given.get("unit"), protocol, reader),
         valves=reader.whole(given, "valves", place, 1, 2, base.valves),
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 500.0),

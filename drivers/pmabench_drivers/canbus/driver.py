@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import (
-    COMPUTER,
-    EMULATED,
-    UNPROVEN,
-    Block,
-    DeviceRecord,
-    Identity,
-    OutputRecord,
-    Segment,
-)
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import COMPUTER, EMULATED, UNPROVEN, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, open_adapter
 from pmabench_drivers.canbus.node import Node
-from pmabench_drivers.canbus.options import READY, read_options
+from pmabench_drivers.canbus.options import READY, Options, read_options
 from pmabench_drivers.canbus.rows import Rows
 from pmabench_drivers.canbus.signals import Signals
 from pmabench_drivers.canbus.transducer import Transducer
-from pmabench_drivers.modbus.segments import stepped
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.device import Driver
+from pmabench_drivers.shared.link import opened
+from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.segments import refuse_nonsense, stepped
 
 CALL = 0.18
 """Longest time that a call takes [s]."""
@@ -44,7 +37,7 @@ ROOM = 0.02
 """A cyclic motion begins at most as far from the drive as it goes in this time at its highest speed [s]."""
 
 
-class CanBus:
+class CanBus(Driver):
     """Drives, transducers and DBC-described sensors on one bus, which belongs to one program.
 
     Inputs are `NODE.position` (drive: count; transducer: um), `NODE.demand` (drive, count), `NODE.velocity`
@@ -53,13 +46,11 @@ class CanBus:
 
     verified = "emulator only"
     emulator = "pmabench_drivers.canbus.emulated"
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options = read_options(device, reader)
-        reader.refuse(device.name)
-        self._device, self._clock = device, clock
-        self._outputs = {output.output: output for output in device.outputs}
+        super().__init__(device, clock)
         self._samples = Samples([channel.name for channel in device.channels])
         self._cycle = Cycle(f"sync {device.name}", self._tick, clock)
         self._nodes: dict[str, Node] = {}
@@ -77,13 +68,6 @@ class CanBus:
                 made.wants_demand = any(channel.input == f"{name}.demand" for channel in device.channels)
                 made.period = self._options.sync
         self._reads = [self._reading(channel.input) for channel in device.channels]
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
 
     @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
@@ -199,8 +183,7 @@ class CanBus:
 
     def start(self, rate: float) -> float:
         """A sample of everything at each SYNC, or each n-th; the rate that comes out [Hz]."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         self._opened()
         syncs = 1 / self._options.sync
         self._samples.take()
@@ -275,7 +258,8 @@ class CanBus:
     def write(self, output: str, value: float) -> None:
         """Go there at the speed `approach` of the drive; operation is enabled first where it is not."""
         record, drive = self._output(output), self._drive(output)
-        self._refuse_nonsense(output, value)
+        if not math.isfinite(value):
+            raise self._error(f"cannot be commanded to {value}", output)
         self._following.pop(output, None)
         self._refuse_trouble_of(drive)
         speed = self._options.nodes[drive.name].approach / abs(record.scale.slope)
@@ -289,12 +273,7 @@ class CanBus:
     def follow(self, output: str, segment: Segment) -> None:
         """A ramp in profile position, by the drive itself; a sine in cyclic synchronous position, target by target."""
         record, drive = self._output(output), self._drive(output)
-        ends = (segment.origin, segment.target, segment.amplitude, segment.rate, segment.frequency, segment.cycles)
-        self._refuse_nonsense(output, *ends)
-        if segment.kind not in {"ramp", "sine"}:
-            raise DeviceError(self._device.name, f"cannot follow {segment}", output)
-        if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
-            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero", output)
+        refuse_nonsense(self._device.name, output, segment)
         deadline = monotonic() + CALL
         self._following.pop(output, None)
         self._refuse_trouble_of(drive)
@@ -315,12 +294,9 @@ class CanBus:
 
     def level(self, name: str) -> bool:
         """`NODE.ready`: whether the drive is without fault; an error where it is silent or sent an emergency."""
-        drive_name, _, what = name.partition(".")
-        drive = self._nodes.get(drive_name)
-        if not isinstance(drive, Drive) or what != READY:
-            known = [f"{n}.{READY}" for n, node in self._nodes.items() if isinstance(node, Drive)]
-            raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, known)}')
-        return drive.ready(monotonic() + CALL)
+        known = [f"{drive}.{READY}" for drive, node in self._nodes.items() if isinstance(node, Drive)]
+        self._known("digital input", name, known)
+        return self._drive(name).ready(monotonic() + CALL)
 
     # -- the drives' own watchdog ---------------------------------------------------------------------------------
 
@@ -328,7 +304,7 @@ class CanBus:
         """Each drive stops by itself without this program's heartbeat; the longest time that one holds [s]."""
         deadline = monotonic() + CALL
         if not 0.001 <= seconds <= 65:
-            raise DeviceError(self._device.name, f"a watchdog of {seconds:g} s cannot be set", "watchdog")
+            raise self._error(f"a watchdog of {seconds:g} s cannot be set", "watchdog")
         held = 0.0
         for output in self._outputs:
             drive = self._drive(output)
@@ -370,17 +346,13 @@ class CanBus:
     # -- helpers --------------------------------------------------------------------------------------------------
 
     def _opened(self) -> Link:
-        if self._link is None:
-            raise DeviceError(self._device.name, "is not open")
-        return self._link
+        return opened(self._link, self._device.name)
 
     def _send(self, identifier: int, data: bytes = b"") -> None:
         self._opened().send(identifier, data)
 
     def _output(self, output: str) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
+        record = super()._output(output)
         self._opened()
         return record
 
@@ -394,14 +366,9 @@ class CanBus:
         """Highest speed [count/s]."""
         return record.rate / abs(record.scale.slope)
 
-    def _refuse_nonsense(self, output: str, *values: float) -> None:
-        for value in values:
-            if not math.isfinite(value):
-                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
-
     def _refuse_trouble_of(self, drive: Drive) -> None:
         if trouble := drive.trouble():
-            raise DeviceError(self._device.name, f"{trouble}; it is not moved", drive.name)
+            raise self._error(f"{trouble}; it is not moved", drive.name)
 
 
 def _untimed(take: Callable[[bytes], None]) -> Callable[[bytes, float], None]:

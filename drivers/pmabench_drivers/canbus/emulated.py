@@ -22,7 +22,7 @@ from pmabench_drivers.canbus.options import Options, read_options
 from pmabench_drivers.emulator.faults import EXPIRY, LINK, SETPOINT, STUCK, WATCHDOG_OFF, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 CAN = {
     "emergency": Kind(
@@ -38,9 +38,7 @@ CYCLE = 0.01
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBus:
     """The bus that the driver of `device` talks to."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     return EmulatedBus(device, options, plant, log)
 
 
@@ -174,11 +172,7 @@ class _Sender:
     """Sends one message of a DBC file, its signals from the plant."""
 
     def __init__(
-        self,
-        message: Message,
-        channels: dict[str, ChannelRecord],
-        plant: RealPlant,
-        send: Callable[[Frame], None],
+        self, message: Message, channels: dict[str, ChannelRecord], plant: RealPlant, send: Callable[[Frame], None]
     ) -> None:
         self._message, self._channels, self._plant, self._send = message, channels, plant, send
         self._due = 0.0

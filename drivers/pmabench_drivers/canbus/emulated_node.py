@@ -7,23 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
 
+from pmabench_drivers.canbus import emulated_objects as o
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.emulated_objects import (
-    COMMAND,
-    LONG,
-    NO_DATA,
-    NO_OBJECT,
-    NO_SUB,
-    READ_ONLY,
-    SHORT,
-    STATE,
-    TOGGLE,
-    TOO_MUCH,
-    UNMAPPABLE,
-    VALUE,
-    Abort,
-    Entry,
-)
 from pmabench_drivers.canbus.frames import Frame
 
 LOST_HEARTBEAT = 0x8130
@@ -76,24 +61,24 @@ class EmulatedNode:
         """Those of the past, the newest first."""
         self._guarded, self._guard_toggle = 0.0, 0
         """When it was asked for its state last [s, monotonic]; 0: never, and so nothing is missed."""
-        self.objects: dict[tuple[int, int], Entry] = {
-            (f.DEVICE_TYPE, 0): Entry("I", profile),
-            (f.ERROR_REGISTER, 0): Entry("B", 0),
-            (f.DEVICE_NAME, 0): Entry("s", model.encode()),
-            (ERRORS, 0): Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
-            **{(ERRORS, sub): Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
-            (SYNC_ID, 0): Entry("I", f.SYNC, writable=True),
-            (SYNC_PERIOD, 0): Entry("I", 0, writable=True),
-            (HARDWARE, 0): Entry("s", b"1"),
-            (f.SOFTWARE, 0): Entry("s", b"1"),
-            (GUARD_TIME, 0): Entry("H", 0, writable=True),
-            (LIFE_FACTOR, 0): Entry("B", 0, writable=True),
-            (EMCY_ID, 0): Entry("I", f.EMCY + number, writable=True),
-            (f.CONSUMER, 0): Entry("B", 1),
-            (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
-            (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
-            (f.IDENTITY, 0): Entry("B", 4),
-            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
+        self.objects: dict[tuple[int, int], o.Entry] = {
+            (f.DEVICE_TYPE, 0): o.Entry("I", profile),
+            (f.ERROR_REGISTER, 0): o.Entry("B", 0),
+            (f.DEVICE_NAME, 0): o.Entry("s", model.encode()),
+            (ERRORS, 0): o.Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
+            **{(ERRORS, sub): o.Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
+            (SYNC_ID, 0): o.Entry("I", f.SYNC, writable=True),
+            (SYNC_PERIOD, 0): o.Entry("I", 0, writable=True),
+            (HARDWARE, 0): o.Entry("s", b"1"),
+            (f.SOFTWARE, 0): o.Entry("s", b"1"),
+            (GUARD_TIME, 0): o.Entry("H", 0, writable=True),
+            (LIFE_FACTOR, 0): o.Entry("B", 0, writable=True),
+            (EMCY_ID, 0): o.Entry("I", f.EMCY + number, writable=True),
+            (f.CONSUMER, 0): o.Entry("B", 1),
+            (f.CONSUMER, 1): o.Entry("I", 0, writable=True, written=self._consume),
+            (f.PRODUCER, 0): o.Entry("H", 0, writable=True, written=self._produce),
+            (f.IDENTITY, 0): o.Entry("B", 4),
+            **{(f.IDENTITY, sub): o.Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
         }
         for index in range(PDOS):
             for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
@@ -103,15 +88,15 @@ class EmulatedNode:
         at = parameter + 0x200
         used = f.INVALID | identifier | (f.NO_REMOTE if parameter >= f.TPDO_PARAMETER else 0)
         self.objects |= {
-            (parameter, 0): Entry("B", 5),
-            (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
-            (parameter, 2): Entry("B", 254, writable=True),
-            (parameter, 3): Entry("H", 0, writable=True),
-            (parameter, 5): Entry("H", 0, writable=True),
-            (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
+            (parameter, 0): o.Entry("B", 5),
+            (parameter, 1): o.Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
+            (parameter, 2): o.Entry("B", 254, writable=True),
+            (parameter, 3): o.Entry("H", 0, writable=True),
+            (parameter, 5): o.Entry("H", 0, writable=True),
+            (at, 0): o.Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
         }
         for sub in range(1, 9):
-            self.objects[at, sub] = Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
+            self.objects[at, sub] = o.Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
 
     def boot(self) -> None:
         """Start: pre-operational, and say so."""
@@ -166,11 +151,11 @@ class EmulatedNode:
         """Write an object as it came over the wire; raises Abort."""
         entry = self.objects.get((index, sub))
         if entry is None:
-            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
+            raise o.Abort(o.NO_SUB if any(key[0] == index for key in self.objects) else o.NO_OBJECT)
         if not entry.writable:
-            raise Abort(READ_ONLY)
+            raise o.Abort(o.READ_ONLY)
         if (surplus := len(data) - struct.calcsize(f"<{entry.kind}")) != 0:
-            raise Abort(LONG if surplus > 0 else SHORT)
+            raise o.Abort(o.LONG if surplus > 0 else o.SHORT)
         [value] = struct.unpack(f"<{entry.kind}", data)
         if entry.written is not None:
             entry.written(value)
@@ -189,14 +174,14 @@ class EmulatedNode:
     def _error(self, sub: int) -> Callable[[], int]:
         def read() -> int:
             if sub > len(self._errors):
-                raise Abort(NO_DATA)
+                raise o.Abort(o.NO_DATA)
             return self._errors[sub - 1]
 
         return read
 
     def _forget_errors(self, count: int) -> None:
         if count:
-            raise Abort(VALUE)
+            raise o.Abort(o.VALUE)
         self._errors = []
 
     # -- frames -------------------------------------------------------------------------------------------------------
@@ -283,9 +268,9 @@ class EmulatedNode:
                 return self._upload(index, sub)
             if kind == 3:
                 return self._segment(command >> 4 & 1)
-        except Abort as error:
+        except o.Abort as error:
             return f.abort(index, sub, error.code)
-        return f.abort(index, sub, COMMAND)
+        return f.abort(index, sub, o.COMMAND)
 
     def _size(self, index: int, sub: int) -> int:
         entry = self.objects.get((index, sub))
@@ -294,7 +279,7 @@ class EmulatedNode:
     def _upload(self, index: int, sub: int) -> bytes:
         entry = self.objects.get((index, sub))
         if entry is None:
-            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
+            raise o.Abort(o.NO_SUB if any(key[0] == index for key in self.objects) else o.NO_OBJECT)
         data = entry.bytes()
         if entry.kind != "s":
             self._segments = None
@@ -304,9 +289,9 @@ class EmulatedNode:
 
     def _segment(self, toggle: int) -> bytes:
         if self._segments is None:
-            raise Abort(COMMAND)
+            raise o.Abort(o.COMMAND)
         if toggle != self._toggle:
-            raise Abort(TOGGLE)
+            raise o.Abort(o.TOGGLE)
         piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
         self._toggle ^= 1
         head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
@@ -317,23 +302,23 @@ class EmulatedNode:
 
     def _identify(self, mapping: int, value: int) -> None:
         if not value & f.INVALID and not self.get(mapping):
-            raise Abort(STATE)
+            raise o.Abort(o.STATE)
 
     def _may_map(self, parameter: int) -> None:
         if not self.get(parameter, 1) & f.INVALID:
-            raise Abort(STATE)
+            raise o.Abort(o.STATE)
 
     def _map(self, parameter: int, count: int) -> None:
         self._may_map(parameter)
         if count > 8:
-            raise Abort(VALUE)
+            raise o.Abort(o.VALUE)
         entries = [self.get(parameter + 0x200, sub) for sub in range(1, count + 1)]
         for entry in entries:
             target = self.objects.get((entry >> 16, entry >> 8 & 0xFF))
             if target is None or target.kind == "s" or 8 * struct.calcsize(f"<{target.kind}") != entry & 0xFF:
-                raise Abort(UNMAPPABLE)
+                raise o.Abort(o.UNMAPPABLE)
         if sum(entry & 0xFF for entry in entries) > 64:
-            raise Abort(TOO_MUCH)
+            raise o.Abort(o.TOO_MUCH)
 
     def _entries(self, mapping: int) -> list[tuple[int, int]]:
         values = (self.get(mapping, sub) for sub in range(1, self.get(mapping) + 1))
@@ -393,7 +378,7 @@ class EmulatedNode:
                 return
             try:
                 self.put(*key, data[at : at + size])
-            except Abort:
+            except o.Abort:
                 self.emergency(0x8200)
             at += size
 

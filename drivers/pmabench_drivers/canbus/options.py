@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench_drivers.canbus.dbc import Message, NoDatabase, Signal, read_dbc
 from pmabench_drivers.canbus.link import INTERFACES, NUMBERED
 from pmabench_drivers.canbus.slcan import RATES
-from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.shared.options import Place, Reader
 
 PROFILES = (402, 406)
 OWN_NODE = 127
@@ -68,9 +67,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     here: Place = ("options",)
     given = reader.keys(device.options, here, ("bitrate", "sync", "own_node", "slowest", "nodes", "dbc"))
     _address(device.address, reader)
-    bitrate = reader.whole(given, "bitrate", here, 10_000, 1_000_000, 500_000)
-    if bitrate not in RATES:
-        reader.fault((*here, "bitrate"), f"{bitrate} is no usual rate; known: {', '.join(map(str, RATES))}")
+    bitrate = reader.one_of(given, "bitrate", here, tuple(RATES), 500_000)
     sync = reader.quantity(given, "sync", here, "time", 0.01, 0.002, 0.1)
     if abs(sync * 1e4 - round(sync * 1e4)) > 1e-6 or (round(sync * 1e4) > 255 and round(sync * 1e4) % 10):
         reader.fault((*here, "sync"), "whole tenths of a millisecond, and above 25.5 ms whole milliseconds, are needed")
@@ -151,26 +148,18 @@ def _names(device: DeviceRecord, options: Options, reader: Reader) -> None:
     known = options.inputs()
     for channel in device.channels:
         place: Place = ("channels", channel.name, "input")
-        if channel.input not in known:
-            hint = did_you_mean(channel.input, known)
-            reader.fault(place, f'no input "{channel.input}"{hint}; known: {", ".join(known[:20]) or "none"}')
+        reader.known(place, "no input", channel.input, known, f"; known: {', '.join(known[:20]) or 'none'}")
     drives = {f"{name}.position": node for name, node in options.nodes.items() if node.profile == 402}
     for output in device.outputs:
-        node = drives.get(output.output)
-        if node is None:
-            hint = did_you_mean(output.output, drives)
-            known_outputs = ", ".join(drives) or "none"
-            message = f'no output "{output.output}"{hint}; known: {known_outputs}'
-            reader.fault(("outputs", output.name, "output"), message)
-        else:
-            _drive_output(output, node, reader)
+        more = f"; known: {', '.join(drives) or 'none'}"
+        if reader.known(("outputs", output.name, "output"), "no output", output.output, drives, more):
+            _drive_output(output, drives[output.output], reader)
     for valve in device.valves:
         reader.fault(("outputs", valve.name, "output"), "nothing on this bus switches a valve")
     ready = [f"{name}.{READY}" for name, node in options.nodes.items() if node.profile == 402]
     for lock in device.interlocks:
-        if lock.input not in ready:
-            message = f'no digital input "{lock.input}"{did_you_mean(lock.input, ready)}; known: {", ".join(ready)}'
-            reader.fault(("interlocks", lock.name, "input"), message)
+        place = ("interlocks", lock.name, "input")
+        reader.known(place, "no digital input", lock.input, ready, f"; known: {', '.join(ready)}")
     if device.watchdog and not device.outputs:
         reader.fault(("watchdog",), "only a drive stops by itself, and no output of this bus is one")
     if device.outputs and device.watchdog and not 0.05 <= device.watchdog <= 60:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from queue import Empty, SimpleQueue
 from time import monotonic
@@ -12,6 +13,7 @@ from typing import TypeVar
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus import frames as f
+from pmabench_drivers.shared.link import Unanswered, turn
 
 ANSWER = 0.15
 """How long a node is given for an answer [s]."""
@@ -19,10 +21,6 @@ LONGEST = 256
 """No object that is read here is longer [bytes]."""
 
 T = TypeVar("T")
-
-
-class Unanswered(DeviceError):
-    """No answer came in time."""
 
 
 class Refused(DeviceError):
@@ -98,8 +96,9 @@ class Objects:
 
     # -- one question at a time ---------------------------------------------------------------------------------------
 
-    def _turn(self, deadline: float) -> _Turn:
-        return _Turn(self._lock, deadline, self._device, self._name)
+    def _turn(self, deadline: float) -> AbstractContextManager[None]:
+        busy = f"{self._name} is still busy with what was asked before"
+        return turn(self._lock, deadline, self._device, self._name, busy)
 
     def _ask(self, index: int, sub: int, question: bytes, deadline: float, *, written: bool) -> f.Answer:
         if self._owed:
@@ -146,20 +145,6 @@ class Objects:
 
     def _error(self, index: int, sub: int, message: str) -> DeviceError:
         return DeviceError(self._device, f"{self._name}: object {index:04X}h:{sub} {message}", self._name)
-
-
-class _Turn:
-    """A lock that is not waited for beyond a deadline."""
-
-    def __init__(self, lock: threading.Lock, deadline: float, device: str, name: str) -> None:
-        self._lock, self._deadline, self._device, self._name = lock, deadline, device, name
-
-    def __enter__(self) -> None:
-        if not self._lock.acquire(timeout=max(0.001, self._deadline - monotonic())):
-            raise DeviceError(self._device, f"{self._name} is still busy with what was asked before", self._name)
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
 
 
 def _segment(toggle: int, data: bytes) -> tuple[bytes, bool, int]:

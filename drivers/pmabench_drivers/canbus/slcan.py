@@ -14,7 +14,7 @@ from time import monotonic
 from typing import Any
 
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.serial_port import hand_over
+from pmabench_drivers.shared.serial_port import hand_over
 
 RATES = {
     10_000: "S0",

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.dataq.options import read_options, scan_inputs
+from pmabench_drivers.dataq.options import Options, read_options, scan_inputs
 from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, Lost, Scans, divisors, packet, volts
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.pace import Pace
-from pmabench_drivers.serial_stream import PATIENCE, SerialStream
+from pmabench_drivers.shared.pace import Pace
+from pmabench_drivers.shared.serial_stream import PATIENCE, SerialStream
 
-BAUD = 115200
-"""Of no meaning on USB."""
 END = b"\r"
 STOP = b"stop\r"
 ANSWER = 0.1
@@ -31,16 +27,15 @@ class Dataq(SerialStream):
     """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
 
     emulator = "pmabench_drivers.dataq.emulator"
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options = read_options(device, reader)
-        reader.refuse(device.name)
         self._inputs = scan_inputs(device)
+        super().__init__(device, clock)
         self._spans = [self._options.span(source) for source in self._inputs]
         self._columns = [self._inputs.index(channel.input) for channel in device.channels]
         self._dividend, self._rate = DIVIDEND, 0.0
-        super().__init__(device, clock, BAUD)
 
     def _forget(self) -> None:
         super()._forget()
@@ -56,13 +51,6 @@ class Dataq(SerialStream):
         self._origin = math.nan
         self._echo: bytes | None = None
         self._pace = Pace(SLIP)
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
 
     def _greet(self) -> Identity:
         """Stop what is under way, see that it is the right device, and give it the scan list."""

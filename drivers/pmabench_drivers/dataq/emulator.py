@@ -13,7 +13,7 @@ from pmabench_drivers.emulator.faults import NOISE, OVER, Fault
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.streaming import Streaming
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x00\x7f\x15"
 LEVELS = 0x7F00
@@ -23,9 +23,7 @@ SET = {"encode": (0, 0), "ps": (0, 7), "srate": (375, 65535), "dec": (1, 512), "
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Daq:
     """The device that the driver `dataq` talks to."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     return Daq(device, options, plant, log)
 
 

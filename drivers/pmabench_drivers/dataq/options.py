@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.dataq.wire import INPUTS, MODELS, Model
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import Reader
 
 FILTERS = {"last": 0, "average": 1}
 
@@ -20,6 +19,8 @@ class Options:
     model: Model = MODELS["DI-2108"]
     ranges: Mapping[str, int] = field(default_factory=dict)
     """Code of each input's range, where it is not the widest."""
+    baud: int = 115200
+    """Of no meaning on USB."""
     filter: int = 0
     """What becomes of the points between two samples: 0 the last one counts, 1 they are averaged."""
 
@@ -32,8 +33,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """The options of a device, and the inputs that its channels use."""
     place = ("options",)
     given = reader.keys(device.options, place, ("model", "ranges", "filter"), ("model",))
-    if not device.address:
-        reader.fault(("address",), 'the path of a serial port is expected, for instance "/dev/ttyACM0"')
+    reader.port(device, "/dev/ttyACM0")
     model = MODELS[reader.choice(given, "model", place, MODELS, "DI-2108")] if "model" in given else MODELS["DI-2108"]
     ranges = reader.keys(given.get("ranges", {}), (*place, "ranges"), INPUTS)
     codes = {
@@ -48,13 +48,10 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         reader.fault((), "only what this device measures is used; it has no outputs, valves, interlocks or watchdog")
     for channel in device.channels:
         at = ("channels", channel.name)
-        if channel.input not in INPUTS:
-            reader.fault(
-                (*at, "input"), f'the device has no input "{channel.input}"{did_you_mean(channel.input, INPUTS)}'
-            )
+        reader.known((*at, "input"), "the device has no input", channel.input, INPUTS)
         if channel.raw_unit != "V":
             reader.fault(at, f'the device gives V, and the channel has "{channel.raw_unit}"')
-    return Options(model, codes, chosen)
+    return Options(model, codes, filter=chosen)
 
 
 def scan_inputs(device: DeviceRecord) -> list[str]:

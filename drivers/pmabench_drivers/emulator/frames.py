@@ -8,7 +8,7 @@ section 6.2.2.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
@@ -87,6 +87,14 @@ def answer(request: Request, values: Sequence[int]) -> bytes:
     if request.function == 6:
         return head + struct.pack(">HH", request.address, request.values[0])
     return head + struct.pack(">HH", request.address, request.count)
+
+
+def read_cells(cells: Mapping[int, int], request: Request) -> list[int]:
+    """The registers that are asked for; `Refused` where one is not there."""
+    wanted = range(request.address, request.address + request.count)
+    if any(address not in cells for address in wanted):
+        raise Refused(ADDRESS)
+    return [cells[address] & 0xFFFF for address in wanted]
 
 
 def refusal(function: int, code: int) -> bytes:

@@ -31,7 +31,7 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Terminal, bracketed, host_of, listen
 from pmabench_drivers.emulator.registers import Registers
 from pmabench_drivers.modbus.map_file import read_options
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 WATCH = 0.005
 """How often the watchdog is looked at [s]."""
@@ -43,9 +43,7 @@ Send = Callable[[bytes, Fault], None]
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
     """What a device of the driver `modbus` talks to: TCP, or RTU on a pseudo-terminal."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     registers = Registers(device, options, plant, log)
     if device.address.startswith("/"):
         return RtuDevice(registers, options.map.unit_id, log, device.address)

@@ -9,10 +9,11 @@ import threading
 from collections.abc import Iterable
 from time import monotonic
 
-from pmabench.bench.interface import ChannelRecord, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.wiring import Wiring
 from pmabench_drivers.modbus.map_file import Options
 from pmabench_drivers.modbus.registers import TYPES, Register, WatchdogRegisters, decode, encode
 
@@ -24,11 +25,7 @@ class Registers:
         self.device, self._map, self._plant, self._log = device, options.map, plant, log
         self._lock = threading.Lock()
         self._held: dict[tuple[str, int], int] = {}
-        self._channels: dict[str, ChannelRecord] = {channel.input: channel for channel in device.channels}
-        self._locks = {lock.input: lock for lock in device.interlocks}
-        self._levels: dict[str, bool] = {}
-        self._outputs = {output.output: output for output in device.outputs}
-        self._valves = {valve.output: valve for valve in device.valves}
+        self._wiring = Wiring(device, plant, log)
         watchdog = self._map.watchdog
         own = [r for r in (watchdog.timeout, watchdog.trigger, watchdog.heartbeat) if r] if watchdog else []
         self._written = [*self._map.outputs.values(), *own]
@@ -97,17 +94,13 @@ class Registers:
     # -- what registers mean --------------------------------------------------------------------------------------
 
     def _input(self, register: Register, quantities: dict[str, float]) -> Iterable[int]:
-        channel, lock = self._channels.get(register.name), self._locks.get(register.name)
-        if channel is not None:
-            raw = float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
+        if register.name in self._wiring.channels:
+            raw = self._wiring.raw(register.name, quantities)
             if register.type != "float32" and not register.is_bit:
                 low, high = _range(register.type)
                 raw = min(max(round(raw), low), high)
             return encode(register, raw)
-        level = False
-        if lock is not None:
-            high = self._plant.e_stop_high() if "stop" in lock.name else True
-            level = high == (lock.safe == "high")
+        level = self._wiring.level(register.name)
         if register.bit >= 0:
             return [int(level) << register.bit] if register.count == 1 else [0] * register.count
         return encode(register, float(level))
@@ -134,19 +127,8 @@ class Registers:
                 self._bitten = False
             self._log.note("watchdog-register", self.device.name, register=name, raw=raw, connection=connection)
             return
-        output = self._outputs.get(name)
-        if output is not None:
-            si = float(output.scale.to_si(raw))
-            self._log.note(
-                "set", self.device.name, output=output.name, raw=raw, si=si, connection=connection, held=self._bitten
-            )
-            if not self._bitten:
-                self._plant.command(si)
-        elif name in self._valves:
-            valve = self._valves[name]
-            self._log.note("switch", self.device.name, valve=valve.name, on=raw != 0, connection=connection)
-            if not self._bitten:
-                self._plant.switch(on=(raw != 0) == (valve.energised == "closed"))
+        self._wiring.set(name, raw, connection=connection, held=self._bitten)
+        self._wiring.switch(name, on=raw != 0, connection=connection, held=self._bitten)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
 

@@ -2,44 +2,29 @@
 
 from __future__ import annotations
 
-import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import LINK, SKEW, STUCK, Fault, Faults, Kind, Outgoing
+from pmabench_drivers.emulator.faults import LINK, SKEW, STUCK, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.ports import Terminal
+from pmabench_drivers.emulator.on_terminal import IDLE, OnTerminal
 
 TICK = 0.004
 """What falls due within this is sent together [s]."""
-IDLE = 0.05
-"""Longest wait for a command [s]."""
 LONGEST = 200
 """More of an unfinished line is forgotten [bytes]."""
 
 
-class Streaming(ABC):
+class Streaming(OnTerminal):
     """One device on a pseudo-terminal. A kind of device says what a `command` does and what is `due`."""
 
     def __init__(self, device: DeviceRecord, log: CommandLog, *kinds: dict[str, Kind], garbage: bytes) -> None:
-        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, *kinds)
-        self.terminal = Terminal(device.address, log.tap(device.name))
-        self._outgoing = Outgoing(garbage)
+        super().__init__(device, log, Faults(LINK, STUCK, SKEW, *kinds), garbage)
         self.streaming = False
         self.due = 0.0
         """When the next measurement is due [s, monotonic]."""
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._ended.set()
-        self.terminal.close()
+        self._asked = b""
 
     @abstractmethod
     def command(self, line: str) -> None:
@@ -49,39 +34,21 @@ class Streaming(ABC):
     def send_what_is_due(self) -> None:
         """While `streaming`: every measurement that is due; raises ConnectionAbortedError to hang up."""
 
-    def next_fault(self) -> Fault:
-        """The fault of the moment; one that drops the line hangs up."""
-        fault = self.faults.next()
-        if fault.kind in {"hang-up", "reset"}:
-            raise ConnectionAbortedError
-        return fault
-
     def seconds(self, shown: float) -> float:
         """How long this machine's clock says that so much time of the device's own clock lasts [s]."""
         fault = self.faults.peek()
         return shown / (1.0 + fault.value) if fault.kind == "skew" else shown
 
-    def outgoing(self, data: bytes, fault: Fault) -> bytes:
-        """One answer or measurement as the line delivers it."""
-        return self._outgoing.of(data, fault)
+    def wait(self) -> float:
+        """Until a measurement falls due."""
+        return min(max(TICK, self.due - monotonic()), IDLE) if self.streaming else IDLE
 
-    def _serve(self) -> None:
-        asked = b""
-        while not self._ended.is_set():
-            wait = min(max(TICK, self.due - monotonic()), IDLE) if self.streaming else IDLE
-            received = self.terminal.read(wait)
-            if received is None:
-                return
-            *lines, asked = (asked + received).replace(b"\r", b"\n").split(b"\n")
-            asked = asked[-LONGEST:]
-            try:
-                for line in lines:
-                    if line.strip():
-                        self.command(line.decode("ascii", "replace").strip())
-                if self.streaming:
-                    self.send_what_is_due()
-            except ConnectionAbortedError:
-                self.terminal.close()
-                return
-            except OSError:
-                return
+    def take(self, data: bytes) -> None:
+        """Obey each whole line, and send what is due."""
+        *lines, rest = (self._asked + data).replace(b"\r", b"\n").split(b"\n")
+        self._asked = rest[-LONGEST:]
+        for line in lines:
+            if line.strip():
+                self.command(line.decode("ascii", "replace").strip())
+        if self.streaming:
+            self.send_what_is_due()

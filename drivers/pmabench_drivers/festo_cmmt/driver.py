@@ -9,23 +9,24 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic, sleep
 from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, Segment
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
 from pmabench_drivers.festo_cmmt.path import Path
 from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
-from pmabench_drivers.modbus.segments import refuse_nonsense
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.device import Polled
+from pmabench_drivers.shared.link import Unanswered, opened
+from pmabench_drivers.shared.polling import JOIN
+from pmabench_drivers.shared.segments import refuse_nonsense
 
 if TYPE_CHECKING:
     from pmabench_drivers.festo_cmmt.link import DriveLink
@@ -39,23 +40,20 @@ LOOK = 0.003
 """Pause between two looks whether the drive has done what it was told [s]."""
 
 
-class FestoCmmt:
+class FestoCmmt(Polled):
     """A CMMT that holds the free end: output and channel `position`, channel `set_point`, both in user units.
 
     A ramp is one positioning task with its velocity; a sine is streamed, a target and a velocity in each cycle.
     """
 
     emulator = "pmabench_drivers.festo_cmmt.emulated"
+    read_options = staticmethod(read_options)
+    _options: CmmtOptions
+    _doing = "its cycle"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options: CmmtOptions = read_options(device, reader)
-        reader.refuse(device.name)
-        self._device, self._clock = device, clock
-        self._outputs = {output.output: output for output in device.outputs}
+        super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
-        self._samples = Samples([channel.name for channel in device.channels])
-        self._cycle = Cycle(f"cmmt {device.name}", self._tick, clock)
         self._watchdog = DeviceWatchdog(
             device.name, RegisterMap(watchdog=WatchdogRegisters(t.TIMEOUT, 1e-3)), self._get, self._put
         )
@@ -64,18 +62,6 @@ class FestoCmmt:
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
         self._path = Path(clock.now)
         self._forget()
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
-
-    @classmethod
-    def fastest(cls, device: DeviceRecord) -> float:
-        """Its cycles a second [Hz]."""
-        return read_options(device, Reader()).rate
 
     def _forget(self) -> None:
         self._command: t.Command | None = None
@@ -96,11 +82,11 @@ class FestoCmmt:
         line = self._line = DriveLink(self._device.name, self._device.address)
         until = monotonic() + OPEN
         try:
-            told = line.identification(until)
+            identity = line.identity(until)
             selected = self._opened().parameter(t.TELEGRAM, "uint16", until)
             if selected != t.TELEGRAM_111:
                 message = f"has telegram {selected:g} selected, and this driver speaks 111: select it in the drive"
-                raise DeviceError(self._device.name, message, "P0.3030101")
+                raise self._error(message, "P0.3030101")
             self._compare_units(until)
             self._found = line.get(t.TIMEOUT, until)
             status = self._look(until)
@@ -109,10 +95,7 @@ class FestoCmmt:
             raise
         self._path.stand(status.position)
         self._cycle.start(self._options.rate)
-        model = told.get(4) or told.get(1, "")
-        return Identity(
-            told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED), clock=COMPUTER
-        )
+        return identity
 
     def close(self) -> None:
         """End the cycle; a drive that was disarmed is switched off, any other is left to its own time-out."""
@@ -138,14 +121,13 @@ class FestoCmmt:
         for scale in scales:
             if not abs(abs(scale.slope) / 10.0**position - 1) < 0.05:
                 message = f"counts in 1e{position:.0f} m, and the bench file in {abs(scale.slope):.4g} m"
-                raise DeviceError(self._device.name, message, "P1.7841")
+                raise self._error(message, "P1.7841")
 
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
         """Take a sample in each cycle, or in each n-th where `rate` [Hz] is lower; returns the rate that is used."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         self._opened()
         self._cycle.note(None)
         self._samples.take()
@@ -153,19 +135,9 @@ class FestoCmmt:
         self._begun, self._slot, self._every = self._clock.now(), -1, every
         return self._options.rate / every
 
-    def collect(self) -> Block:
-        """The samples since the last call; an error once cycles fail, or the drive has a fault, for 0.25 s."""
-        self._cycle.refuse(self._device.name, "its cycle")
-        return self._samples.take()
-
     def stop(self) -> None:
         """Take no more samples; a motion goes on."""
         self._every = 0
-
-    @property
-    def missed(self) -> int:
-        """Cycles that fell out because the drive or the machine was late."""
-        return self._cycle.missed
 
     def _tick(self) -> None:
         """One cycle: what is commanded now, then what the drive tells."""
@@ -201,11 +173,10 @@ class FestoCmmt:
             if self._every == 1 or slot > self._slot:  # a cycle that fell out delays a sample, and drops none
                 self._slot = slot
                 known = {POSITION: float(status.position), SET_POINT: float(round(set_point))}
-                row = [known[name] for name in self._inputs]
-                self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
+                self._keep([known[name] for name in self._inputs], asked, answered)
         command = self._command
         if command is not None and command.on and not status.has(t.ENABLED):
-            raise DeviceError(self._device.name, self._off(status))
+            raise self._error(self._off(status))
 
     def _off(self, status: t.Status) -> str:
         """Why the drive is not under power."""
@@ -241,8 +212,6 @@ class FestoCmmt:
 
     def halt(self, output: str) -> None:
         """Give up the motion: the drive brakes as hard as it may and holds the place; looked at until it stands."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
@@ -254,15 +223,13 @@ class FestoCmmt:
         while not (status := self._look(until)).has(t.STOPPED):
             if monotonic() > until - LOOK:
                 message = f"was told to stop and still moves (status word 0x{status.word:04x})"
-                raise DeviceError(self._device.name, message, output)
+                raise self._error(message, output)
             sleep(LOOK)
         with self._turn:
             self._path.stand(status.position)
 
     def _task(self, target: int, velocity: float, output: str) -> None:
         """Send the drive to `target` at `velocity` [user units, 1/s], and see that it takes that."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
         until, lost = monotonic() + CALL, False
         self._switch_on(until)
         with self._turn:
@@ -277,13 +244,13 @@ class FestoCmmt:
             status = self._look(until)
             reason = status.refusal() or ("" if status.has(t.ENABLED) else self._off(status))
             if reason:
-                raise DeviceError(self._device.name, reason, output)
+                raise self._error(reason, output)
             if (before.task or status.has(t.TAKEN)) and not (lost and self._held(until) != target):
                 return
             if monotonic() > until - LOOK:
                 what = "did not answer to" if lost else "did not take"
                 message = f"{what} the motion to {target} (status word 0x{status.word:04x})"
-                raise DeviceError(self._device.name, message, output)
+                raise self._error(message, output)
             sleep(LOOK)
 
     def _held(self, until: float) -> float:
@@ -308,7 +275,7 @@ class FestoCmmt:
             if reason and status.has(t.FAULT):
                 reason += "; acknowledge it there, or let that be done with acknowledge_faults: true"
             if reason:
-                raise DeviceError(self._device.name, reason)
+                raise self._error(reason)
             standing = t.Command(target=status.position)
             if acknowledge:
                 self._replace(replace(standing, acknowledge=True), until)
@@ -316,7 +283,7 @@ class FestoCmmt:
             self._replace(standing, until)
             ready = self._until(lambda status: status.has(t.READY), until, "is not ready to be switched on")
             if ready.refusal():
-                raise DeviceError(self._device.name, ready.refusal())
+                raise self._error(ready.refusal())
             self._path.stand(ready.position)
             self._replace(replace(standing, on=True), until)
         with suppress(*(() if wait else (DeviceError,))):
@@ -326,7 +293,7 @@ class FestoCmmt:
         while not true(status := self._look(until)):
             if monotonic() > until - LOOK:
                 why = status.refusal() or f"status word 0x{status.word:04x}; are supply and safe torque off in order?"
-                raise DeviceError(self._device.name, f"{what}: {why}")
+                raise self._error(f"{what}: {why}")
             sleep(LOOK)
         return status
 
@@ -379,20 +346,14 @@ class FestoCmmt:
     # -- small things ---------------------------------------------------------------------------------------------
 
     def _opened(self) -> DriveLink:
-        line = self._line
-        if line is None:
-            raise DeviceError(self._device.name, "is not open")
-        return line
+        return opened(self._line, self._device.name)
 
     def _scale(self, output: str) -> float:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        return record.scale.slope
+        return self._output(output).scale.slope
 
     def _whole(self, value: float, output: str) -> int:
         if not math.isfinite(value) or abs(value) >= 2**31:
-            raise DeviceError(self._device.name, f"{value} is no position", output)
+            raise self._error(f"{value} is no position", output)
         return round(value)
 
     def _get(self, register: Register, deadline: float) -> float:

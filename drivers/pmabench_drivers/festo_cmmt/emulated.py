@@ -21,7 +21,7 @@ from pmabench_drivers.festo_cmmt import emulated_telegrams as p
 from pmabench_drivers.festo_cmmt.emulated_motion import RECORDS, STROKE, Motion
 from pmabench_drivers.festo_cmmt.options import read_options
 from pmabench_drivers.festo_cpx_e.named import NamedDevice
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", "{}", "")
 """Objects 0 to 5 of the device identification; the model takes its place in them."""
@@ -62,9 +62,7 @@ MILLI = -3
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CmmtDevice:
     """The drive that a device of the driver `festo-cmmt` talks to, on this machine."""
-    reader = Reader()
-    read_options(device, reader)
-    reader.refuse(device.name)
+    options_of(device, read_options)
     return CmmtDevice(EmulatedDrive(device, plant, log), log, int(device.address.rpartition(":")[2]))
 
 
@@ -117,11 +115,7 @@ class EmulatedDrive:
             if request.values:
                 self._write(request, ignore=ignore)
                 return []
-            cells = self._cells()
-            wanted = [request.address + offset for offset in range(request.count)]
-            if any(address not in cells for address in wanted):
-                raise frames.Refused(frames.ADDRESS)
-            return [cells[address] for address in wanted]
+            return frames.read_cells(self._cells(), request)
 
     def _cells(self) -> Mapping[int, int]:
         """Everything that can be read now."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from time import monotonic, sleep
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cpx_e.line import NamedLine
-from pmabench_drivers.modbus.adapter import Unanswered
 from pmabench_drivers.modbus.registers import Register, decode, encode
+from pmabench_drivers.shared.link import Still, Unanswered, always
 
 ANSWER = 0.1
 """Longest wait for one answer [s]."""
@@ -34,7 +34,7 @@ class DriveLink(NamedLine):
         """The same in one transaction, whose time can be told."""
         return t.Status.of(self.read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
 
-    def send(self, words: Sequence[int], until: float, still: Callable[[], bool] = lambda: True) -> None:
+    def send(self, words: Sequence[int], until: float, still: Still = always) -> None:
         """Write process data once, unless `still()` is false by the time the line is free."""
         self.write(16, t.PROCESS_OUT, words, until, "process data", still)
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 
 from pmabench.bench.interface import Segment
-from pmabench_drivers.modbus.segments import stepped
+from pmabench_drivers.shared.segments import stepped
 
 CATCH_UP = 0.02
 """Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""

@@ -7,39 +7,19 @@ has a time-out from the factory on, so it is kept in talk from `open` to `close`
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, cast
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
-from pmabench_drivers.festo_cpx_e.terminal import (
-    ASK,
-    CONTROL,
-    DATA_FORMAT,
-    DONE,
-    FAULTS,
-    FIRST_INPUT,
-    FORCED,
-    PRESENT,
-    PROTECTED,
-    RANGES,
-    READY,
-    SHORTEST,
-    STATUS,
-    TIMEOUT,
-    VALUE_IN,
-    VALUE_OUT,
-    WRITE,
-    CpxOptions,
-    read_options,
-)
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import DeviceRecord, Identity
+from pmabench_drivers.festo_cpx_e import terminal as t
+from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOptions, read_options
 from pmabench_drivers.modbus.driver import CALL, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
-from pmabench_drivers.options import Reader
-from pmabench_drivers.polling import Cycle
+from pmabench_drivers.shared.link import Unanswered
+from pmabench_drivers.shared.polling import Cycle
 
 if TYPE_CHECKING:
     from pmabench_drivers.festo_cpx_e.line import NamedLine
@@ -65,6 +45,7 @@ class FestoCpxE(ModbusDevice):
 
     emulator = "pmabench_drivers.festo_cpx_e.emulated"
 
+    read_options = staticmethod(read_options)
     _options: CpxOptions
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
@@ -78,11 +59,6 @@ class FestoCpxE(ModbusDevice):
         self._armed = False
         self._found = 0.0
 
-    @classmethod
-    def read_options(cls, device: DeviceRecord, reader: Reader) -> CpxOptions:
-        """The modules and ranges of the bench file, and the register map that follows from them."""
-        return read_options(device, reader)
-
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
@@ -91,17 +67,14 @@ class FestoCpxE(ModbusDevice):
         line = self._new_line()
         self._line, until = line, monotonic() + OPEN
         try:
-            told = line.identification(until)
+            identity = line.identity(until)
             self._compare(line, until)
             self._found = self._get(TIMEOUT, until)
         except DeviceError:
             self.close()
             raise
         self._alive.start(KEEP_ALIVE)
-        model = told.get(4) or told.get(1, "")
-        return Identity(
-            told.get(0, ""), model, "", told.get(2, ""), simulated=model.startswith(EMULATED), clock=COMPUTER
-        )
+        return identity
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""
@@ -139,14 +112,14 @@ class FestoCpxE(ModbusDevice):
         if faults:
             raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
-        if status & FORCED:
+        if status & t.FORCED:
             raise DeviceError(name, "has forced inputs or outputs: end the forcing at the terminal")
         for module in self._used:
-            if module.kind.ranges and self._parameter(line, module.parameter(DATA_FORMAT), until) & 1:
+            if module.kind.ranges and self._parameter(line, module.parameter(t.DATA_FORMAT), until) & 1:
                 message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
                 raise DeviceError(name, message, f"module {module.position} ({module.name})")
         for channel, wanted in self._terminal.ranges.items():
-            self._compare_range(line, channel, wanted, until, protected=bool(status & PROTECTED))
+            self._compare_range(line, channel, wanted, until, protected=bool(status & t.PROTECTED))
 
     def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
         number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
@@ -154,20 +127,20 @@ class FestoCpxE(ModbusDevice):
         code = held >> shift & 0xF
         if code == wanted:
             return
-        names = {value: key for key, value in RANGES.items()}
+        names = {value: key for key, value in t.RANGES.items()}
         told = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
         if not self._terminal.set_ranges:
             message = f"{told}: set it at the terminal, or let it be set with set_ranges: true"
-            raise DeviceError(self._device.name, message, channel)
+            raise self._error(message, channel)
         if protected:
-            raise DeviceError(self._device.name, f"{told}, and the terminal is write-protected", channel)
+            raise self._error(f"{told}, and the terminal is write-protected", channel)
         if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
-            raise DeviceError(self._device.name, f"{told}, and it puts out something: bring it to 0 first", channel)
-        line.write(16, VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
-        self._ask_table(line, ASK | WRITE | number, until)
+            raise self._error(f"{told}, and it puts out something: bring it to 0 first", channel)
+        line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
+        self._ask_table(line, t.ASK | t.WRITE | number, until)
         now = self._parameter(line, number, until) >> shift & 0xF
         if now != wanted:
-            raise DeviceError(self._device.name, f"did not take the range {names[wanted]}", channel)
+            raise self._error(f"did not take the range {names[wanted]}", channel)
 
     def held(self) -> dict[str, float | str]:
         """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
@@ -182,41 +155,41 @@ class FestoCpxE(ModbusDevice):
             "watchdog": watchdog,
             "modules": float(self._present(line, until)),
             "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
-            "forced": "yes" if status & FORCED else "no",
+            "forced": "yes" if status & t.FORCED else "no",
             "terminal": " ".join(told[number] for number in sorted(told) if told[number]),
         }
 
     @staticmethod
     def _present(line: Line, until: float) -> int:
-        return sum(word.bit_count() for word in line.read("holding", PRESENT, 3, until, "modules"))
+        return sum(word.bit_count() for word in line.read("holding", t.PRESENT, 3, until, "modules"))
 
     @staticmethod
     def _faulty(line: Line, until: float) -> list[int]:
         """Places of the modules that report a fault; 0 is the bus module."""
-        words = line.read("holding", FAULTS, 3, until, "faults")
+        words = line.read("holding", t.FAULTS, 3, until, "faults")
         return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
 
     def _parameter(self, line: Line, number: int, until: float) -> int:
         """The value of a function number."""
-        self._ask_table(line, ASK | number, until)
-        return line.read("holding", VALUE_OUT, 1, until, f"function {number}")[0]
+        self._ask_table(line, t.ASK | number, until)
+        return line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")[0]
 
     def _ask_table(self, line: Line, question: int, until: float) -> None:
         """Ask the data system table and wait for its answer."""
         what = f"function {question & 0x1FFF}"
 
         def ready() -> bool:
-            return bool(line.read("holding", READY, 1, until, what)[0] & DONE)
+            return bool(line.read("holding", t.READY, 1, until, what)[0] & DONE)
 
-        line.write(16, CONTROL, [0], until, what)
+        line.write(16, t.CONTROL, [0], until, what)
         clear = monotonic() + CLEAR
         while ready() and monotonic() < clear:
             sleep(ECHO)
-        line.write(16, CONTROL, [question], until, what)
+        line.write(16, t.CONTROL, [question], until, what)
         latest = monotonic() + TABLE
         while not ready():
             if monotonic() > latest:
-                raise DeviceError(self._device.name, f"its data system table gave no answer within {TABLE:g} s", what)
+                raise self._error(f"its data system table gave no answer within {TABLE:g} s", what)
             sleep(ECHO)
 
     # -- samples --------------------------------------------------------------------------------------------------
@@ -226,22 +199,20 @@ class FestoCpxE(ModbusDevice):
         if not self._streaming or not self._inputs:
             return
         asked, deadline = self._clock.now(), monotonic() + self._map.timeout
-        words = self._opened().read("holding", FIRST_INPUT, self._terminal.width, deadline, "process data")
+        words = self._opened().read("holding", t.FIRST_INPUT, self._terminal.width, deadline, "process data")
         answered = self._clock.now()
         for module in self._used:
-            status = words[module.status - FIRST_INPUT]
+            status = words[module.status - t.FIRST_INPUT]
             if status:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
-                raise DeviceError(self._device.name, message, f"module {module.position} ({module.name})")
-        row = [decode(item, [words[item.address - FIRST_INPUT]]) for item in self._inputs]
-        self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
+                raise self._error(message, f"module {module.position} ({module.name})")
+        row = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
+        self._keep(row, asked, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 
     def _get(self, register: Register, deadline: float = 0.0) -> float:
         """What a module says; asked once more where the terminal had ended the connection."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
         until = deadline or monotonic() + CALL
         source = self._map.inputs.get(register.name, register)
         try:
@@ -251,48 +222,23 @@ class FestoCpxE(ModbusDevice):
                 raise
             return super()._get(source, until)
 
-    def _put(
-        self,
-        register: Register,
-        value: float,
-        deadline: float = 0.0,
-        *,
-        resolution: float = 0.0,
-        checked: bool = True,
-        still: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """Write once and wait until the module says so; a lost answer is settled by what it says, never by a retry."""
-        from pmabench_drivers.modbus.adapter import Unanswered
+    def _function(self, register: Register) -> int:
+        return 6 if register == TIMEOUT else 16
 
-        line, until, words = self._opened(), deadline or monotonic() + CALL, self._words(register, value)
+    def _to_send(self, register: Register, value: float, until: float, *, checked: bool) -> tuple[list[int], float]:
+        words = self._words(register, value)
         wanted = value if register.bit >= 0 else decode(register, words)
-        if checked:
-            words = self._beside(register, value, words, min(until, monotonic() + LOOK))
-        lost: Unanswered | None = None
-        try:
-            line.write(6 if register == TIMEOUT else 16, register.address, words, until, register.name, still)
-        except Unanswered as error:
-            if not checked:
-                raise
-            lost = error
-        if not checked:
-            return
-        while True:
-            try:
-                held = self._get(register, until)
-            except DeviceError as error:
-                if lost is None:
-                    raise
-                message = f"{lost.reason}; whether it took {value:g} is not known ({error})"
-                raise Unanswered(self._device.name, message, register.name) from None
-            if held == wanted:
-                return
-            if monotonic() > until - LOOK / 2:
-                what = "did not answer to the command" if lost else "was commanded"
-                raise DeviceError(self._device.name, f"{what} {wanted:g} and holds {held:g}", register.name)
-            sleep(ECHO)
+        return self._with_neighbours(
+            register, value, words, min(until, monotonic() + LOOK)
+        ) if checked else words, wanted
 
-    def _beside(self, register: Register, value: float, words: list[int], until: float) -> list[int]:
+    def _arrived(self, register: Register, wanted: float, until: float, _resolution: float) -> float:
+        """What the module shows, once it is what is wanted, or shortly before `until`."""
+        while (held := self._get(register, until)) != wanted and monotonic() <= until - LOOK / 2:
+            sleep(ECHO)
+        return held
+
+    def _with_neighbours(self, register: Register, value: float, words: list[int], until: float) -> list[int]:
         """The words to write, with the other digital outputs of the module as they are now.
 
         Where that cannot be read, nothing is switched on; switching off leaves all of the module off, as the terminal
@@ -313,9 +259,8 @@ class FestoCpxE(ModbusDevice):
 
     def rescue(self, output: str, value: float) -> None:
         """Cut the first connection and write over a second one."""
-        register = self._map.outputs.get(output)
-        if register is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._map.outputs)}')
+        self._known("output", output, self._map.outputs)
+        register = self._map.outputs[output]
         self._following.pop(output, None)
         words, line, until = self._words(register, value), self._line, monotonic() + CALL
         if line is not None:
@@ -337,8 +282,8 @@ class FestoCpxE(ModbusDevice):
 
     def arm_watchdog(self, seconds: float) -> float:
         """Set the time-out of the terminal; returns what it holds then [s]."""
-        if seconds < SHORTEST:
-            raise DeviceError(self._device.name, f"waits {SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
+        if seconds < t.SHORTEST:
+            raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
         told = super().arm_watchdog(seconds)
         self._armed = True

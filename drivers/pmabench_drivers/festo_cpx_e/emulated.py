@@ -16,24 +16,10 @@ from pmabench_drivers.emulator import frames
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import WATCH
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.wiring import Wiring
+from pmabench_drivers.festo_cpx_e import terminal as t
 from pmabench_drivers.festo_cpx_e.named import NamedDevice
-from pmabench_drivers.festo_cpx_e.terminal import (
-    CONTROL,
-    DONE,
-    FAULTS,
-    FIRST_INPUT,
-    FIRST_OUTPUT,
-    PRESENT,
-    READY,
-    STATUS,
-    TIMEOUT,
-    VALUE_IN,
-    VALUE_OUT,
-    WRITE,
-    Terminal,
-    read_options,
-)
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 CYCLE = 0.003
 """What is written shows in the modules' inputs and in the data system table so much later [s]."""
@@ -52,9 +38,7 @@ NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", "{}", "")
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
     """The terminal that a device of the driver `festo-cpx-e` talks to, on this machine."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, t.read_options)
     return CpxDevice(
         EmulatedTerminal(device, options.terminal, plant, log), log, int(device.address.rpartition(":")[2])
     )
@@ -63,14 +47,11 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
 class EmulatedTerminal:
     """The registers of one terminal."""
 
-    def __init__(self, device: DeviceRecord, terminal: Terminal, plant: RealPlant, log: CommandLog) -> None:
+    def __init__(self, device: DeviceRecord, terminal: t.Terminal, plant: RealPlant, log: CommandLog) -> None:
         self.device, self._terminal, self._plant, self._log = device, terminal, plant, log
         self.names = [name.format(plant.model("CPX-E")) for name in NAMES]
         self._lock = threading.Lock()
-        self._outputs = {output.output: output for output in device.outputs}
-        self._valves = {valve.output: valve for valve in device.valves}
-        self._locks = {lock.input: lock for lock in device.interlocks}
-        self._channels = {channel.input: channel for channel in device.channels}
+        self._wiring = Wiring(device, plant, log)
         self._inputs, self._written = terminal.inputs(), terminal.outputs()
         self.statuses: dict[int, int] = {}
         """Address of a module's status -> what it says; 0 where nothing is given."""
@@ -84,7 +65,7 @@ class EmulatedTerminal:
         for module in terminal.modules:
             for number, value in DEFAULTS[module.name].items():
                 self.parameters[module.parameter(number)] = value
-        self._words = {CONTROL: 0, VALUE_IN: 0}
+        self._words = {t.CONTROL: 0, t.VALUE_IN: 0}
         self._words.update({register.address: 0 for register in self._written.values()})
         self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
         self._read = 0
@@ -109,20 +90,16 @@ class EmulatedTerminal:
             if request.values:
                 self._write(request, connection, ignore=ignore)
                 return []
-            cells = self._cells()
-            wanted = [request.address + offset for offset in range(request.count)]
-            if any(address not in cells for address in wanted):
-                raise frames.Refused(frames.ADDRESS)
-            return [cells[address] & 0xFFFF for address in wanted]
+            return frames.read_cells(self._cells(), request)
 
     def _cells(self) -> dict[int, int]:
         """Everything that can be read now."""
         present = (1 << len(self._terminal.modules) + 1) - 1
-        cells = {FIRST_INPUT + offset: 0 for offset in range(self._terminal.width)}
-        for first, bits in ((PRESENT, present), (FAULTS, self.faults)):
+        cells = {t.FIRST_INPUT + offset: 0 for offset in range(self._terminal.width)}
+        for first, bits in ((t.PRESENT, present), (t.FAULTS, self.faults)):
             cells.update({first + i: bits >> 16 * i & 0xFFFF for i in range(3)})
-        ready = self._show(CONTROL) & DONE
-        cells.update({STATUS: self.status, READY: ready, VALUE_OUT: self._read, TIMEOUT.address: self.timeout})
+        ready = self._show(t.CONTROL) & t.DONE
+        cells.update({t.STATUS: self.status, t.READY: ready, t.VALUE_OUT: self._read, t.TIMEOUT.address: self.timeout})
         quantities = self._plant.quantities()
         for name, register in self._inputs.items():
             output = self._written.get(name)
@@ -130,38 +107,37 @@ class EmulatedTerminal:
                 word = self._show(output.address)
                 cells[register.address] = word & 0xFF if register.bit >= 0 else word
             elif register.bit >= 0:
-                cells[register.address] |= int(self._level(name)) << register.bit
-            elif name in self._channels:
-                channel = self._channels[name]
-                raw = round(float(channel.scale.to_raw(quantities.get(channel.name, 0.0))))
+                cells[register.address] |= int(self._wiring.level(name)) << register.bit
+            else:
+                raw = round(self._wiring.raw(name, quantities))
                 cells[register.address] = min(max(raw, -32768), 32767)
         cells.update(self.statuses)
         return cells
 
     def _write(self, request: frames.Request, connection: int, *, ignore: bool) -> None:
-        if request.function != (6 if request.address == TIMEOUT.address else 16):
+        if request.function != (6 if request.address == t.TIMEOUT.address else 16):
             raise frames.Refused(frames.VALUE)
         addresses = [request.address + offset for offset in range(request.count)]
-        if not {*addresses} <= {*self._words, TIMEOUT.address}:
+        if not {*addresses} <= {*self._words, t.TIMEOUT.address}:
             raise frames.Refused(frames.ADDRESS)
         if ignore:
             return
         for address, word in zip(addresses, request.values, strict=True):
-            if address == TIMEOUT.address:
+            if address == t.TIMEOUT.address:
                 if 0 < word < FACTORY:
                     raise frames.Refused(frames.VALUE)
                 self.timeout = word
                 self._log.note("watchdog-register", self.device.name, raw=word, connection=connection)
                 continue
             self._put(address, word)
-            if address == CONTROL and word & DONE:
-                self._table(word & 0x1FFF, write=bool(word & WRITE))
-            elif address >= FIRST_OUTPUT:
+            if address == t.CONTROL and word & t.DONE:
+                self._table(word & 0x1FFF, write=bool(word & t.WRITE))
+            elif address >= t.FIRST_OUTPUT:
                 self._put_out(address, connection)
 
     def _table(self, number: int, *, write: bool) -> None:
         if write:
-            self.parameters[number] = self._words[VALUE_IN] & 0xFF
+            self.parameters[number] = self._words[t.VALUE_IN] & 0xFF
         else:
             self._read = self.parameters.get(number, 0)
 
@@ -174,28 +150,16 @@ class EmulatedTerminal:
         before, after, at = self._shown[address]
         return after if monotonic() >= at else before
 
-    def _level(self, name: str) -> bool:
-        lock = self._locks.get(name)
-        if lock is None:
-            return False
-        high = self._plant.e_stop_high() if "stop" in lock.name else True
-        return high == (lock.safe == "high")
-
     def _put_out(self, address: int, connection: int) -> None:
         """What a written register does to the plant."""
         word = self._words[address]
         for name, register in self._written.items():
             if register.address != address:
                 continue
-            if name in self._outputs:
-                output, raw = self._outputs[name], word - (word >> 15 << 16)
-                si = float(output.scale.to_si(raw))
-                self._log.note("set", self.device.name, output=output.name, raw=raw, si=si, connection=connection)
-                self._plant.command(si)
-            elif name in self._valves:
-                valve, on = self._valves[name], bool(word >> register.bit & 1)
-                self._log.note("switch", self.device.name, valve=valve.name, on=on, connection=connection)
-                self._plant.switch(on=on == (valve.energised == "closed"))
+            if register.bit < 0:
+                self._wiring.set(name, word - (word >> 15 << 16), connection=connection)
+            else:
+                self._wiring.switch(name, on=bool(word >> register.bit & 1), connection=connection)
 
     # -- the time-out ---------------------------------------------------------------------------------------------
 
@@ -228,11 +192,11 @@ class EmulatedTerminal:
     def change_set_point(self, value: float) -> bool:
         """Another program writes the first analogue output [count]; whether there is one."""
         with self._lock:
-            for name in list(self._outputs)[:1]:
+            for name in list(self._wiring.outputs)[:1]:
                 address = self._written[name].address
                 self._put(address, round(value) & 0xFFFF)
                 self._put_out(address, 0)
-            return bool(self._outputs)
+            return bool(self._wiring.outputs)
 
     # -- the end of the time-out ----------------------------------------------------------------------------------
 
@@ -251,7 +215,7 @@ class EmulatedTerminal:
 
     def _put_out_now(self) -> list[int]:
         """Addresses of outputs that are not 0."""
-        return [address for address in self._words if address >= FIRST_OUTPUT and self._words[address]]
+        return [address for address in self._words if address >= t.FIRST_OUTPUT and self._words[address]]
 
     def _drop_outputs(self) -> None:
         """Put out 0 everywhere."""

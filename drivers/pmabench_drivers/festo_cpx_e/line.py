@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.modbus.adapter import Line, Serial, Signature
 
 IDENTIFY = 43
@@ -29,6 +30,13 @@ class NamedLine(Line):
                 data = item[0] if isinstance(item, list) else item
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
         return found
+
+    def identity(self, deadline: float) -> Identity:
+        """Who answers, before `deadline` [s, monotonic]."""
+        names = self.identification(deadline)
+        model = names.get(4) or names.get(1, "")
+        simulated = model.startswith(EMULATED)
+        return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
 
     def _query(self, code: int) -> Any:
         return self._client.read_device_information(read_code=code, object_id=0, device_id=self._unit_id)

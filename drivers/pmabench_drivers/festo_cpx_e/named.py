@@ -15,12 +15,7 @@ class NamedDevice(TcpDevice):
     """Also tells its names, objects 0 to 5; `hear` is told of that question, as of any communication."""
 
     def __init__(
-        self,
-        registers: Answering,
-        names: Sequence[str],
-        hear: Callable[[], None],
-        log: CommandLog,
-        port: int,
+        self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int
     ) -> None:
         super().__init__(registers, 1, log, port)
         self._names, self._hear = names, hear

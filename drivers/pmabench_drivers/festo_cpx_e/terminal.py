@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from ipaddress import ip_address
 
 from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.modbus.map_file import Options
 from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import Reader
 
 HERE = ("options",)
 
@@ -146,25 +145,19 @@ class CpxOptions(Options):
 def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     """The options of a device and the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, HERE, ("modules", "ranges", "set_ranges", "rate"), ("modules",))
-    _address(device.address, reader)
+    reader.host(device, "192.168.1.1:502")
     names = reader.texts(given, "modules", HERE)
     wrong = [name for name in names if name not in KINDS]
     for name in wrong:
-        known = ", ".join(KINDS)
-        reader.fault((*HERE, "modules"), f'no module "{name}"{did_you_mean(name, KINDS)}; known: {known}')
+        reader.known((*HERE, "modules"), "no module", name, KINDS, f"; known: {', '.join(KINDS)}")
     if not names or len(names) > MOST_MODULES:
-        reader.fault(
-            (*HERE, "modules"), f"1 to {MOST_MODULES} modules are expected, in their order from the bus module"
-        )
+        reader.fault((*HERE, "modules"), f"1 to {MOST_MODULES} modules are expected, in order from the bus module")
     modules = build(names) if names and not wrong else ()
-    terminal = Terminal(
-        modules,
-        _ranges(given, modules, reader),
-        reader.flag(given, "set_ranges", HERE, default=False),
-    )
+    set_ranges = reader.flag(given, "set_ranges", HERE, default=False)
+    terminal = Terminal(modules, _ranges(given, modules, reader), set_ranges)
     if modules:
         _used(device, terminal, reader)
-    _watchdog(device, reader)
+    reader.watchdog(device, "a CPX-E", SHORTEST, LONGEST)
     map_ = RegisterMap(
         rate=reader.quantity(given, "rate", HERE, "frequency", 100.0, 0.1, 500.0),
         functions=(3, 6, 16),
@@ -175,29 +168,15 @@ def read_options(device: DeviceRecord, reader: Reader) -> CpxOptions:
     return CpxOptions(map_, terminal=terminal)
 
 
-def _address(address: str, reader: Reader) -> None:
-    host, colon, port = address.rpartition(":")
-    try:
-        ip_address(host.strip("[]") if host != "localhost" else "127.0.0.1")
-        if not colon or not port.isdecimal() or not int(port) <= 65535:
-            raise ValueError
-    except ValueError:
-        reader.fault(("address",), f'an IP address with its port ("192.168.1.1:502") is expected, not "{address}"')
-
-
 def _ranges(given: Mapping[str, object], modules: tuple[Module, ...], reader: Reader) -> dict[str, int]:
     place, found = (*HERE, "ranges"), {}
     analogue = [name for module in modules if module.kind.ranges for name, _ in _registers(module, 0)]
     for name, text in reader.named(given.get("ranges", {}), place).items():
-        if text not in RANGES:
-            reader.fault(
-                (*place, name), f'no range "{text}"{did_you_mean(str(text), RANGES)}; known: {", ".join(RANGES)}'
-            )
-        elif name not in analogue:
-            if modules:
-                reader.fault((*place, name), f'no analogue channel "{name}"{did_you_mean(str(name), analogue)}')
-        else:
-            found[name] = RANGES[text]
+        at = (*place, name)
+        if reader.known(at, "no range", str(text), RANGES, f"; known: {', '.join(RANGES)}") and (
+            not modules or reader.known(at, "no analogue channel", str(name), analogue)
+        ):
+            found[name] = RANGES[str(text)]
     return found
 
 
@@ -241,8 +220,3 @@ def _used(device: DeviceRecord, terminal: Terminal, reader: Reader) -> None:
     for name in sorted(used):
         if name in inputs and name[:2] in {"ai", "ao"} and name not in terminal.ranges:
             reader.fault((*HERE, "ranges"), f'"{name}" is used and has no range here; known: {", ".join(RANGES)}')
-
-
-def _watchdog(device: DeviceRecord, reader: Reader) -> None:
-    if device.watchdog and not SHORTEST <= device.watchdog <= LONGEST:
-        reader.fault(("watchdog",), f"a CPX-E waits {SHORTEST:g} to {LONGEST:g} s, not {device.watchdog:g} s")

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from time import monotonic
 
-from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
 from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
-from pmabench_drivers.ild1420.options import read_options
+from pmabench_drivers.ild1420.options import Options, read_options
 from pmabench_drivers.ild1420.wire import Decoder, distance, misset
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.pace import Pace
-from pmabench_drivers.serial_stream import SerialStream
+from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.pace import Pace
+from pmabench_drivers.shared.serial_stream import SerialStream
 
 PROMPT = b"->"
 """Ends each answer; inside a stream of values the two bytes cannot follow each other."""
@@ -33,11 +31,8 @@ class Ild1420(SerialStream):
 
     emulator = "pmabench_drivers.ild1420.emulator"
 
-    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options = read_options(device, reader)
-        reader.refuse(device.name)
-        super().__init__(device, clock, self._options.baud)
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def _forget(self) -> None:
         super()._forget()
@@ -49,16 +44,9 @@ class Ild1420(SerialStream):
         self._problem = ""
 
     @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
-
-    @classmethod
     def fastest(cls, device: DeviceRecord) -> float:
         """The rate at which it measures [Hz]."""
-        return read_options(device, Reader()).rate
+        return float(cls.read_options(device, Reader()).rate)
 
     def _greet(self) -> Identity:
         """Quiet the sensor, see that it is the right one, and set what a true record needs."""

@@ -12,7 +12,7 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.streaming import Streaming
 from pmabench_drivers.ild1420.options import Options, read_options
 from pmabench_drivers.ild1420.wire import WRAP, code_of, encode
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x8f\xff\x15"
 RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -21,9 +21,7 @@ RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Sensor:
     """The sensor that a device of the driver `ild1420` talks to."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     return Sensor(device, options, plant, log)
 
 

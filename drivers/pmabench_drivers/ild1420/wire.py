@@ -24,10 +24,7 @@ SCENE = {
     262081: "sees a peak that is too large",
 }
 """Codes that tell of what stands before the laser: no number, as often as it happens."""
-SETTING = {
-    262075: "sends more than its baud rate can carry",
-    262082: "has its laser switched off",
-}
+SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
 """Codes that tell that something is set wrong."""
 
 

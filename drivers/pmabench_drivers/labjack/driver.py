@@ -16,7 +16,7 @@ from time import monotonic
 from typing import Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
@@ -25,7 +25,8 @@ from pmabench_drivers.labjack.stream import Plan, StreamLink
 from pmabench_drivers.labjack.watchdog import Watchdog
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.driver import CALL, OPEN
-from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.shared.link import Unanswered
+from pmabench_drivers.shared.options import Place, Reader, options_of
 
 LATENCY = 0.01
 """Time that a packet of the stream covers [s]."""
@@ -46,9 +47,7 @@ class LabJack(ModbusDevice):
     emulator = "pmabench_drivers.labjack.emulated"
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._t7 = read_options(device, reader)
-        reader.refuse(device.name)
+        self._t7 = options_of(device, read_options)
         super().__init__(_as_modbus(device, self._t7), clock)
         self._names = [channel.name for channel in device.channels]
         self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
@@ -74,8 +73,6 @@ class LabJack(ModbusDevice):
 
     def open(self) -> Identity:
         """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
         super().open()
         deadline = monotonic() + OPEN
         try:
@@ -94,7 +91,7 @@ class LabJack(ModbusDevice):
         if product != wanted:
             known = {model.product: name for name, model in r.MODELS.items()}
             told = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
-            raise DeviceError(self._device.name, f"{told}, and the bench file says {name}: options.model")
+            raise self._error(f"{told}, and the bench file says {name}: options.model")
         [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
         self._firmware = firmware
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
@@ -114,7 +111,7 @@ class LabJack(ModbusDevice):
         words = self.get(r.TEST, 2, deadline, "test register")
         if r.from_u32(words) != [r.TEST_VALUE]:
             message = f"its test register gives {words[0]:04x} {words[1]:04x} instead of 0011 2233: no LabJack, or "
-            raise DeviceError(self._device.name, message + "something between that changes the order of words")
+            raise self._error(message + "something between that changes the order of words")
 
     def _read_gains(self, deadline: float) -> tuple[Gain, ...]:
         constants: list[float] = []
@@ -125,7 +122,7 @@ class LabJack(ModbusDevice):
         try:
             return gains(constants)
         except ValueError as error:
-            raise DeviceError(self._device.name, f"holds {error}: its flash is damaged") from None
+            raise self._error(f"holds {error}: its flash is damaged") from None
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -186,7 +183,7 @@ class LabJack(ModbusDevice):
             wrong.append("scan list")
         if wrong or not math.isfinite(used) or not abs(used / rate - 1) < 0.1:
             message = f"does not hold what was written for its stream: {', '.join(wrong) or f'a rate of {used:g} Hz'}"
-            raise DeviceError(self._device.name, message)
+            raise self._error(message)
         return used
 
     def collect(self) -> Block:
@@ -226,8 +223,6 @@ class LabJack(ModbusDevice):
 
     def switch(self, output: str, *, on: bool) -> None:
         """Set a line high or low once, which makes it an output; the terminal tells whether it was done."""
-        from pmabench_drivers.modbus.adapter import Unanswered
-
         line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
         try:
             self._put(self._switched(output), float(on), deadline)
@@ -236,23 +231,21 @@ class LabJack(ModbusDevice):
             try:
                 stands = self._stands(line, deadline, output)
             except DeviceError as second:
-                message = f"{error.reason}; whether it took {int(on)} is not known ({second})"
+                message = f"{error.message}; whether it took {int(on)} is not known ({second})"
                 raise Unanswered(self._device.name, message, output) from None
         else:
             stands = self._stands(line, deadline, output)
         if stands != on:
             message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if stands else 'low'}"
-            raise DeviceError(self._device.name, message, output)
+            raise self._error(message, output)
 
     def is_on(self, output: str) -> bool:
         """Whether the line is an output and its terminal is high."""
         return self._stands(self._line_of(output), monotonic() + CALL, output)
 
     def _line_of(self, output: str) -> int:
-        line = self._lines.get(output)
-        if line is None:
-            raise DeviceError(self._device.name, f'no valve output "{output}"{did_you_mean(output, self._lines)}')
-        return line
+        self._known("valve output", output, self._lines)
+        return self._lines[output]
 
     def _stands(self, line: int, deadline: float, what: str) -> bool:
         """Whether a line drives its terminal high; reading the line's own register would make it an input."""

@@ -17,12 +17,13 @@ from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import host_of
+from pmabench_drivers.emulator.wiring import Wiring
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.calibration import COUNT, FLASH
 from pmabench_drivers.labjack.emulated_map import F32, FEEDBACK, WORDS, Cut, Unknown, Value, feedback, values_of, whole
 from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
 from pmabench_drivers.labjack.options import Options, read_options
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 FAILED = 4
 """Exception code of whatever LabJack has a code of its own for."""
@@ -83,9 +84,7 @@ def counts(volts: float, gain: int) -> int:
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7:
     """What a device of the driver `labjack` talks to."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     stream_port = options.stream_port if options.model.streams else 0
     return EmulatedT7(device, options, plant, log, options.port, stream_port)
 
@@ -156,10 +155,10 @@ class T7:
         self._inputs = 2 * len(self._model.inputs)
         """Registers of its analogue inputs."""
         self._lock = threading.RLock()
-        self._channels = {options.inputs[channel.name].number: channel for channel in device.channels}
-        self._outputs = {output.output: output for output in device.outputs}
-        self._valves = {r.line_of(valve.output): valve for valve in device.valves}
-        self._locks = {r.line_of(lock.input): lock for lock in device.interlocks}
+        self._wiring = Wiring(device, plant, log)
+        self._inputs_by_number = {options.inputs[channel.name].number: channel.input for channel in device.channels}
+        self._valves = {r.line_of(valve.output): valve.output for valve in device.valves}
+        self._locks = {r.line_of(lock.input): lock.input for lock in device.interlocks}
         self._words: dict[int, int] = {}
         self._values = values_of(options.model)
         self._shown = self._show()
@@ -341,22 +340,14 @@ class T7:
         """Give a voltage within its range; what is beyond reads back as the end of it (datasheet, 15.0 DAC)."""
         volts = min(max(volts, 0.0), DAC_END * self._model.dac_full)
         self._store(at, r.f32(volts))
-        output = self._outputs.get(r.DACS[(at - r.DAC) // 2])
-        if output is None:
-            return
         step = self._model.dac_step
-        reached = round(volts / step) * step
-        si = float(output.scale.to_si(volts))
-        note = {"output": output.name, "raw": volts, "si": si, "connection": connection}
-        self._log.note("set", self.device.name, **note)
-        if output.quantity == "pressure":
-            self._plant.command(float(output.scale.to_si(reached)))
+        name, reached = r.DACS[(at - r.DAC) // 2], round(volts / step) * step
+        self._wiring.set(name, volts, reached=reached, connection=connection)
 
     def _set_line(self, line: int, *, high: bool, connection: int) -> None:
         self._directions |= 1 << line
         self._levels = self._levels | 1 << line if high else self._levels & ~(1 << line)
-        self._valve_follows(line)
-        self._note_valve(line, connection)
+        self._valve_follows(line, connection)
 
     def _set_bits(self, at: int, part: list[int], connection: int) -> None:
         """Levels or directions of several lines at once, but for those that are inhibited."""
@@ -373,21 +364,15 @@ class T7:
             self._levels = self._levels & ~mask | value
         for line in self._valves:
             if line is not None and mask >> line & 1:
-                self._valve_follows(line)
-                self._note_valve(line, connection)
+                self._valve_follows(line, connection)
 
-    def _note_valve(self, line: int, connection: int) -> None:
-        valve = self._valves.get(line)
-        if valve is not None:
-            on = bool(self._levels & self._directions & 1 << line)
-            self._log.note("switch", self.device.name, valve=valve.name, on=on, connection=connection)
-
-    def _valve_follows(self, line: int) -> None:
-        """A relay in front of the valve: energised while the line is an output and high."""
-        valve = self._valves.get(line)
-        if valve is not None:
-            on = bool(self._levels & self._directions & 1 << line)
-            self._plant.switch(on=on == (valve.energised == "closed"))
+    def _valve_follows(self, line: int, connection: int = 0) -> None:
+        """A relay in front of the valve: energised while the line is an output and high; 0: nobody commanded it."""
+        name, on = self._valves.get(line, ""), bool(self._levels & self._directions & 1 << line)
+        if connection:
+            self._wiring.switch(name, on=on, connection=connection)
+        else:
+            self._wiring.drive(name, on=on)
 
     def _read_line(self, line: int) -> int:
         """Reading a line makes it an input."""
@@ -399,17 +384,10 @@ class T7:
         """The level at the terminal; what nothing drives is pulled up."""
         if self._directions >> line & 1:
             return bool(self._levels >> line & 1)
-        lock = self._locks.get(line)
-        if lock is None:
-            return line not in self._valves
-        closed = self._plant.e_stop_high() if "stop" in lock.name else True
-        return closed == (lock.safe == "high")
+        return self._wiring.level(self._locks[line]) if line in self._locks else line not in self._valves
 
     def _volts(self, number: int, quantities: Mapping[str, float]) -> float:
-        channel = self._channels.get(number)
-        if channel is None:
-            return 0.0
-        return float(channel.calibrated.to_raw(quantities.get(channel.name, 0.0)))
+        return self._wiring.raw(self._inputs_by_number.get(number, ""), quantities, calibrated=True)
 
     def _gain(self, number: int) -> int:
         """The gain of an input's range; 0 is that of 10 V too."""
@@ -453,12 +431,7 @@ class T7:
 
         def sample(_number: int) -> list[int]:
             quantities = self._plant.at(self._stream.moment)
-            found = []
-            for number, gain in zip(numbers, gains, strict=True):
-                channel = self._channels.get(number)
-                si = 0.0 if channel is None else quantities.get(channel.name, 0.0)
-                found.append(counts(0.0 if channel is None else float(channel.calibrated.to_raw(si)), gain))
-            return found
+            return [counts(self._volts(number, quantities), gain) for number, gain in zip(numbers, gains, strict=True)]
 
         self._store(r.STREAM_ENABLE, [0, 1])
         self._stream.begin(rate, addresses, per_packet, size // 2, self.sample or sample)
@@ -489,16 +462,15 @@ class T7:
             self._levels = self._directions = 0
             for line in self._valves:
                 self._valve_follows(line or 0)
-            for output in self._outputs.values():
-                if output.quantity == "pressure":
-                    self._plant.command(float(output.scale.to_si(0.0)))
+            for name in self._wiring.outputs:
+                self._wiring.give(name, 0.0)
 
     def change_set_point(self, value: float) -> bool:
         """Another program commands the first DAC of the bench [V]; whether there is one."""
         with self._lock:
-            for name in list(self._outputs)[:1]:
+            for name in list(self._wiring.outputs)[:1]:
                 self._set_dac(r.DAC + 2 * r.DACS.index(name), value, 0)
-            return bool(self._outputs)
+            return bool(self._wiring.outputs)
 
     def look_at_watchdog(self) -> None:
         """Set DACs and lines where nobody has cleared it for its time."""
@@ -518,9 +490,7 @@ class T7:
                 if self._u32(r.WATCHDOG_DAC_ENABLE[index]):
                     volts = self._f32(r.WATCHDOG_DAC[index])
                     self._store(r.DAC + 2 * index, r.f32(volts))
-                    output = self._outputs.get(name)
-                    if output is not None and output.quantity == "pressure":
-                        self._plant.command(float(output.scale.to_si(volts)))
+                    self._wiring.give(name, volts)
             if self._u32(r.WATCHDOG_DIO_ENABLE):
                 touched = ~self._u32(r.WATCHDOG_DIO_INHIBIT) & r.ALL_LINES
                 state, direction = self._u32(r.WATCHDOG_DIO_STATE), self._u32(r.WATCHDOG_DIO_DIRECTION)

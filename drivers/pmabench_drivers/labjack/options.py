@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from ipaddress import ip_address
 from typing import Any
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.labjack.registers import (
-    AINS,
-    DACS,
-    LINES,
-    MODELS,
-    SINGLE_ENDED,
-    STREAM_PORT,
-    Model,
-    line_of,
-)
-from pmabench_drivers.options import Reader
+from pmabench_drivers.labjack.registers import AINS, DACS, LINES, MODELS, SINGLE_ENDED, STREAM_PORT, Model, line_of
+from pmabench_drivers.shared.options import Reader
 
 HERE = ("options",)
+KNOWN_LINES = "FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2"
 OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
 """Options that only a model with a stream has; the others have `rate`."""
 
@@ -69,20 +59,17 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
             reader.fault((*HERE, key), f"a {name} is asked for its samples here, and has no {key}")
         elif key == "rate" and model.streams:
             reader.fault((*HERE, key), f"a {name} samples by itself, at the rate of the protocol")
-    host, port = _address(device.address, reader)
+    host, port = reader.host(device, "192.168.0.20", usual=502)
     ranges = _ranges(given, name, reader)
     differential = reader.texts(given, "differential", HERE)
     inputs: dict[str, Input] = {}
     for channel in device.channels:
-        number = model.inputs.get(channel.input)
-        if number is None:
-            hint = did_you_mean(channel.input, model.inputs)
-            last = list(model.inputs)[-1]
-            message = f'a {name} has no input "{channel.input}"{hint}; known: AIN0 to {last}'
-            reader.fault(("channels", channel.name, "input"), message)
+        place, last = ("channels", channel.name, "input"), list(model.inputs)[-1]
+        if not reader.known(place, f"a {name} has no input", channel.input, model.inputs, f"; known: AIN0 to {last}"):
             continue
+        number = model.inputs[channel.input]
         if channel.raw_type == "int32":
-            reader.fault(("channels", channel.name, "input"), "gives volts, not counts: calibrate it in V")
+            reader.fault(place, "gives volts, not counts: calibrate it in V")
         widest = next(iter(model.ranges), "")
         gain, span = model.ranges.get(ranges.get(channel.input, widest), (0, 0.0))
         negative = number + 1 if channel.input in differential else SINGLE_ENDED
@@ -103,19 +90,6 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     )
 
 
-def _address(address: str, reader: Reader) -> tuple[str, int]:
-    """Host and port of `IP` or `IP:PORT`."""
-    host, colon, port = address.partition(":")
-    try:
-        ip_address(host if host != "localhost" else "127.0.0.1")
-        if colon and not (port.isdecimal() and int(port) <= 65535):
-            raise ValueError
-    except ValueError:
-        reader.fault(("address",), f'an IP address is expected, for instance "192.168.0.20", not "{address}"')
-        return "", 0
-    return host, int(port or 502)
-
-
 def _ranges(given: Mapping[str, Any], model: str, reader: Reader) -> dict[str, str]:
     place, known = (*HERE, "ranges"), MODELS[model].ranges
     items = reader.named(given.get("ranges", {}), place)
@@ -134,13 +108,12 @@ def _used_inputs(
         if used.count(channel.input) > 1:
             reader.fault(("channels", channel.name, "input"), f"{channel.input} is the input of two channels")
     for name in ranges:
-        if name not in used:
-            reader.fault((*HERE, "ranges", name), f'no channel uses "{name}"{did_you_mean(name, used)}')
+        reader.known((*HERE, "ranges", name), "no channel uses", name, used)
     for name in differential:
         number = AINS.get(name)
-        if name not in used:
-            reader.fault((*HERE, "differential"), f'no channel uses "{name}"{did_you_mean(name, used)}')
-        elif number is not None and (number % 2 or f"AIN{number + 1}" in used):
+        if reader.known((*HERE, "differential"), "no channel uses", name, used) and (
+            number is not None and (number % 2 or f"AIN{number + 1}" in used)
+        ):
             message = f"{name} is measured against AIN{number + 1}: an even input is needed, with the next one free"
             reader.fault((*HERE, "differential"), message)
 
@@ -148,10 +121,8 @@ def _used_inputs(
 def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
     model = MODELS[name]
     for output in device.outputs:
-        if output.output not in DACS:
-            hint = did_you_mean(output.output, DACS)
-            message = f'no analogue output "{output.output}"{hint}; known: DAC0, DAC1'
-            reader.fault(("outputs", output.name, "output"), message)
+        place = ("outputs", output.name, "output")
+        reader.known(place, "no analogue output", output.output, DACS, "; known: DAC0, DAC1")
         volts = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
         if not all(-1e-9 <= value <= model.dac_full for value in volts):
             needed = f"would need {min(volts):g} V to {max(volts):g} V"
@@ -167,10 +138,7 @@ def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
     for place, name in places:
         line = line_of(name)
         if line is None:
-            hint = did_you_mean(name, LINES)
-            reader.fault(
-                place, f'no digital line "{name}"{hint}; known: FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2'
-            )
+            reader.known(place, "no digital line", name, LINES, f"; known: {KNOWN_LINES}")
         elif line in seen:
             reader.fault(place, f"{name} is in use by {seen[line]}")
         else:

@@ -116,11 +116,7 @@ class MockClient:
             "--detach",
         ]
         with subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
         ) as process:
             try:
                 _, said = process.communicate(json.dumps(asdict(self._device)).encode(), START_WITHIN)

@@ -25,6 +25,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TI
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
+from pmabench_drivers.shared.link import Still, Unanswered, always, turn
 
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
@@ -52,6 +53,14 @@ CALLS = {
     "discrete": "read_discrete_inputs",
 }
 """Table -> what the library calls reading it."""
+SIGNATURES: dict[int, Callable[[Any], tuple[int, ...]]] = {
+    **dict.fromkeys((1, 2), lambda answer: (len(answer.bits),)),
+    **dict.fromkeys((3, 4), lambda answer: (len(answer.registers),)),
+    5: lambda answer: (answer.address, int(answer.bits[0])),
+    6: lambda answer: (answer.address, answer.registers[0]),
+    **dict.fromkeys((15, 16), lambda answer: (answer.address, answer.count)),
+}
+"""Function code -> what of an answer tells it from others."""
 FAILED = 0x80
 """Added to the function code of a refusal."""
 LAST_READ = 4
@@ -68,14 +77,6 @@ class Serial:
     baud: int = 19200
     parity: str = "N"
     stop_bits: int = 1
-
-
-class Unanswered(DeviceError):
-    """The request was sent and no answer to it came: it may have been executed."""
-
-    def __init__(self, device: str, message: str, channel: str = "") -> None:
-        self.reason = message
-        super().__init__(device, message, channel)
 
 
 class _Tcp(ModbusTcpClient):
@@ -186,13 +187,7 @@ class Line:
         return [int(bit) for bit in answer.bits[:count]] if bits else answer.registers
 
     def write(
-        self,
-        function: int,
-        address: int,
-        words: Sequence[int],
-        deadline: float,
-        what: str = "",
-        still: Callable[[], bool] = lambda: True,
+        self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "", still: Still = always
     ) -> None:
         """Write registers (functions 6, 16) or coils (5, 15) once; `Unanswered` where the outcome is not known.
 
@@ -232,17 +227,10 @@ class Line:
     # -- one transaction ------------------------------------------------------------------------------------------
 
     def _ask(
-        self,
-        send: Callable[[], Any],
-        wanted: Signature,
-        deadline: float,
-        what: str,
-        still: Callable[[], bool] = lambda: True,
+        self, send: Callable[[], Any], wanted: Signature, deadline: float, what: str, still: Still = always
     ) -> Any:
         """Send one request and return its answer; the library's errors become sentences."""
-        if not self._lock.acquire(blocking=False) and not self._lock.acquire(timeout=max(0.0, deadline - monotonic())):
-            raise DeviceError(self._device, "the line was busy with another call until the deadline", what)
-        try:
+        with turn(self._lock, deadline, self._device, what):
             if self._closed:
                 raise DeviceError(self._device, "was closed", what)
             if not self._client.connected:
@@ -271,8 +259,6 @@ class Line:
                 words = EXCEPTIONS.get(code, "which the specification does not define")
                 raise DeviceError(self._device, f"answers with exception {code}: {words}", what)
             return answer
-        finally:
-            self._lock.release()
 
     def _next_answer(self) -> Any:
         """On a serial line, what comes after an answer that belongs to an older question."""
@@ -283,18 +269,9 @@ class Line:
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         """Whether an answer is the one that is waited for; one that is owed from before is struck off."""
         function = answer.function_code
-        if function in {3, 4}:
-            signature: Signature = (function, len(answer.registers))
-        elif function > FAILED:
+        if function > FAILED:
             return bool(function == wanted[0] | FAILED)
-        elif function in {1, 2}:
-            signature = (function, len(answer.bits))
-        elif function == 5:
-            signature = (function, answer.address, int(answer.bits[0]))
-        elif function == 6:
-            signature = (function, answer.address, answer.registers[0])
-        else:
-            signature = (function, answer.address, answer.count)
+        signature: Signature = (function, *SIGNATURES.get(function, lambda _answer: ())(answer))
         if signature == wanted:
             return True
         self._owed = [item for item in self._owed if item[0] != signature]

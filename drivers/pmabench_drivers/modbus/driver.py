@@ -5,20 +5,20 @@ One thread of its own polls the inputs and steps ramps and sines; calls and poll
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
 from pmabench_drivers.modbus.map_file import Options, read_options, write_function
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
-from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
 from pmabench_drivers.modbus.watchdog import DeviceWatchdog
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, PATIENCE, Cycle, Samples
+from pmabench_drivers.shared.device import Controlled
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened
+from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.polling import JOIN, PATIENCE
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -28,39 +28,27 @@ CALL = 0.19
 OPEN = 1.9
 
 
-class ModbusDevice:
+class ModbusDevice(Controlled):
     """A device behind Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
 
     Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
     """
 
     emulator = "pmabench_drivers.emulator.modbus_server"
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options: Options = self.read_options(device, reader)
-        reader.refuse(device.name)
-        self._device, self._clock, self._map = device, clock, self._options.map
-        self._outputs = {output.output: output for output in device.outputs}
+        super().__init__(device, clock)
+        self._map = self._options.map
         self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
         self._spans = spans(self._inputs)
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
-        self._samples = Samples([channel.name for channel in device.channels])
-        self._cycle = Cycle(f"modbus {device.name}", self._tick, clock)
-        self._following: dict[str, Segment] = {}
         self._line: Line | None = None
         self._watchdog = DeviceWatchdog(device.name, self._map, self._get, self._put)
-        self._streaming = False
         self._written: dict[str, float] = {}
         """What was written last to registers that cannot be read."""
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        cls.read_options(device, reader)
-        return reader.problems
 
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
@@ -68,11 +56,6 @@ class ModbusDevice:
         from pmabench_drivers.modbus.map_schema import map_schema
 
         return map_schema()
-
-    @classmethod
-    def fastest(cls, device: DeviceRecord) -> float:
-        """Highest rate at which it is polled [Hz]."""
-        return cls.read_options(device, Reader()).map.rate
 
     @classmethod
     def lacks(cls, device: DeviceRecord) -> Iterator[str]:
@@ -84,11 +67,6 @@ class ModbusDevice:
                 f"{1e3 * slowest:g} ms (slowest), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
                 f"a slowest of at most {1e3 * PATIENCE:g} ms, where the device's manual allows it"
             )
-
-    @classmethod
-    def read_options(cls, device: DeviceRecord, reader: Reader) -> Options:
-        """The options, strictly; drivers for one kind of device make the register map from options of their own."""
-        return read_options(device, reader)
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -145,49 +123,24 @@ class ModbusDevice:
             message = f"holds {value:g} instead of {item.expect:g}: another device, or another map"
             if len(words) > 1 and decode(item, words[::-1]) == item.expect:
                 message = f'gives {item.expect:g} with its words in the other order: change "words" in the map'
-            raise DeviceError(self._device.name, message, item.name)
+            raise self._error(message, item.name)
         return f"{value:.10g}"
 
     # -- samples --------------------------------------------------------------------------------------------------
 
-    def start(self, rate: float) -> float:
-        """Poll at `rate` [Hz], or as fast as the map allows if that is less."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+    def _fastest(self) -> float:
         self._opened()
-        self._cycle.note(None)
-        self._samples.take()
-        self._streaming = True
-        used = min(rate, self._map.rate)
-        self._cycle.start(used)
-        return used
-
-    def collect(self) -> Block:
-        """What was polled since the last call; an error once polling or stepping has failed for 0.25 s."""
-        self._cycle.refuse(self._device.name)
-        return self._samples.take()
-
-    def stop(self) -> None:
-        """Poll no more; a ramp under way goes on."""
-        self._streaming = False
-        if not self._following:
-            self._cycle.stop()
-
-    @property
-    def missed(self) -> int:
-        """Polls that fell out because the device or the machine was late."""
-        return self._cycle.missed
+        return self._map.rate
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of each segment, then the inputs."""
         if self._watchdog.hungry():
             return  # whoever feeds it is gone: polling must not keep the device's watchdog quiet
-        failure = None
-        for work in (self._step, self._poll):
-            try:
-                work()
-            except DeviceError as error:
-                failure = failure or error
+        failure = self._step()
+        try:
+            self._poll()
+        except DeviceError as error:
+            failure = failure or error
         self._cycle.note(failure)
 
     def _poll(self) -> None:
@@ -199,8 +152,7 @@ class ModbusDevice:
             deadline = monotonic() + self._map.timeout
             values += span.values(line.read(span.table, span.address, span.count, deadline, span.registers[0].name))
         answered = self._clock.now()
-        row = [values[place] for place in self._places]
-        self._samples.append(round((asked + answered) / 2 * 1e9), row, round(answered * 1e9))
+        self._keep([values[place] for place in self._places], asked, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -225,18 +177,15 @@ class ModbusDevice:
 
     def level(self, name: str) -> bool:
         """Whether a digital input, or the bit of a register, is set."""
-        register = self._map.inputs.get(name)
-        if register is None:
-            raise DeviceError(self._device.name, f'no input "{name}"{did_you_mean(name, self._map.inputs)}')
-        return self._get(register) != 0
+        self._known("input", name, self._map.inputs)
+        return self._get(self._map.inputs[name]) != 0
 
     def rescue(self, output: str, value: float) -> None:
         """Write over a second connection and cut the first one; on a serial line, in turn with what is under way."""
-        register = self._map.outputs.get(output)
-        if register is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._map.outputs)}')
+        self._known("output", output, self._map.outputs)
+        register = self._map.outputs[output]
         self._following.pop(output, None)
-        words, function = self._words(register, value), write_function(register, self._map.functions)
+        words, function = self._words(register, value), self._function(register)
         self._written[output] = decode(register, words)
         line, deadline = self._line, monotonic() + CALL
         if line is not None and line.is_serial:
@@ -252,30 +201,11 @@ class ModbusDevice:
 
     # -- ramps and sines ------------------------------------------------------------------------------------------
 
-    def follow(self, output: str, segment: Segment) -> None:
-        """Step along the segment at the poll rate, from its start on, or from now on if that has passed."""
-        record = self._output(output)
-        refuse_nonsense(self._device.name, output, segment)
-        for value in (segment.origin - segment.amplitude, segment.origin + segment.amplitude, segment.target):
-            self._words(self._map.outputs[record.output], value)
-        self._opened()
-        self._following[output] = segment
-        if not self._cycle.running:
-            self._cycle.start(self._map.rate)
+    def _refuse_value(self, output: str, value: float) -> None:
+        self._words(self._map.outputs[output], value)
 
-    def _step(self) -> None:
-        """Write the value of this moment of every segment; the last one ends it."""
-        for output, segment in list(self._following.items()):
-            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
-            if value is None:
-                continue
-
-            def still(output: str = output, segment: Segment = segment) -> bool:
-                return self._following.get(output) is segment
-
-            self._put(self._map.outputs[output], value, checked=False, still=still)
-            if over and still():
-                self._following.pop(output, None)
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        self._put(self._map.outputs[output], value, checked=False, still=still)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
 
@@ -309,33 +239,21 @@ class ModbusDevice:
             return self._get(register)
         if register.name not in self._written:
             message = "cannot be read (read_back: false), and nothing was written since the device was opened"
-            raise DeviceError(self._device.name, message, register.name)
+            raise self._error(message, register.name)
         return self._written[register.name]
 
     def _opened(self) -> Line:
-        line = self._line
-        if line is None:
-            raise DeviceError(self._device.name, "is not open")
-        return line
-
-    def _output(self, output: str) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        return record
+        return opened(self._line, self._device.name)
 
     def _switched(self, output: str) -> Register:
-        register = self._map.outputs.get(output)
-        if register is None or output in self._outputs:
-            known = set(self._map.outputs) - set(self._outputs)
-            raise DeviceError(self._device.name, f'no valve output "{output}"{did_you_mean(output, known)}')
-        return register
+        self._known("valve output", output, set(self._map.outputs) - set(self._outputs))
+        return self._map.outputs[output]
 
     def _words(self, register: Register, value: float) -> list[int]:
         try:
             return encode(register, value)
         except ValueError as error:
-            raise DeviceError(self._device.name, str(error), register.name) from None
+            raise self._error(str(error), register.name) from None
 
     def _get(self, register: Register, deadline: float = 0.0) -> float:
         until = deadline or monotonic() + CALL
@@ -350,35 +268,47 @@ class ModbusDevice:
         *,
         resolution: float = 0.0,
         checked: bool = True,
-        still: Callable[[], bool] = lambda: True,
+        still: Still = always,
     ) -> None:
-        """Write once and read back; a lost answer is settled by what the device holds, never by writing again.
-
-        Nothing is sent if `still()` is false when the line is free.
-        """
-        from pmabench_drivers.modbus.adapter import Unanswered
-
-        line, until, words = self._opened(), deadline or monotonic() + CALL, self._words(register, value)
-        function, checked = write_function(register, self._map.functions), checked and register.read_back
+        """Write once and read back; nothing is sent if `still()` is false when the line is free."""
+        line, until, checked = self._opened(), deadline or monotonic() + CALL, checked and register.read_back
+        words, wanted = self._to_send(register, value, until, checked=checked)
         lost: Unanswered | None = None
         try:
-            line.write(function, register.address, words, until, register.name, still)
+            line.write(self._function(register), register.address, words, until, register.name, still)
         except Unanswered as error:
             if not checked:
                 raise
             lost = error
         if not register.read_back and still():
-            self._written[register.name] = decode(register, words)
-        if not checked:
-            return
+            self._written[register.name] = wanted
+        if checked:
+            self._settle(register, wanted, until, resolution, lost)
+
+    def _function(self, register: Register) -> int:
+        """The function code that writes a register."""
+        return write_function(register, self._map.functions)
+
+    def _to_send(self, register: Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
+        """The words of a value, and what the device then holds."""
+        words = self._words(register, value)
+        return words, decode(register, words)
+
+    def _settle(
+        self, register: Register, wanted: float, until: float, resolution: float, lost: Unanswered | None
+    ) -> None:
+        """Refuse where the device holds something else; a lost answer is settled so, never by writing again."""
         try:
-            held = self._get(register, until)
+            held = self._arrived(register, wanted, until, resolution)
         except DeviceError as error:
             if lost is None:
                 raise
-            message = f"{lost.reason}; whether it took {value:g} is not known ({error})"
+            message = f"{lost.message}; whether it took {wanted:g} is not known ({error})"
             raise Unanswered(self._device.name, message, register.name) from None
-        wanted = decode(register, words)
         if not abs(held - wanted) <= resolution:
             what = "did not answer to the command" if lost else "was commanded"
-            raise DeviceError(self._device.name, f"{what} {wanted:g} and holds {held:g}", register.name)
+            raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
+
+    def _arrived(self, register: Register, _wanted: float, until: float, _resolution: float) -> float:
+        """What the device holds after a command."""
+        return self._get(register, until)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from ipaddress import ip_address
 from typing import Any
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.modbus.registers import (
     BIT_TABLES,
@@ -21,11 +19,9 @@ from pmabench_drivers.modbus.registers import (
     WatchdogRegisters,
     encode,
 )
-from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
-PARITIES = {"none": "N", "even": "E", "odd": "O"}
-BAUDS = (1200, 2400, 4800, 9600, 14400, 19200, 38400, 57600, 76800, 115200, 230400, 460800, 921600)
 REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
 MAP_KEYS = (
     "schema",
@@ -58,33 +54,24 @@ class Options:
     parity: str = "N"
     stop_bits: int = 1
 
+    @property
+    def rate(self) -> float:
+        """Highest rate at which the device is polled [Hz]."""
+        return self.map.rate
+
 
 def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """The options of a device and the names that its channels, outputs, valves and interlocks use."""
     given = reader.keys(device.options, ("options",), ("map", "baud", "parity", "stop_bits"), ("map",))
-    _address(device.address, reader)
+    if not device.address.startswith("/"):
+        reader.host(device, "192.168.0.10:502", other=' or the path of a serial port ("/dev/ttyUSB0")')
     map_ = _read_map(given.get("map", {}), ("options", "map"), reader)
-    baud = reader.whole(given, "baud", ("options",), BAUDS[0], BAUDS[-1], 19200)
-    if baud not in BAUDS:
-        reader.fault(("options", "baud"), f"{baud} is no usual rate; known: {', '.join(map(str, BAUDS))}")
+    baud = reader.one_of(given, "baud", ("options",), BAUDS, 19200)
     parity = PARITIES[reader.choice(given, "parity", ("options",), PARITIES, "none")]
     stop_bits = reader.whole(given, "stop_bits", ("options",), 1, 2, 1)
     if map_.inputs or map_.outputs:
         _names(device, map_, reader)
     return Options(map_, baud, parity, stop_bits)
-
-
-def _address(address: str, reader: Reader) -> None:
-    host, colon, port = address.rpartition(":")
-    if address.startswith("/"):
-        return
-    try:
-        ip_address(host.strip("[]") if host != "localhost" else "127.0.0.1")
-        if not colon or not port.isdecimal() or not int(port) <= 65535:
-            raise ValueError
-    except ValueError:
-        wanted = 'an IP address with a port ("192.168.0.10:502") or the path of a serial port ("/dev/ttyUSB0")'
-        reader.fault(("address",), f'{wanted} is expected, not "{address}"')
 
 
 def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
@@ -136,13 +123,7 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
 
 
 def _register(
-    name: str,
-    data: Any,
-    place: Place,
-    reader: Reader,
-    usual: Mapping[str, str],
-    functions: tuple[int, ...],
-    use: str,
+    name: str, data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...], use: str
 ) -> Register:
     """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
@@ -235,19 +216,18 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
     """What the bench asks of the device must be in the map, and fit."""
     for channel in device.channels:
         place = ("channels", channel.name, "input")
-        register = map_.inputs.get(channel.input)
-        if register is None:
-            reader.fault(place, f'the map has no input "{channel.input}"{did_you_mean(channel.input, map_.inputs)}')
-        elif channel.raw_type == "int32" and register.type == "float32":
+        if not reader.known(place, "the map has no input", channel.input, map_.inputs):
+            continue
+        register = map_.inputs[channel.input]
+        if channel.raw_type == "int32" and register.type == "float32":
             reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
         elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
             reader.fault(place, "counts from 2147483648 on cannot be recorded")
     for output in device.outputs:
         place = ("outputs", output.name, "output")
-        register = map_.outputs.get(output.output)
-        if register is None:
-            reader.fault(place, f'the map has no output "{output.output}"{did_you_mean(output.output, map_.outputs)}')
+        if not reader.known(place, "the map has no output", output.output, map_.outputs):
             continue
+        register = map_.outputs[output.output]
         if register.is_bit:
             reader.fault(place, "is a coil, which takes no values")
             continue
@@ -258,13 +238,9 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
                 reader.fault(place, f"cannot be commanded over its whole range: {error}")
                 break
     for valve in device.valves:
-        if valve.output not in map_.outputs:
-            hint = did_you_mean(valve.output, map_.outputs)
-            reader.fault(("outputs", valve.name, "output"), f'the map has no output "{valve.output}"{hint}')
+        reader.known(("outputs", valve.name, "output"), "the map has no output", valve.output, map_.outputs)
     for lock in device.interlocks:
-        if lock.input not in map_.inputs:
-            hint = did_you_mean(lock.input, map_.inputs)
-            reader.fault(("interlocks", lock.name, "input"), f'the map has no input "{lock.input}"{hint}')
+        reader.known(("interlocks", lock.name, "input"), "the map has no input", lock.input, map_.inputs)
     if device.watchdog and map_.watchdog is None:
         reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
 

@@ -39,22 +39,14 @@ def _order(what: str) -> Schema:
 
 
 def _object(properties: Schema, required: tuple[str, ...] = ()) -> Schema:
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": properties,
-        "required": list(required),
-    }
+    return {"type": "object", "additionalProperties": False, "properties": properties, "required": list(required)}
 
 
 def _register(use: str) -> Schema:
     """A register among the `inputs`, the `outputs` or in the `identity`."""
     properties: Schema = {
         "table": {"enum": list(WRITTEN if use == "outputs" else TABLES), "default": "holding"},
-        "address": {
-            **_whole(0, 65535),
-            "description": "from 0, as on the wire: 40001 in a manual is holding 0",
-        },
+        "address": {**_whole(0, 65535), "description": "from 0, as on the wire: 40001 in a manual is holding 0"},
         "type": {"enum": ["bit", *TYPES, *(["text"] if use == "identity" else [])], "default": "uint16"},
         "words": _order("order of the two registers of a 32-bit value"),
         "bytes": _order("order of the bytes in a register"),

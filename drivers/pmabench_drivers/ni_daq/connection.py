@@ -21,6 +21,7 @@ from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Identity
 from pmabench_drivers.ni_daq.bounded import Bounded
 from pmabench_drivers.ni_daq.options import Input, Options, Output
+from pmabench_drivers.shared.link import Unanswered
 
 SHORTEST = 0.001
 """Time for a call for which none is left [s]."""
@@ -42,10 +43,6 @@ REASONS = {
     -200088: "the task is gone: the server was restarted, or another program took the device",
 }
 """Errors of NI-DAQmx that are met at a bench, in words of our own."""
-
-
-class Unanswered(DeviceError):
-    """No answer came: whether it was carried out is not known."""
 
 
 class Connection:
@@ -144,6 +141,11 @@ class Connection:
     def serial(self) -> str:
         """The serial number, asked for now."""
         return f"{int(self._device.serial_num):X}"
+
+    def refuse_lost(self) -> None:
+        """Ask for the state of a task; an error where a server or a device that restarted has none any more."""
+        for task in list(self._tasks.values())[:1]:
+            task.is_task_done()
 
     def attach(self) -> None:
         """Connect, and take the outputs and valve lines as another connection has prepared them."""

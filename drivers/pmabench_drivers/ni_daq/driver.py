@@ -6,21 +6,20 @@ the start.
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import Block, DeviceRecord, Identity, Segment
-from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
-from pmabench_drivers.ni_daq.connection import Connection, Unanswered
-from pmabench_drivers.ni_daq.options import read_options
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Block, DeviceRecord, Identity
+from pmabench_drivers.ni_daq.connection import Connection
+from pmabench_drivers.ni_daq.options import Options, read_options
 from pmabench_drivers.ni_daq.sampling import Sampling
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.device import Stepped
+from pmabench_drivers.shared.link import Still, Unanswered, opened
+from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -33,31 +32,21 @@ STEPS = 100.0
 """Ramps and sines are stepped so often [Hz]."""
 
 
-class NiDaq:
+class NiDaq(Stepped):
     """Inputs `ai0`... [V], outputs `ao0`, `ao1` [V], lines `port0/line0`...; by NI-DAQmx here or NI's gRPC server."""
 
     emulator = "pmabench_drivers.ni_daq.emulated"
+    read_options = staticmethod(read_options)
+    _options: Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._options = read_options(device, reader)
-        reader.refuse(device.name)
-        self._device, self._clock = device, clock
-        self._outputs = {output.output: output for output in device.outputs}
+        super().__init__(device, clock)
         self._sampling: Sampling | None = None
-        self._steps = Cycle(f"ni-daq steps {device.name}", self._step, clock)
-        self._following: dict[str, Segment] = {}
+        self._steps = Cycle(f"leads {device.name}", self._lead, clock)
         self._turn = threading.Lock()
         self._link: Connection | None = None
         self._second: Connection | None = None
         self._held: dict[str, float] = {}
-
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -95,16 +84,13 @@ class NiDaq:
                 link.close()
 
     def _opened(self) -> Connection:
-        if self._link is None:
-            raise DeviceError(self._device.name, "is not open")
-        return self._link
+        return opened(self._link, self._device.name)
 
     # -- samples --------------------------------------------------------------------------------------------------
 
     def start(self, rate: float) -> float:
         """Sample all channels together at `rate` [Hz]; returns the rate that NI-DAQmx says it uses."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         link = self._opened()
         self._end_sampling()
         with link.calls(CALL):
@@ -155,17 +141,21 @@ class NiDaq:
 
         A device that restarts is not seen here, but by `is_on`, `held` and the end of its samples.
         """
-        self._known(output)
+        self._output(output)
         with self._command_turn():  # a step of a ramp may be under way
             if output in self._held:
                 return self._held[output]
         message = "what it gives is not known: nothing was set since it was opened, or the answer was lost"
-        raise DeviceError(self._device.name, message, output)
+        raise self._error(message, output)
 
     def held(self) -> Mapping[str, float | str]:
-        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime."""
+        """Its serial number, which NI-DAQmx gives only while the device is there; it has no watchdog and no uptime.
+
+        Raises DeviceError where its tasks are gone: what it gives is not known after a restart.
+        """
         link = self._opened()
         with link.calls(CALL):
+            link.refuse_lost()
             return {"serial": link.serial()}
 
     def rescue(self, output: str, value: float) -> None:
@@ -178,9 +168,8 @@ class NiDaq:
             self._put_line(link, output, on=value != 0)
 
     def _put(self, link: Connection, output: str, value: float) -> None:
-        self._known(output)
-        if not math.isfinite(value) or not abs(value) <= 10.0 + 1e-9:
-            raise DeviceError(self._device.name, f"cannot be set to {value:g} V", output)
+        self._output(output)
+        self._refuse_value(output, value)
         until = monotonic() + CALL
         with self._command_turn():
             self._send(link, output, value, until - monotonic())
@@ -205,44 +194,32 @@ class NiDaq:
             raise Unanswered(self._device.name, message, output) from None
         self._held[output] = value
 
-    def _known(self, output: str) -> None:
-        if output not in self._outputs:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-
     # -- ramps and sines -------------------------------------------------------------------------------------------
 
-    def follow(self, output: str, segment: Segment) -> None:
-        """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
-        self._known(output)
-        refuse_nonsense(self._device.name, output, segment)
-        reach = abs(segment.origin) + abs(segment.amplitude) if segment.kind == "sine" else abs(segment.target)
-        if not max(reach, abs(segment.origin)) <= 10.0 + 1e-9:
-            raise DeviceError(self._device.name, f"cannot follow to {reach:g} V", output)
+    def _begin_steps(self) -> None:
         self._opened()
         self._steps.note(None)
-        self._following[output] = segment
         if not self._steps.running:
             self._steps.start(STEPS)
 
-    def _step(self) -> None:
-        """Set the value of this moment of every segment; the last one ends it."""
-        for output, segment in list(self._following.items()):
-            link = self._link
-            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
-            if value is None or link is None or not self._turn.acquire(blocking=False):
-                continue
+    def _refuse_value(self, output: str, value: float) -> None:
+        if not abs(value) <= 10.0 + 1e-9:
+            raise self._error(f"cannot be set to {value:g} V", output)
+
+    def _lead(self) -> None:
+        self._steps.note(self._step())
+
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        """Set a value, unless a command is under way: the next step comes soon."""
+        link = self._link
+        if link is not None and self._turn.acquire(blocking=False):
             try:
-                if self._following.get(output) is not segment:
-                    continue  # a command has ended it meanwhile
-                self._send(link, output, value, STEP)
-            except DeviceError as error:
-                self._steps.note(error)
-                continue
+                if still():
+                    self._send(link, output, value, STEP)
             finally:
                 self._turn.release()
-            self._steps.note(None)
-            if over and self._following.get(output) is segment:
-                self._following.pop(output, None)
+        elif last:
+            raise self._error("has not taken the end of the ramp yet", output)
 
     # -- lines -----------------------------------------------------------------------------------------------------
 
@@ -257,8 +234,7 @@ class NiDaq:
 
     def level(self, name: str) -> bool:
         """Whether an interlock's line is high."""
-        if name not in self._options.levels:
-            raise DeviceError(self._device.name, f'no input "{name}"{did_you_mean(name, self._options.levels)}')
+        self._known("input", name, self._options.levels)
         return self._level(name, CALL)
 
     def _put_line(self, link: Connection, line: str, *, on: bool) -> None:
@@ -277,11 +253,10 @@ class NiDaq:
             raise Unanswered(self._device.name, message, line) from None
         if stands != on:
             message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if stands else 'low'}"
-            raise DeviceError(self._device.name, message, line)
+            raise self._error(message, line)
 
     def _valve(self, line: str) -> None:
-        if line not in self._options.valves:
-            raise DeviceError(self._device.name, f'no valve output "{line}"{did_you_mean(line, self._options.valves)}')
+        self._known("valve output", line, self._options.valves)
 
     def _level(self, line: str, within: float) -> bool:
         link = self._opened()

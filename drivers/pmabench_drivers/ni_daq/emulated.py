@@ -16,7 +16,7 @@ from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
 from pmabench_drivers.ni_daq.emulated_tasks import AI, AO, BITS, DI, DO, FASTEST, SPANS, Board, Refused, Task
 from pmabench_drivers.ni_daq.options import read_options
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import options_of
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
 LINKS = {name: LINK[name] for name in LINK if name not in {"late", "stale", "double"}}
@@ -34,9 +34,7 @@ Answer = dict[str, Any]
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedServer:
     """The server that a device of the driver `ni-daqmx` is reached through."""
-    reader = Reader()
-    options = read_options(device, reader)
-    reader.refuse(device.name)
+    options = options_of(device, read_options)
     if not options.server:
         why = 'its bench file names no server; an emulator needs "options: {server: 127.0.0.1:PORT}"'
         raise UsageError(f"cannot serve {device.name}: {why}")

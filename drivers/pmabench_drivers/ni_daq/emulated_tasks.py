@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from math import floor
 from time import monotonic
 
-from pmabench.bench.interface import ChannelRecord, DeviceRecord
+from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.wiring import Wiring
 
 AI = tuple(f"ai{number}" for number in range(16))
 AO = ("ao0", "ao1")
@@ -109,10 +110,7 @@ class Board:
         self.model = plant.model("USB-6215")
         self.lock = threading.RLock()
         self.tasks: dict[str, Task] = {}
-        self._channels: dict[str, ChannelRecord] = {channel.input: channel for channel in device.channels}
-        self._outputs = {output.output: output for output in device.outputs}
-        self._valves = {valve.output: valve for valve in device.valves}
-        self._interlocks = {lock.input: lock for lock in device.interlocks}
+        self._wiring = Wiring(device, plant, log)
         self._levels = dict.fromkeys(DO, False)
         self.volts = dict.fromkeys(AO, 0.0)
         self._ended = threading.Event()
@@ -212,9 +210,9 @@ class Board:
 
     def change_set_point(self, value: float) -> bool:
         """Another program sets the first output that the bench uses [V]; whether there is one."""
-        for name in list(self._outputs)[:1]:
+        for name in list(self._wiring.outputs)[:1]:
             self._give(name, value)
-        return bool(self._outputs)
+        return bool(self._wiring.outputs)
 
     # -- samples ----------------------------------------------------------------------------------------------------
 
@@ -240,8 +238,7 @@ class Board:
             task.waiting.append(tuple(self._volts(name, span[1], quantities) for name, span in pairs))
 
     def _volts(self, name: str, span: float, quantities: dict[str, float]) -> float:
-        channel = self._channels.get(name)
-        volts = 0.0 if channel is None else float(channel.calibrated.to_raw(quantities.get(channel.name, 0.0)))
+        volts = self._wiring.raw(name, quantities, calibrated=True)
         step = 2 * span / 2**BITS
         return float(min(max(round(volts / step) * step, -span), span - step))
 
@@ -298,19 +295,16 @@ class Board:
             raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
 
     def _set_output(self, name: str, volts: float, connection: int) -> None:
-        output = self._outputs.get(name)
-        if output is not None:
-            si = float(output.scale.to_si(volts))
-            self._log.note("set", self.device.name, output=output.name, raw=volts, si=si, connection=connection)
-        self._give(name, volts)
+        self._wiring.set(name, volts, reached=self._reached(name, volts), connection=connection)
 
     def _give(self, name: str, volts: float) -> None:
-        """Let an output give the nearest voltage that it can."""
+        self._wiring.give(name, self._reached(name, volts))
+
+    def _reached(self, name: str, volts: float) -> float:
+        """The nearest voltage that an output can give, which it gives from now on."""
         step = 20.0 / 2**BITS
-        self.volts[name] = reached = round(volts / step) * step
-        output = self._outputs.get(name)
-        if output is not None and output.quantity == "pressure":
-            self._plant.command(float(output.scale.to_si(reached)))
+        self.volts[name] = round(volts / step) * step
+        return self.volts[name]
 
     def set_lines(self, task: Task, values: Sequence[int], connection: int, *, start: bool) -> None:
         """Levels on the lines of a task: of each virtual channel, its lines at their places in the port."""
@@ -320,24 +314,14 @@ class Board:
                 self._set_line(name, connection, high=bool(value >> int(name.rpartition("line")[2]) & 1))
 
     def _set_line(self, name: str, connection: int, *, high: bool) -> None:
-        self._drive(name, high=high)
-        valve = self._valves.get(name)
-        if valve is not None:
-            self._log.note("switch", self.device.name, valve=valve.name, on=high, connection=connection)
+        self._levels[name] = high
+        self._wiring.switch(name, on=high, connection=connection)
 
     def _drive(self, name: str, *, high: bool) -> None:
         """Drive a line high or low, and the valve at it."""
         self._levels[name] = high
-        valve = self._valves.get(name)
-        if valve is not None:
-            self._plant.switch(on=high == (valve.energised == "closed"))
+        self._wiring.drive(name, on=high)
 
     def level(self, name: str) -> bool:
         """The level of a line; an input that nobody wired is low."""
-        if name in self._levels:
-            return self._levels[name]
-        lock = self._interlocks.get(name)
-        if lock is None:
-            return False
-        closed = self._plant.e_stop_high() if "stop" in lock.name else True
-        return closed == (lock.safe == "high")
+        return self._levels[name] if name in self._levels else self._wiring.level(name)

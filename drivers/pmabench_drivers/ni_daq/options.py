@@ -6,9 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.options import Place, Reader
+from pmabench_drivers.shared.options import Place, Reader
 
 HERE = ("options",)
 TERMINALS = ("RSE", "NRSE", "DIFF")
@@ -74,8 +73,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     inputs: dict[str, Input] = {}
     for channel in device.channels:
         place = ("channels", channel.name, "input")
-        if channel.input not in AI:
-            reader.fault(place, f'no input "{channel.input}"{did_you_mean(channel.input, AI)}; known: ai0 to ai31')
+        if not reader.known(place, "no input", channel.input, AI, "; known: ai0 to ai31"):
             continue
         if channel.raw_unit != "V":
             reader.fault(place, f'gives V, and the channel has "{channel.raw_unit}": calibrate it in V')
@@ -85,8 +83,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     for key, chosen in (("terminals", terminals), ("ranges", ranges)):
         used = [item.name for item in inputs.values()]
         for name in chosen:
-            if name not in used:
-                reader.fault((*HERE, key, name), f'no channel uses "{name}"{did_you_mean(name, used)}')
+            reader.known((*HERE, key, name), "no channel uses", name, used)
     if device.watchdog:
         reader.fault(
             ("watchdog",),
@@ -145,10 +142,8 @@ def _each_once(device: DeviceRecord, inputs: Mapping[str, Input], reader: Reader
 def _outputs(device: DeviceRecord, reader: Reader) -> dict[str, Output]:
     found: dict[str, Output] = {}
     for output in device.outputs:
-        if output.output not in AO:
-            hint = did_you_mean(output.output, AO)
-            message = f'no analogue output "{output.output}"{hint}; known: ao0, ao1'
-            reader.fault(("outputs", output.name, "output"), message)
+        place = ("outputs", output.name, "output")
+        if not reader.known(place, "no analogue output", output.output, AO, "; known: ao0, ao1"):
             continue
         volts = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
         found[output.output] = Output(min(volts), max(volts), output.resolution)
@@ -167,10 +162,7 @@ def _lines(device: DeviceRecord, reader: Reader) -> tuple[str, ...]:
     places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
     seen: dict[str, str] = {}
     for place, name in places:
-        if name not in LINES:
-            hint = did_you_mean(name, LINES)
-            reader.fault(place, f'no digital line "{name}"{hint}; known: port0/line0 to port1/line7')
-        elif name in seen:
+        if reader.known(place, "no digital line", name, LINES, "; known: port0/line0 to port1/line7") and name in seen:
             reader.fault(place, f"{name} is in use by {seen[name]}")
         seen.setdefault(name, str(place[1]))
     return tuple(lock.input for lock in device.interlocks)

@@ -9,10 +9,11 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
-from pmabench_drivers.ni_daq.connection import Connection, Unanswered
+from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Input
-from pmabench_drivers.pace import Pace
-from pmabench_drivers.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.link import Unanswered
+from pmabench_drivers.shared.pace import Pace
+from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
 
 CALL = 0.17
 """Longest time of a look [s]."""

@@ -1,4 +1,4 @@
-"""From bytes to lines, and from a line to numbers; knows no port and no thread. Standard library only."""
+"""From a line of text to numbers; knows no port and no thread. Standard library only."""
 
 from __future__ import annotations
 
@@ -6,35 +6,8 @@ import math
 
 from pmabench.bench.interface import ChannelRecord
 from pmabench_drivers.serial_ascii.options import Options
-from pmabench_drivers.serial_ascii.pattern import LONGEST_LINE, inputs_of, number, readable
-
-
-class Wrong(Exception):
-    """A line that must never be taken for a measurement: another unit, a fault of the indicator."""
-
-
-class Unreadable(Exception):
-    """A line that is not what the pattern says: cut off, disturbed, something else."""
-
-
-class Splitter:
-    """Cuts a stream of bytes into lines; what comes before the first terminator is not a whole line and is dropped."""
-
-    def __init__(self, terminator: bytes, *, whole: bool = False) -> None:
-        self._terminator, self._whole = terminator, whole
-        self._rest = b""
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """The whole lines that end in `data`; one that is too long is dropped up to its end."""
-        *lines, self._rest = (self._rest + data).split(self._terminator)
-        found = []
-        for line in lines:
-            if self._whole and len(line) <= LONGEST_LINE:
-                found.append(line)
-            self._whole = True
-        if len(self._rest) > LONGEST_LINE + len(self._terminator):
-            self._rest, self._whole = self._rest[-len(self._terminator) :], False
-        return found
+from pmabench_drivers.serial_ascii.pattern import inputs_of, number
+from pmabench_drivers.shared.lines import Unreadable, Wrong, readable, text_of
 
 
 class LineReader:
@@ -53,13 +26,7 @@ class LineReader:
 
         Raises `Wrong` or `Unreadable`.
         """
-        options = self._options
-        if len(line) > LONGEST_LINE:
-            raise Unreadable("a line longer than any that is expected")
-        try:
-            text = line.decode("ascii")
-        except UnicodeDecodeError:
-            raise Unreadable(f'"{readable(line)}"') from None
+        options, text = self._options, text_of(line)
         bare = text.strip()
         if bare in options.errors:
             raise Wrong(f'says "{readable(line)}": {options.errors[bare]}')

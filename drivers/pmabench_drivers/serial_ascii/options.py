@@ -6,30 +6,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.options import Reader
 from pmabench_drivers.serial_ascii.pattern import inputs_of, pattern_problem
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
 
-BAUDS = (1200, 2400, 4800, 9600, 14400, 19200, 38400, 57600, 76800, 115200, 230400, 460800, 921600)
-PARITIES = {"none": "N", "even": "E", "odd": "O"}
 KEYS = (
-    "baud",
-    "data_bits",
-    "parity",
-    "stop_bits",
-    "poll",
-    "pattern",
-    "terminator",
-    "timeout",
-    "slowest",
-    "rate",
-    "unit",
-    "good_status",
-    "over_range",
-    "errors",
-    "ask_identity",
-    "emulate",
+    *("baud", "data_bits", "parity", "stop_bits", "poll", "pattern", "terminator", "timeout", "slowest", "rate"),
+    *("unit", "good_status", "over_range", "errors", "ask_identity", "emulate"),
 )
 _EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
@@ -66,11 +49,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     """The options of a device, and the inputs that its channels use."""
     place, base = ("options",), Options()
     given = reader.keys(device.options, place, KEYS, ("pattern", "rate"))
-    if not device.address:
-        reader.fault(("address",), 'the path of a serial port is expected, for instance "/dev/ttyUSB0"')
-    baud = reader.whole(given, "baud", place, BAUDS[0], BAUDS[-1], base.baud)
-    if baud not in BAUDS:
-        reader.fault((*place, "baud"), f"{baud} is no usual rate; known: {', '.join(map(str, BAUDS))}")
+    reader.port(device, "/dev/ttyUSB0")
     text = reader.text(given, "pattern", place, longest=1000)
     problem = pattern_problem(text) if text else ""
     if problem:
@@ -89,7 +68,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         line = base.emulate
     options = Options(
         pattern=pattern,
-        baud=baud,
+        baud=reader.one_of(given, "baud", place, BAUDS, base.baud),
         data_bits=reader.whole(given, "data_bits", place, 7, 8, base.data_bits),
         parity=PARITIES[reader.choice(given, "parity", place, PARITIES, "none")],
         stop_bits=reader.whole(given, "stop_bits", place, 1, 2, base.stop_bits),
@@ -125,9 +104,8 @@ def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: 
         reader.fault((), "an indicator only measures; it has no outputs, valves, interlocks or watchdog")
     inputs = inputs_of(options.pattern)
     for channel in device.channels:
-        if known and channel.input not in inputs:
-            hint = did_you_mean(channel.input, inputs)
-            reader.fault(("channels", channel.name, "input"), f'the pattern has no group "{channel.input}"{hint}')
+        if known:
+            reader.known(("channels", channel.name, "input"), "the pattern has no group", channel.input, inputs)
     units = {channel.raw_unit for channel in device.channels}
     if "unit" in options.pattern.groupindex and not options.unit and len(units) > 1:
         reader.fault(

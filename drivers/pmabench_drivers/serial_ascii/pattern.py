@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from itertools import combinations
 
-LONGEST_LINE = 120
 LONGEST_PATTERN = 300
 MOST_SHARED = 3
 """Four repetitions that can take the same characters: 120^4 / 24 steps at worst, some 0.3 s."""
@@ -88,8 +87,3 @@ def number(text: str, sign: str = "") -> float:
     if found is None or (sign and found[1]):
         raise ValueError(f'"{text[:40]}" is no number')
     return float(f"{sign.strip() or found[1]}{found[2]}")
-
-
-def readable(line: bytes) -> str:
-    """The start of a line with only what can be printed, for messages."""
-    return "".join(chr(byte) if 32 <= byte < 127 else "." for byte in line[:40])

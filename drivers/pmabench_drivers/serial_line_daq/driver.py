@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from time import monotonic
 
 from pmabench.base.clock import Clock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity, OutputRecord, Segment
-from pmabench_drivers.modbus.segments import refuse_nonsense, stepped
-from pmabench_drivers.options import Place, Reader
-from pmabench_drivers.polling import JOIN, Cycle, Samples
-from pmabench_drivers.serial_line_daq.link import Link, Unanswered
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench_drivers.serial_line_daq.link import Link
 from pmabench_drivers.serial_line_daq.options import read_options
 from pmabench_drivers.serial_line_daq.samples import Timeline
-from pmabench_drivers.serial_line_daq.wire import (
-    ARMED,
-    LEVELS,
-    NAMES,
-    PROTOCOL,
-    VENTED,
-    VERSION,
-    index_of,
-    read_sample,
-)
+from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, NAMES, PROTOCOL, VENTED, VERSION, index_of, read_sample
+from pmabench_drivers.shared.device import Stepped
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened
+from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -41,7 +32,7 @@ STEPS = 100.0
 """Ramps and sines are stepped so often [Hz]."""
 
 
-class SerialLineDaq:
+class SerialLineDaq(Stepped):
     """A board with the program of `sketch`, or another that speaks its protocol; the option `baud` is all it is told.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
@@ -50,17 +41,15 @@ class SerialLineDaq:
 
     verified = "emulator and compiled sketch, no board"
     emulator = "pmabench_drivers.serial_line_daq.emulator"
+    read_options = staticmethod(read_options)
+    _options: int
+    """Its baud rate."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        reader = Reader()
-        self._baud = read_options(device, reader)
-        reader.refuse(device.name)
-        self._device, self._clock = device, clock
+        super().__init__(device, clock)
         self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
-        self._outputs = {output.output: output for output in device.outputs}
-        self._cycle = Cycle(f"line-daq {device.name}", self._step, clock)
-        self._following: dict[str, Segment] = {}
+        self._cycle = Cycle(f"leads {device.name}", self._lead, clock)
         self._link: Link | None = None
         self._has = dict.fromkeys(NAMES, 0)
         self._full_scale, self._shortest = 0, 1
@@ -71,19 +60,12 @@ class SerialLineDaq:
         self._told_vented = False
         self._failure: DeviceError | None = None
 
-    @classmethod
-    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
-        """What is wrong with the options, each with its place; touches no device."""
-        reader = Reader()
-        read_options(device, reader)
-        return reader.problems
-
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
         """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
         self.close()
-        link = self._link = Link(self._device.name, self._device.address, self._baud, self._take)
+        link = self._link = Link(self._device.name, self._device.address, self._options, self._clock, self._take)
         try:
             identity = self._identify(link, monotonic() + OPEN)
             link.ask(monotonic() + CALL, "G", 0)
@@ -111,11 +93,10 @@ class SerialLineDaq:
             except Unanswered:
                 if link.gone or monotonic() >= deadline:
                     heard = f"; the last thing heard was {link.last}" if link.last else ""
-                    raise DeviceError(
-                        self._device.name, f"did not say who it is within {OPEN:g} s at {self._baud} baud{heard}"
-                    ) from None
+                    message = f"did not say who it is within {OPEN:g} s at {self._options} baud{heard}"
+                    raise self._error(message) from None
         if answer[:2] != [PROTOCOL, VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
-            raise DeviceError(self._device.name, f'is no "{PROTOCOL}" of version {VERSION}: "{",".join(answer)[:60]}"')
+            raise self._error(f'is no "{PROTOCOL}" of version {VERSION}: "{",".join(answer)[:60]}"')
         _protocol, version, model, serial, *numbers = answer
         *counts, self._full_scale, self._shortest = map(int, numbers)
         self._has = dict(zip(NAMES, counts, strict=True))
@@ -132,15 +113,14 @@ class SerialLineDaq:
 
     def start(self, rate: float) -> float:
         """Let the board sample at `rate` [Hz], in whole microseconds, or as fast as it can if that is less."""
-        if not 0 < rate < math.inf:
-            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self._refuse_rate(rate)
         period = min(max(round(1e6 / rate), self._shortest), 10_000_000)
         self.stop()
         self._samples.take()
         self._failure = None
         told = self._ask("G", period)
         if told != period:
-            raise DeviceError(self._device.name, f"samples each {told} us where {period} us were asked for")
+            raise self._error(f"samples each {told} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
         self._before = self._timeline = Timeline(period, self._before)
         return 1e6 / period
@@ -154,12 +134,12 @@ class SerialLineDaq:
         block = self._samples.take()
         if len(block.time):
             return block
-        link = self._link
-        if link is None or link.gone:
-            raise DeviceError(self._device.name, f"lost {self._device.address}: {link.gone}" if link else "is not open")
+        link = self._opened()
+        if link.gone:
+            raise self._error(link.gone)
         if self._timeline is not None and monotonic() - self._heard > max(PATIENCE, 3 * self._period):
             last = f"; the last thing heard was {link.last}" if link.last else ""
-            raise DeviceError(self._device.name, f"no sample for {PATIENCE:g} s{last}")
+            raise self._error(f"no sample for {PATIENCE:g} s{last}")
         return block
 
     def stop(self) -> None:
@@ -173,9 +153,9 @@ class SerialLineDaq:
         """Samples that the board counted and that never came."""
         return self._timeline.lost if self._timeline is not None else 0
 
-    def _take(self, fields: list[str]) -> None:
-        """One `S` line, in the reading thread."""
-        timeline, now = self._timeline, self._clock.now()
+    def _take(self, fields: list[str], now: float) -> None:
+        """One `S` line that came at `now` [s, bench time], in the reading thread."""
+        timeline = self._timeline
         sample = read_sample(fields, self._has["a"])
         if timeline is None:
             return  # sampling has not begun here: another program left it on
@@ -185,14 +165,14 @@ class SerialLineDaq:
                 message = (
                     "the number of its samples and its clock do not fit: it has started again, or is no such board"
                 )
-                self._failure = DeviceError(self._device.name, message)
+                self._failure = self._error(message)
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
         if sample.state & VENTED and self._armed and not self._told_vented:
             self._told_vented = True
             message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
-            self._failure = DeviceError(self._device.name, message)
+            self._failure = self._error(message)
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -230,63 +210,39 @@ class SerialLineDaq:
 
     # -- ramps and sines ------------------------------------------------------------------------------------------
 
-    def follow(self, output: str, segment: Segment) -> None:
-        """Step along the segment at 100 Hz from its start on, or from now on if that has passed."""
-        self._output(output)
-        refuse_nonsense(self._device.name, output, segment)
-        reach = (
-            (segment.origin, segment.target)
-            if segment.kind == "ramp"
-            else (
-                segment.origin - abs(segment.amplitude),
-                segment.origin + abs(segment.amplitude),
-            )
-        )
-        for value in reach:
-            self._whole(output, value)
+    def _begin_steps(self) -> None:
         self._opened()
         self._cycle.note(None)
-        self._following[output] = segment
         if not self._cycle.running:
             self._cycle.start(STEPS)
 
-    def _step(self) -> None:
-        """Send the value of this moment of every segment; the last one ends it."""
-        for output, segment in list(self._following.items()):
-            value, over = stepped(segment, self._clock.now(), self._outputs[output].resolution)
-            if value is None:
-                continue
+    def _refuse_value(self, output: str, value: float) -> None:
+        self._whole(output, value)
 
-            def still(output: str = output, segment: Segment = segment) -> bool:
-                return self._following.get(output) is segment
+    def _lead(self) -> None:
+        self._cycle.note(self._step())
 
-            try:
-                self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
-            except DeviceError as error:
-                self._cycle.note(error if still() else None)
-                continue
-            self._cycle.note(None)
-            if over and still():
-                self._following.pop(output, None)
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
 
     # -- the board's watchdog -------------------------------------------------------------------------------------
 
     def arm_watchdog(self, seconds: float) -> float:
         """Set it, start it, and read back the time that the board holds [s]."""
         if not 0 < seconds < math.inf:
-            raise DeviceError(self._device.name, f"a watchdog of {seconds} s cannot be set", "watchdog")
+            raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
         until = monotonic() + CALL
         self._ask("T", math.floor(seconds * 1e3 + 1e-6), until=until)
         held = self._ask("T", until=until)
         if held <= 0:
-            raise DeviceError(self._device.name, "holds a watchdog time of 0, which is none", "watchdog")
+            raise self._error("holds a watchdog time of 0, which is none", "watchdog")
         self._armed, self._told_vented = held * 1e-3, False
         return self._armed
 
     def feed_watchdog(self) -> None:
         """A sign of life; an error where the board is not armed any more."""
         if not self._ask("F") & ARMED:
-            raise DeviceError(self._device.name, "took a sign of life and is not armed", "watchdog")
+            raise self._error("took a sign of life and is not armed", "watchdog")
 
     def disarm_watchdog(self) -> None:
         """Stop it. The board vents: nothing stays on that nobody watches."""
@@ -300,10 +256,7 @@ class SerialLineDaq:
     # -- questions ------------------------------------------------------------------------------------------------
 
     def _opened(self) -> Link:
-        link = self._link
-        if link is None:
-            raise DeviceError(self._device.name, "is not open")
-        return link
+        return opened(self._link, self._device.name)
 
     def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
         """The number that the board answers."""
@@ -311,18 +264,10 @@ class SerialLineDaq:
 
     def _number(self, answer: list[str]) -> int:
         if len(answer) != 1 or not answer[0].isdecimal():
-            raise DeviceError(self._device.name, f'answers "{",".join(answer)[:40]}" where a number is expected')
+            raise self._error(f'answers "{",".join(answer)[:40]}" where a number is expected')
         return int(answer[0])
 
-    def _put(
-        self,
-        letter: str,
-        index: int,
-        value: int,
-        *,
-        still: Callable[[], bool] = lambda: True,
-        aside: bool = False,
-    ) -> None:
+    def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
         """Send once; the answer says what the board holds. Where it is lost the board is asked, never told again."""
         link, until = self._opened(), monotonic() + CALL
         lost = ""
@@ -340,24 +285,16 @@ class SerialLineDaq:
         held = self._number(answer)
         if held != value:
             name = f"{'o' if letter == 'W' else 'v'}{index}"
-            raise DeviceError(self._device.name, f"{lost or 'was commanded'} {value} and holds {held}", name)
-
-    def _output(self, output: str) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        return record
+            raise self._error(f"{lost or 'was commanded'} {value} and holds {held}", name)
 
     def _index(self, name: str, letter: str) -> int:
         index, count = index_of(name, letter), self._has[letter]
         if index is None or (self._link is not None and index >= count):
-            raise DeviceError(
-                self._device.name, f'the board has {count} {NAMES[letter]}(s), and "{name}" is none', name
-            )
+            raise self._error(f'the board has {count} {NAMES[letter]}(s), and "{name}" is none', name)
         return index
 
     def _whole(self, output: str, value: float) -> int:
         """Whole counts that the board can take."""
         if not math.isfinite(value) or not -0.5 <= value < self._full_scale + 0.5:
-            raise DeviceError(self._device.name, f"cannot be set to {value:g}; 0 to {self._full_scale} counts", output)
+            raise self._error(f"cannot be set to {value:g}; 0 to {self._full_scale} counts", output)
         return round(value)

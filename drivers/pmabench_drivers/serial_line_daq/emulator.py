@@ -11,25 +11,14 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import (
-    EXPIRY,
-    LINK,
-    RESTART,
-    SETPOINT,
-    SKEW,
-    STUCK,
-    WATCHDOG_OFF,
-    DeviceClock,
-    Fault,
-    Faults,
-    Outgoing,
-)
+from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.on_terminal import OnTerminal
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import Terminal
-from pmabench_drivers.options import Reader
+from pmabench_drivers.emulator.wiring import Wiring
 from pmabench_drivers.serial_line_daq.options import WATCHDOG, read_options
 from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, PROTOCOL, VENTED, VERSION, NoLine, decode, encode
+from pmabench_drivers.shared.options import options_of
 
 INPUTS, DIGITAL, OUTPUTS, VALVES = 6, 2, 1, 1
 FULL_COUNT, FULL_SCALE, SHORTEST = 4092, 4095, 2000
@@ -41,15 +30,13 @@ GARBAGE = b"\x00\xff*FFFF\n@#\n"
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBoard:
     """The board that the driver of `device` talks to."""
-    reader = Reader()
-    read_options(device, reader)
-    reader.refuse(device.name)
+    options_of(device, read_options)
     if not device.address.startswith("/"):
         raise UsageError(f"{device.name} is at {device.address}; an emulator serves only a path of a serial port")
     return EmulatedBoard(device, plant, log)
 
 
-class EmulatedBoard:
+class EmulatedBoard(OnTerminal):
     """One board; the channels, outputs and valves of the device say which of its inputs and outputs is what.
 
     `boot_micros`: what its clock shows when it starts [us].
@@ -57,15 +44,9 @@ class EmulatedBoard:
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog, boot_micros: int = 0) -> None:
         self._device, self._plant, self._log = device, plant, log
-        self.address, self.faults = device.address, Faults(LINK, STUCK, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT)
-        self._clock, self._outgoing = DeviceClock(self.faults), Outgoing(GARBAGE)
-        self._inputs = {channel.input: channel for channel in device.channels}
-        self._levels = {lock.input: lock for lock in device.interlocks}
-        self._outputs = {output.output: output for output in device.outputs}
-        self._valves = {valve.output: valve for valve in device.valves}
-        self._boot_micros, self._terminal = boot_micros, Terminal(device.address, log.tap(device.name))
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
+        faults = f.Faults(f.LINK, f.STUCK, f.SKEW, f.EXPIRY, f.WATCHDOG_OFF, f.RESTART, f.SETPOINT)
+        super().__init__(device, log, faults, GARBAGE)
+        self._clock, self._boot_micros, self._wiring = f.DeviceClock(faults), boot_micros, Wiring(device, plant, log)
         self._boot()
 
     def _boot(self) -> None:
@@ -73,10 +54,6 @@ class EmulatedBoard:
         self._period = self._due = self._number = 0
         self._armed, self._vented, self._fed, self._expire = 0.0, False, 0.0, False
         self._vent()
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._thread.start()
 
     def expire_watchdog(self) -> bool:
         """Let the watchdog expire; whether it was armed."""
@@ -94,34 +71,24 @@ class EmulatedBoard:
 
     def change_set_point(self, value: float) -> bool:
         """Another value of the first output [count]; whether there is one."""
-        for name in list(self._outputs)[:1]:
+        for name in list(self._wiring.outputs)[:1]:
             self._held[name] = round(value)
-            self._plant.command(float(self._outputs[name].scale.to_si(value)))
-        return bool(self._outputs)
-
-    def close(self) -> None:
-        """Hang up."""
-        self._ended.set()
-        self._terminal.close()
+            self._wiring.give(name, value)
+        return bool(self._wiring.outputs)
 
     # -- the program ----------------------------------------------------------------------------------------------
 
-    def _serve(self) -> None:
-        while not self._ended.is_set():
-            received = self._terminal.read(self._idle())
-            if received is None:
-                return
-            try:
-                *lines, self._rest = (self._rest + received).split(b"\n")
-                self._rest = self._rest[: LONGEST + 1]
-                for line in lines:
-                    if len(line) <= LONGEST:
-                        self._obey(line)
-                self._turn()
-            except (OSError, ConnectionAbortedError):
-                return
+    def take(self, data: bytes) -> None:
+        """Obey each whole line, then do what is due."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[: LONGEST + 1]
+        for line in lines:
+            if len(line) <= LONGEST:
+                self._obey(line)
+        self._turn()
 
-    def _idle(self) -> float:
+    def wait(self) -> float:
+        """Until something is due."""
         if self._period:
             return min(max(self._due - self._micros(), 0) * 1e-6, 0.005)
         return 0.005 if self._armed else 0.05
@@ -149,29 +116,18 @@ class EmulatedBoard:
 
     def _vent(self) -> None:
         self._held = {f"o{i}": 0 for i in range(OUTPUTS)} | {f"v{i}": 0 for i in range(VALVES)}
-        for name, output in self._outputs.items():
-            if name in self._held:
-                self._plant.command(float(output.scale.to_si(0)))
-        for name, valve in self._valves.items():
-            if name in self._held:
-                self._plant.switch(on=valve.energised != "closed")
+        for name in self._held:
+            self._wiring.give(name, 0)
+            self._wiring.drive(name, on=False)
 
     def _counts(self, moment: float) -> list[int]:
         quantities = self._plant.at(moment)
-        counts = []
-        for i in range(INPUTS):
-            channel = self._inputs.get(f"a{i}")
-            raw = 0.0 if channel is None else float(channel.scale.to_raw(quantities.get(channel.name, 0.0)))
-            counts.append(min(max(round(raw), 0), FULL_COUNT))
-        return counts
+        raw = (self._wiring.raw(f"a{i}", quantities) for i in range(INPUTS))
+        return [min(max(round(value), 0), FULL_COUNT) for value in raw]
 
     def _state(self) -> int:
         bits = (ARMED if self._armed else 0) | (VENTED if self._vented else 0)
-        for i in range(DIGITAL):
-            lock = self._levels.get(f"d{i}")
-            high = lock is not None and (self._plant.e_stop_high() == (lock.safe == "high"))
-            bits |= high << LEVELS + i
-        return bits
+        return bits | sum(self._wiring.level(f"d{i}") << LEVELS + i for i in range(DIGITAL))
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -241,30 +197,22 @@ class EmulatedBoard:
     def by_hand(self, name: str, value: float) -> None:
         """An output [count] or a valve (0, 1) as the board puts it out from now on, whoever wants it."""
         self._held[name] = int(value)
-        if name in self._outputs:
-            output = self._outputs[name]
-            si = float(output.scale.to_si(value))
-            self._log.note("set", self._device.name, output=output.name, raw=value, si=si)
-            self._plant.command(si)
-        elif name in self._valves:
-            valve = self._valves[name]
-            self._log.note("switch", self._device.name, valve=valve.name, on=value != 0)
-            self._plant.switch(on=(value != 0) == (valve.energised == "closed"))
+        self._wiring.set(name, value)
+        self._wiring.switch(name, on=value != 0)
 
     # -- lines ----------------------------------------------------------------------------------------------------
 
-    def _send(self, fault: Fault, *fields: object) -> None:
+    def _send(self, fault: f.Fault, *fields: object) -> None:
         line = encode(*fields)
         if fault.kind == "hang-up":
-            self._terminal.close()
             raise ConnectionAbortedError
         if fault.kind == "reset":
             self.faults.set("clear")
             self._boot()
             return
         if fault.kind == "delay":
-            later = threading.Timer(fault.value, self._terminal.write, [line])
+            later = threading.Timer(fault.value, self.terminal.write, [line])
             later.daemon = True
             later.start()
         else:
-            self._terminal.write(self._outgoing.of(line, fault))
+            self.terminal.write(self.outgoing(line, fault))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.options import Reader
-from pmabench_drivers.serial_ascii.options import BAUDS
 from pmabench_drivers.serial_line_daq.wire import MOST, NAMES, index_of
+from pmabench_drivers.shared.options import BAUDS, Reader
 
 KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
 BAUD = 500_000
@@ -16,11 +15,8 @@ WATCHDOG = (0.05, 1.0)
 def read_options(device: DeviceRecord, reader: Reader) -> int:
     """The baud rate; everything that the board could not do with this device is noted in `reader`."""
     given = reader.keys(device.options, ("options",), ("baud",))
-    if not device.address:
-        reader.fault(("address",), 'the path of a serial port is expected, for instance "/dev/ttyACM0"')
-    baud = reader.whole(given, "baud", ("options",), KNOWN_BAUDS[0], KNOWN_BAUDS[-1], BAUD)
-    if baud not in KNOWN_BAUDS:
-        reader.fault(("options", "baud"), f"{baud} is no usual rate; known: {', '.join(map(str, KNOWN_BAUDS))}")
+    reader.port(device, "/dev/ttyACM0")
+    baud = reader.one_of(given, "baud", ("options",), KNOWN_BAUDS, BAUD)
     for channel in device.channels:
         _named(reader, ("channels", channel.name, "input"), channel.input, "a")
     for interlock in device.interlocks:

@@ -1,6 +1,6 @@
 """The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
 
-Standard library only: it runs once per sample. The discrete form stands in `pmabench.model.pid`.
+Standard library only: it runs once per sample. The discrete form is in `pmabench.model.pid`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PositionLoop:
             start=start,
         )
         self.setpoint, self.duration, self.channel = setpoint, duration, channel
-        self._told: dict[str, Any] = {
+        self._settings: dict[str, Any] = {
             "K_p": K_p,
             "T_i": T_i,
             "T_d": T_d,
@@ -103,7 +103,7 @@ class PositionLoop:
         `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
         """
         data: dict[str, Any] = {
-            **self._told,
+            **self._settings,
             "setpoint": self.setpoint,
             "t0": self._first,
             "t1": self._t,

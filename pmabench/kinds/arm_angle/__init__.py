@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -43,4 +44,5 @@ KIND = Kind(
     figures={
         "arm-angle": "pmabench.kinds.arm_angle.figures:angles",
     },
+    imported=Imported(),
 )

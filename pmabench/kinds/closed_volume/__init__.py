@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -37,4 +38,5 @@ KIND = Kind(
     figures={
         "volume": "pmabench.kinds.closed_volume.figures:volumes",
     },
+    imported=Imported(),
 )

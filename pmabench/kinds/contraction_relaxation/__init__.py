@@ -11,6 +11,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -105,6 +106,7 @@ PAPER_1 = Kind(
     results=PAPER_1_RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.paper1:reduce",
     papers=("paper 1, section 3",),
+    moves="displacement",
     compares="displacement",
     figures={
         "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
@@ -134,4 +136,14 @@ KIND = Kind(
     front={
         "overlay": "pmabench.plotting.motion:overlays",
     },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("rises", "contract"), ("to the lowest", "vent"), ("any", "relax")),
+            point=(("pressure", "highest"),),
+        ),
+        follows="displacement",
+        loaded=True,
+        shown="numbered trials",
+    ),
 )

@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -38,4 +39,14 @@ KIND = Kind(
     figures={
         "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
     },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("leaves", "vent"), ("rises", "fill"), ("any", "empty")),
+            point=(("pressure", "reached"), ("side", "side")),
+            ramps=True,
+            still=True,
+        ),
+        follows="displacement",
+    ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pmabench.analysis.shared.rest import left
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
@@ -15,8 +16,9 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         rest = rest_of(run, trial)
     except NotUsable as reason:
         return [Measured("x", "length", None), Measured("x_0", "length", None)], [str(reason)]
-    drifts = abs(rest.drift) > max(DRIFT * abs(rest.x - rest.start), 20e-6, 6 * rest.noise)
-    doubts = [f"the length still changes by {show(rest.drift, 'length', 2)}"] if drifts else []
+    further = left([rest.hold])
+    moves = further.seen and abs(further.size) > max(DRIFT * abs(rest.x - rest.start), 20e-6)
+    doubts = [f"the length would still change by {show(further.size, 'length', 2)}"] if moves else []
     noise = max(20e-6, 6 * rest.noise)
     return [
         Measured("x", "length", rest.x, noise=noise),

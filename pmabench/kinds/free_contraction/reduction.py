@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.rest import Held, Left, left
 from pmabench.analysis.shared.samples import NotUsable, noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, view
@@ -35,6 +38,11 @@ LAST = 0.2
 """Share of each rest at its end whose mean counts."""
 FEWEST = 5
 """Samples that it needs."""
+MOTION, ZERO = "motion after the hold", "contraction left without pressure"
+FLOOR = 5e-4
+"""Error of a length at the least, as a share of the largest contraction."""
+FURTHEST = 3.0
+"""Errors by which a length may be off the sigmoid."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
 
@@ -51,10 +59,10 @@ class Rest:
     """Contraction [m]."""
     start: float
     """Contraction at rest without pressure, before [m]."""
-    drift: float
-    """What x still changes by over the last fifth of the hold [m]."""
+    hold: Held
+    """Contraction along the second half of the hold [m]."""
     noise: float
-    """Of the displacement [m]."""
+    """Standard deviation of `start` and x [m]."""
 
     @property
     def side(self) -> float:
@@ -81,6 +89,22 @@ class Point:
         """Mean contraction [m]."""
         return float(self.repeats.mean())
 
+    @cached_property
+    def left(self) -> Left:
+        """What x would still change by [m]."""
+        return left([rest.hold for rest in self.rests])
+
+    @cached_property
+    def apart(self) -> Left:
+        """What `gaps` would still change by [m]."""
+        sides = [left([rest.hold for rest in self.rests if rest.side == side]) for side in (1.0, -1.0)]
+        return Left(sides[0].size - sides[1].size, sum(one.most for one in sides), any(one.seen for one in sides))
+
+    @property
+    def off(self) -> float:
+        """Largest contraction that was left without pressure before a trial [m]."""
+        return max(abs(rest.start) for rest in self.rests)
+
     def reached(self, side: float) -> float:
         """Mean contraction reached from one side [m]; nan where there is none."""
         values = [rest.x for rest in self.rests if rest.side == side]
@@ -98,15 +122,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     length, compare = float(settings.get("nominal_length", np.nan)), settings.get("compare") == "paper-2"
     points, dropped = _points(runs)
     scales = Scales.of(runs)
-    estimates = _lengths(points, length, scales)
     fit, why = _fit(points, length)
+    estimates = _lengths(points, length, scales)
     estimates += [_half(points, scales)] if len(points) > 2 else []
-    estimates += _largest(points, length, scales)
-    estimates += _coefficients(fit, why)
+    estimates = _weighed([*estimates, *_largest(points, length, scales)], points, length)
+    other = "" if fit is None else _other_form(points, fit)
+    shifted = {} if fit is None or other else _shifted(points, length)
+    estimates += _coefficients(fit, why, other, shifted)
     curve = view.curves(points, fit, length, compare=compare) if points else None
     findings = [
         *view.of_points(points),
-        *(view.of_fit(fit, why) if points else []),
+        *(view.of_fit(fit, why, other) if points else []),
         *(view.of_paper(curve, length) if curve is not None and compare else []),
     ]
     if estimates and (untold := scales.lack(CHANNELS)):
@@ -154,16 +180,15 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
         raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
-    held = np.flatnonzero(last)
-    middle = len(held) // 2
+    half = good & (t >= 0.5 * (there + end)) & (t <= end)
     return Rest(
         run=run,
         trial=trial,
         pressure=float(P[last].mean()),
         x=float(x[last].mean()),
         start=float(x[first].mean()),
-        drift=2 * float(x[held[middle:]].mean() - x[held[:middle]].mean()),
-        noise=noise_of(x[last]) / np.sqrt(max(1, middle)),
+        hold=Held.of(t[half], x[half], end - LAST * (end - there)),
+        noise=noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())),
     )
 
 
@@ -209,15 +234,14 @@ def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Est
         at, names = {"pressure": point.set}, tuple(rest.trial.name for rest in point.rests)
         rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
-        drift = max(abs(rest.drift) for rest in point.rests)
         half, n = spread(point.repeats), len(point.repeats)
         note = "" if half is not None else "no repeats part: one repeat only"
-        parts = Parts(repeats=half, method=drift, calibration=scale)
+        parts = Parts(repeats=half, method=0.0, calibration=scale)
         found.append(Estimate("L", length - point.x, "m", "length", FREE, at, parts, n, note=note, trials=names))
         if len(point.gaps):
             value, half = float(point.gaps.mean()), spread(point.gaps)
             note = "" if half is not None else "no repeats part: one repeat only"
-            parts = Parts(repeats=half, method=2 * drift, calibration=scales.part({"displacement": value}))
+            parts = Parts(repeats=half, method=0.0, calibration=scales.part({"displacement": value}))
             n = len(point.gaps)
             gaps.append(Estimate("x_H", value, "m", "length", FREE, at, parts, n, note=note, trials=names))
     return found + gaps
@@ -246,19 +270,18 @@ def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     if top is None or not length > 0 or not np.isfinite(length):
         return []
     half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
-    drift = max(abs(rest.drift) for rest in top.rests) / length
     scale = scales.part({"displacement": top.x / length}, {"displacement": 1 / length})
-    parts = Parts(None if half is None else half / length, method=drift, calibration=scale)
+    parts = Parts(None if half is None else half / length, method=0.0, calibration=scale)
     note = "" if half is not None else "no repeats part: one repeat only"
     at = {"pressure": top.set}
     n = len(top.repeats)
     return [Estimate("eps_max", top.x / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
 
 
-def _fit(points: Sequence[Point], length: float) -> tuple[ModelFit | None, str]:
-    """The sigmoid with a to e of its own through the means, or why there is none."""
+def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
+    """The sigmoid with a to e of its own through the means with `off` (n,) [m] added to x, or why there is none."""
     model = MODELS[FORM]
-    P, L = np.array([max(point.pressure, 0.0) for point in points]), length - np.array([p.x for p in points])
+    P, L = np.array([max(point.pressure, 0.0) for point in points]), length - np.array([p.x for p in points]) - off
     if len(points) <= len(UNKNOWN):
         return None, f"no fit: {len(points)} pressures for {len(UNKNOWN)} coefficients"
     if not np.isfinite(L).all() or not 0 < length <= 2:
@@ -275,8 +298,80 @@ def _fit(points: Sequence[Point], length: float) -> tuple[ModelFit | None, str]:
         return None, "no fit: no sigmoid comes near these lengths"
 
 
-def _coefficients(fit: ModelFit | None, why: str) -> list[Estimate]:
-    """The coefficients a to e, those without an interval as not identifiable."""
+def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: float) -> list[Estimate]:
+    """The values with what motion after the holds, and contraction left without pressure, may do to them."""
+    if not points:
+        return []
+    largest = max(abs(point.x) for point in points)
+    moving, leaving = max(abs(point.left.size) for point in points), max(point.off for point in points)
+    rests = (
+        f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold "
+        f"(it contracts by {show(largest, 'length', 3)}). Hold longer"
+    )
+    zero = (
+        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length: "
+        "a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
+    )
+    by_set = {point.set: point for point in points}
+    steepest = max(points, key=lambda point: point.x)
+    found = []
+    for e in estimates:
+        point = by_set.get(e.at.get("pressure", steepest.set), steepest)
+        share = {"eps_max": 1 / length, "P_half": 0.5 * _pressure_over_x(points)}.get(e.symbol, 1.0)
+        still, off = point.left, max(one.off for one in points) if e.symbol == "P_half" else point.off
+        if e.symbol == "x_H":
+            still, off = point.apart, float(np.ptp([rest.start for rest in point.rests]))
+        noise = max(rest.noise for rest in point.rests)
+        doubts = (
+            Doubt(MOTION, "method", share * still.most, still.seen, rests),
+            Doubt(ZERO, "drift", share * off, off > view.CLEAR * noise, zero),
+        )
+        found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
+    return found
+
+
+def _pressure_over_x(points: Sequence[Point]) -> float:
+    """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
+    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
+    return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
+
+
+def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
+    """Why the sigmoid is not the form of these lengths, with numbers; empty where nothing speaks against it.
+
+    A length may be off by three times its error: what repeats scatter by, pooled, and at least `FLOOR` of the largest
+    contraction.
+    """
+    freedom = sum(len(point.repeats) - 1 for point in points)
+    squares = sum(float(np.sum((point.repeats - point.x) ** 2)) for point in points)
+    scatter = np.sqrt(squares / max(1, freedom) / np.array([len(point.repeats) for point in points]))
+    error = np.hypot(scatter, FLOOR * max(abs(point.x) for point in points))
+    off = np.abs(fit.computed - fit.measured)
+    worst = int(np.argmax(off / error))
+    if off[worst] <= FURTHEST * error[worst]:
+        return ""
+    where, most = show(points[worst].set, "pressure"), show(float(FURTHEST * error[worst]), "length", 2)
+    text = f"the length at {where} is {show(float(off[worst]), 'length', 2)} off the sigmoid"
+    return f"{text}, at most {most} is expected: length over pressure has another form here. Use the lengths themselves"
+
+
+def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
+    """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
+    starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
+    noise = max(rest.noise for point in points for rest in point.rests)
+    ways = {ZERO: -starts} if np.abs(starts).max() > view.CLEAR * noise else {}
+    if any(point.left.seen for point in points):
+        ways[MOTION] = np.array([point.left.size for point in points])
+    fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
+    return {name: fit for name, fit in fits.items() if fit is not None and fit.converged}
+
+
+def _coefficients(fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit]) -> list[Estimate]:
+    """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
+
+    What they differ by from those of `shifted` is in the interval.
+    """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     found = []
     for name in UNKNOWN:
@@ -285,5 +380,12 @@ def _coefficients(fit: ModelFit | None, why: str) -> list[Estimate]:
         parts = Parts(repeats=half)
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
-        found.append(Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name))
+        e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
+        changes = {way: abs(_of(one, name) - (value or 0.0)) for way, one in shifted.items()}
+        doubts = [Doubt(way, "drift" if way == ZERO else "method", half, seen=True) for way, half in changes.items()]
+        found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
+
+
+def _of(fit: ModelFit, name: str) -> float:
+    return next(unknown.value for unknown in fit.unknowns if unknown.name == name)

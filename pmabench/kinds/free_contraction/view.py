@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 CURVE = 121
 """Points of a drawn curve."""
 DRIFTS = 0.002
-"""Drift at the end of a hold, as a share of the largest contraction, that is doubted."""
+"""What it would still change by after a hold, as a share of the largest contraction, that is doubted."""
+CLEAR = 6.0
+"""A contraction without pressure counts where it is larger than so many standard deviations of its noise."""
 LEFT = 0.005
 """Contraction left at rest without pressure, as a share of the largest one, that is doubted."""
 LARGEST = 0.35
@@ -101,7 +103,7 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
     found = []
     left = max(rests, key=lambda rest: abs(rest.start))
     text = f"at rest without pressure it comes back to the nominal length within {show(abs(left.start), 'length', 2)}"
-    if abs(left.start) > max(LEFT * largest, 6 * left.noise):
+    if abs(left.start) > max(LEFT * largest, CLEAR * left.noise):
         text = (
             f"{show(left.start, 'length', 2)} of contraction are left without pressure before trial {left.trial.name}"
         )
@@ -110,12 +112,12 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
         )
     else:
         found.append(Finding("note", text))
-    worst = max(rests, key=lambda rest: abs(rest.drift))
-    if abs(worst.drift) > max(DRIFTS * largest, 6 * worst.noise):
-        text = f"trial {worst.trial.name}: the length still changes by {show(worst.drift, 'length', 2)}"
-        found.append(Finding("doubt", f"{text} in the last fifth of the hold; hold longer"))
+    worst = max(points, key=lambda point: abs(point.left.size) if point.left.seen else 0.0)
+    if worst.left.seen and abs(worst.left.size) > DRIFTS * largest:
+        text = f"at {show(worst.set, 'pressure')} the length would still change by {show(worst.left.size, 'length', 2)}"
+        found.append(Finding("doubt", f"{text} after the hold; hold longer"))
     x = np.array([point.x for point in points])
-    if len(x) > 1 and x[-1] < -6 * worst.noise:
+    if len(x) > 1 and x[-1] < -CLEAR * left.noise:
         found.append(Finding("fault", "it grows longer under pressure: a sign is wrong, or it is an extensor"))
     gaps = [(float(point.gaps.mean()), point.set) for point in points if len(point.gaps)]
     if gaps:
@@ -125,8 +127,8 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
     return found
 
 
-def of_fit(fit: ModelFit | None, why: str) -> list[Finding]:
-    """How well the sigmoid does."""
+def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
+    """How well the sigmoid does; `other` says why it is not the form of these lengths."""
     if fit is None:
         return [Finding("note", why)]
     if not fit.converged:
@@ -136,7 +138,8 @@ def of_fit(fit: ModelFit | None, why: str) -> list[Finding]:
         f"sigmoid with a to e of its own: rms {show(fit.residual_rms, 'length', 2)}, at most {show(off, 'length', 2)}"
     )
     pairs = [f.text for f in fit.findings if f.text.startswith("correlated")]
-    return [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
+    told = [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
+    return [*told, Finding("doubt", other)] if other else told
 
 
 def of_paper(curve: Curves, length: float) -> list[Finding]:

@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -70,4 +71,17 @@ KIND = Kind(
         "isobaric": ("displacement", "force", "pressure"),
         "rubber": ("displacement", "force", "pressure"),
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("rises", "contract"), ("any", "expand")),
+            point=(
+                ("lower", "lowest end"),
+                ("upper", "highest end"),
+                ("speed", "speed"),
+                ("cycles", "pairs"),
+                ("pressure", "held"),
+            ),
+        )
+    ),
 )

@@ -3,6 +3,7 @@
 - `reduction`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -25,6 +26,7 @@ PULL = Kind(
     published={
         "isometric": ("pressure", "force", "displacement"),
     },
+    imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
     name="isometric",
@@ -43,4 +45,5 @@ KIND = Kind(
     published={
         "isometric": ("pressure", "force", "displacement"),
     },
+    imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

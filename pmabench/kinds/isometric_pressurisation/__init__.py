@@ -5,6 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -76,4 +77,12 @@ KIND = Kind(
     published={
         "isometric": ("pressure", "force", "displacement"),
     },
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("to the highest", "fill"), ("from the highest", "empty"), ("any", "rest")),
+            point=(("contraction", "length"),),
+        ),
+        follows="force",
+    ),
 )

@@ -56,6 +56,17 @@ class Mean:
         """That of some of the tests."""
         return Mean(self.P, self.fill[rows], self.empty[rows])
 
+    @property
+    def turned(self) -> Array:
+        """What the mean of both branches lacks where the loop has not opened or closed yet, by its middle [N]; (bins,).
+
+        Half of the difference between the gap there and that of the middle half of the pressures.
+        """
+        known = np.isfinite(self.empty - self.fill)
+        gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        place = (self.P - self.P[0]) / (self.P[-1] - self.P[0])
+        return np.asarray(0.5 * np.abs(gap - np.median(gap[np.abs(place - 0.5) < 0.25])))
+
     def gaps(self, low: float) -> Array:
         """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N]."""
         part = (self.empty - self.fill)[:, self.P >= low]

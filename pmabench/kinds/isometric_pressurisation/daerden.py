@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import asin, atan, inf, pi, sqrt
+from math import asin, atan, pi, sqrt
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -28,6 +28,8 @@ OPEN = 0.25
 FURTHEST = 3.0
 """Errors by which a slope may be off the curve."""
 STEP = 1e-6
+NONE = 1e30
+"""Sum of squares that counts where no braid has an alpha: the search cannot do with infinity."""
 
 
 @dataclass(frozen=True)
@@ -169,11 +171,11 @@ def fit(
 
     def power(value: float) -> float:
         one = _at_alpha(slopes, value, given, free)
-        return inf if one is None else one.power
+        return NONE if one is None else one.power
 
     grid = np.linspace(*ALPHAS, 81)
     powers = np.array([power(float(value)) for value in grid])
-    if not np.isfinite(powers).any():
+    if not (powers < NONE).any():
         return None
     best = int(np.argmin(powers))
     low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]

@@ -7,6 +7,8 @@ contractions say at one pressure from `sections`; words, figures in `view`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -14,12 +16,31 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.isometric_lines import METHOD, Test, by_repeat, estimates_of, pool, spread, tests_of
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import (
+    METHOD,
+    Groups,
+    Test,
+    by_repeat,
+    estimates_of,
+    pool,
+    spread,
+    tests_of,
+)
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, blocked_force, daerden, view
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
-from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected, across, corrected, given_of
-from pmabench.store.records import RunData
+from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
+from pmabench.kinds.isometric_pressurisation.sections import (
+    BEYOND,
+    Across,
+    Cell,
+    Corrected,
+    across,
+    corrected,
+    given_of,
+)
+from pmabench.store.records import Array, RunData
 
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
@@ -27,6 +48,10 @@ SECTION = "daerden-section"
 CHANNELS = ("pressure", "force")
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
+LATE = 0.25
+"""A delay of the force that is worth more than this share of the loop is not left to an interval."""
+SEEN = 4.0
+"""Standard errors from which on a delay is seen."""
 SENSELESS = 1e9
 """Pressures [Pa] and forces [N] beyond this are none."""
 QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
@@ -44,33 +69,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     options = options or {}
     groups, dropped = tests_of(runs, PHASES, lack)
-    cells = [cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
     scales = Scales.of(runs)
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
-    estimates: list[Estimate] = []
-    begun: list[Estimate] = []
-    curves: list[Curve] = []
-    for cell in cells:
-        begun += _begins(cell, scales)
-        if cell.pooled is None:
-            continue
-        others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
-        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
-        estimates += [m, c, _width(cell, scales)]
-        line = cell.pooled.line
-        curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
-    estimates += begun + _sides(cells) + blocked_force.estimates(cells, given, scales)
-    found = across(cells)
-    estimates += _three_elements(found, scales)
-    sections = _sections(cells, given)
-    estimates += _section_estimates(sections, scales)
-    force = _corrected(cells, given)
-    estimates += _corrected_estimate(force, scales)
+    found = _found(groups, given, scales)
+    estimates, cells = _weighed(found, groups, given, scales), found.cells
     findings = [
-        *view.of_threshold(begun, given),
-        *view.of_sections(sections, given),
-        *view.of_across(found),
-        *view.of_corrected(force, given),
+        *view.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
+        *view.of_sections(found.sections, given),
+        *view.of_across(found.across),
+        *view.of_corrected(found.corrected, given),
         *view.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
     ]
@@ -83,18 +90,115 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         runs,
         results=RESULTS,
         estimates=estimates,
-        curves=curves,
+        curves=_curves(cells, estimates),
         dropped=dropped,
         findings=findings,
-        traces=[*view.traces(cells, sections, given), *blocked_force.trace(cells)],
+        traces=[*view.traces(cells, found.sections, given), *blocked_force.trace(cells)],
         facts={
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
             "cells": view.facts(cells),
-            "sections": {name: view.section_facts(one) for name, one in sections.items()},
+            "sections": {name: view.section_facts(one) for name, one in found.sections.items()},
         },
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What tests say, without what departures from their form may do to it."""
+
+    cells: Sequence[Cell]
+    across: Sequence[Across]
+    sections: Mapping[str, daerden.Section]
+    corrected: Corrected | None
+    estimates: Sequence[Estimate]
+
+
+def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
+    """All values of tests by contraction [m]."""
+    cells = [cell_of(contraction, tests) for contraction, tests in sorted(groups.items())]
+    estimates: list[Estimate] = []
+    begun: list[Estimate] = []
+    for cell in cells:
+        begun += _begins(cell, scales)
+        if cell.pooled is None:
+            continue
+        others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
+        m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
+        estimates += [m, c, _width(cell, scales)]
+    over = across(cells)
+    sections, force = _sections(cells, given), _corrected(cells, given)
+    estimates += begun + _sides(cells) + blocked_force.estimates(cells, given, scales) + _three_elements(over, scales)
+    estimates += _section_estimates(sections, scales) + _corrected_estimate(force, scales)
+    return _Found(cells, over, sections, force, estimates)
+
+
+def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]:
+    """The lines F = m P + c."""
+    terms = {(e.coordinate, e.at.get("contraction")): e for e in estimates if e.method == METHOD}
+    return [
+        Curve("F", "line", (terms["intercept", cell.contraction], terms["slope", cell.contraction]), "pressure",
+              (line.low, line.high), line.r2, line.rms, METHOD)
+        for cell in cells if cell.pooled is not None for line in [cell.pooled.line]
+    ]  # fmt: skip
+
+
+def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
+    """The values with what departures from the form of the tests may do to them, or withheld."""
+    doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
+    for one in departures(found.cells):
+        without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
+        changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
+        for e in found.estimates:
+            other = changed.get(_key(e))
+            if e.value is not None and other is not None:
+                doubts[_key(e)].append(Doubt(one.name, one.part, abs(other - e.value), one.seen, one.reason))
+    delay, error = late(found.cells)
+    for line in found.across:
+        for symbol in ("F_ce", "K"):
+            doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
+    turned, scatter = _turned(found.cells), scatter_of(found.cells)
+    largest = {cell.contraction: float(np.nanmax(np.abs(cell.mean.force))) for cell in found.cells}
+    told = []
+    for e in found.estimates:
+        if e.symbol == "H" and np.isfinite(delay):
+            doubts[_key(e)].append(_late(e, found.cells, delay, error))
+        if e.symbol in ("F_b", "F_ce") and turned:
+            lacks = max(float(np.interp(e.at["pressure"], *one)) for one in turned)
+            doubts[_key(e)].append(Doubt("turn of the loop", "method", lacks, seen=True))
+        if e.symbol == "F_b" and scatter is not None:
+            more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
+            doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
+        told.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
+    return told
+
+
+def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
+    """Pressures [Pa], and what the mean of the branches lacks there [N], of each contraction."""
+    return [(cell.mean.P, cell.mean.turned) for cell in cells if cell.pooled is not None]
+
+
+Key = tuple[str, str, str, float | None]
+
+
+def _key(e: Estimate) -> Key:
+    """What an estimate is told by: symbol, method, coordinate, pressure or contraction."""
+    return e.symbol, e.method, e.coordinate, next(iter(e.at.values()), None)
+
+
+def _late(H: Estimate, cells: Sequence[Cell], delay: float, error: float) -> Doubt:
+    """What a force that comes after the pressure is worth of the loop width [N]: it opens the loop by itself."""
+    cell = next(cell for cell in cells if cell.contraction == H.at["contraction"])
+    per_second = 2 * _rate(cell) * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
+    seen = abs(delay) > SEEN * error
+    worth = show(per_second * abs(delay), "force", 2)
+    reason = (
+        f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
+        "loop: a filter of the cell, or creep. Ramp more slowly"
+    )
+    half = per_second * (BEYOND * abs(delay) + 2 * error)
+    return Doubt("delay of the force", "method", half, seen, reason if half > LATE * abs(H.value or 0.0) else "")
 
 
 def lack(test: Test) -> str:
@@ -179,10 +283,22 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
         return found
     each = [-c / m for m, c in cell.pooled.repeats if m > 0]
     scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
-    parts = Parts(repeats=spread(each), calibration=scale, skew=late)
+    parts = Parts(
+        repeats=spread(each), method=BEYOND * abs(value - _bent_zero(cell, value)), calibration=scale, skew=late
+    )
     note = sentences("" if len(each) > 1 else "no repeats part: one test only", "the line at force 0")
     names = tuple(test.name for test in cell.tests)
     return [*found, Estimate("p_0", value, "Pa", "pressure", METHOD, at, parts, len(each), note=note, trials=names)]
+
+
+def _bent_zero(cell: Cell, value: float) -> float:
+    """Where a parabola through the straight part is 0 [Pa], from where the line is: as good a choice as the line."""
+    known = np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
+    P, F = cell.mean.P[known] - value, cell.mean.force[known]
+    bend, slope, start = np.polyfit(P, F, 2)
+    inner = slope * slope - 4 * bend * start
+    off = 2 * start / (slope + np.sqrt(inner)) if inner > 0 and slope > 0 else start / slope
+    return value - float(off)
 
 
 def _sides(cells: Sequence[Cell]) -> list[Estimate]:

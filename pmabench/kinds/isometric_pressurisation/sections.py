@@ -9,15 +9,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.isometric_lines import Line as LineOf
 from pmabench.analysis.shared.isometric_lines import Pooled, Test
-from pmabench.analysis.shared.lines import Line, weighted_line
+from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.sessions import session_of
 from pmabench.analysis.shared.student import mean_with_half
+from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Mean
 from pmabench.model.library.contractor import corrected_force
 from pmabench.store.records import Array
@@ -28,6 +31,10 @@ PULLS = 0.02
 """Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
 APART = 1e-5
 """Contractions that were measured nearer to each other make no line [m]."""
+CLEAR = 4.0
+"""A bend is seen where it is so many times its standard error."""
+BEYOND = 1.3
+"""What a bend that is not taken off adds to an interval, by what a parabola makes of it."""
 FURTHEST = 10.0
 """A displacement beyond this is none [m]."""
 FURTHEST_THRESHOLD = 2e5
@@ -89,6 +96,46 @@ class Across:
     between: tuple[float, ...]
     """-dF/dx between neighbouring contractions [N/m]."""
     names: tuple[str, ...]
+    bend: Bend
+
+
+@dataclass(frozen=True)
+class Bend:
+    """What a parabola over the contractions differs by from the line: as good a choice, better where it is seen."""
+
+    start: float
+    """Of F_ce [N]."""
+    slope: float
+    """Of K at either end of the contractions, the larger one [N/m]."""
+    seen: bool
+    F_ce: float
+    """By the line [N]."""
+
+    @classmethod
+    def of(cls, x: Array, F: Array, line: Line) -> Bend:
+        """From forces F (n,) [N] at contractions x (n,) [m] of the same pressure."""
+        bend, tilt, start = np.polyfit(x - x.mean(), F, 2)
+        off = F - np.polyval([bend, tilt, start], x - x.mean())
+        design = np.vander(x - x.mean(), 3)
+        scaled = design / np.linalg.norm(design, axis=0)
+        floor = PROPORTIONAL * float(np.abs(F).max())
+        freedom = len(F) - 3
+        spread = max(floor, sqrt(float(off @ off) / freedom) if freedom > 0 else 0.0)
+        error = sqrt(np.linalg.pinv(scaled.T @ scaled)[0, 0]) * spread / float(np.linalg.norm(design[:, 0]))
+        at_0 = float(np.polyval([bend, tilt, start], -x.mean()))
+        tangents = [-(tilt + 2 * bend * (end - x.mean())) for end in (x.min(), x.max())]
+        slope = max(abs(tangent + line.slope) for tangent in tangents)
+        return cls(at_0 - line.start, slope, bool(abs(bend) > CLEAR * error), line.start)
+
+    def doubt(self, symbol: str) -> Doubt:
+        """Of `F_ce` or `K`: the force is carried to no contraction, and K is that at any place of the stroke."""
+        if symbol == "K":
+            return Doubt("bend over the contraction", "method", self.slope if self.seen else 0.0, self.seen)
+        reason = (
+            f"the force over contraction is bent: a parabola gives {show(self.F_ce + self.start, 'force', 4)} without "
+            f"contraction, the line {show(self.F_ce, 'force', 4)}. The blocked force F_b is measured there"
+        )
+        return Doubt("bend over the contraction", "method", BEYOND * abs(self.start), self.seen, reason)
 
 
 def across(cells: Sequence[Cell]) -> list[Across]:
@@ -116,7 +163,8 @@ def across(cells: Sequence[Cell]) -> list[Across]:
         means = sorted((float(x[group == g].mean()), float(F[group == g].mean())) for g in places)
         off = max(abs(f - line.start - line.slope * at) for at, f in means)
         between = tuple(-(f2 - f1) / (x2 - x1) for (x1, f1), (x2, f2) in pairwise(means))
-        found.append(Across(P, line, off, float(np.ptp([f for _, f in means])), between, tuple(row[3] for row in rows)))
+        span, names = float(np.ptp([f for _, f in means])), tuple(row[3] for row in rows)
+        found.append(Across(P, line, off, span, between, names, Bend.of(x, F, line)))
     return found
 
 

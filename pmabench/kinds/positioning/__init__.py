@@ -4,6 +4,7 @@
 - protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`, `plots`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -44,4 +45,6 @@ KIND = Kind(
     front={
         "position": "pmabench.kinds.positioning.figures:positions",
     },
+    imported=Imported(),
+    loop=True,
 )

@@ -3,6 +3,7 @@
 - `reduction`, with `bandwidth`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -34,4 +35,5 @@ KIND = Kind(
     figures={
         "pressure-loop": "pmabench.plotting.loops:loops",
     },
+    imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

@@ -3,6 +3,7 @@
 - `reduction`, with `motion`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -33,4 +34,5 @@ KIND = Kind(
     front={
         "overlay": "pmabench.plotting.motion:overlays",
     },
+    imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),
 )

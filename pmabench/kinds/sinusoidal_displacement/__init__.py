@@ -5,6 +5,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -69,4 +70,11 @@ KIND = Kind(
     published={
         "loop": ("displacement", "force", "pressure"),
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            point=(("frequency", "frequency"), ("mean", "mean"), ("amplitude", "amplitude"), ("pressure", "held")),
+            sine=True,
+        )
+    ),
 )

@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -36,4 +37,10 @@ KIND = Kind(
         "static": "pmabench.kinds.static_load.figures:points",
         "lift": "pmabench.kinds.static_load.figures:lifts",
     },
+    imported=Imported(
+        Commanded("pressure", phases=(("rises", "lift"), ("any", "set-down"))),
+        follows="displacement",
+        loaded=True,
+        lifted=True,
+    ),
 )

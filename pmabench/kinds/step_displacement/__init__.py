@@ -4,6 +4,7 @@
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -39,4 +40,12 @@ KIND = Kind(
     figures={
         "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
     },
+    imported=Imported(
+        Commanded(
+            "displacement",
+            phases=(("away", "step"), ("any", "back")),
+            point=(("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held")),
+            ramps=True,
+        )
+    ),
 )

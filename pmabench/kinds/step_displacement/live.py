@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmabench.analysis.shared.rest import left
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
@@ -23,8 +24,9 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         return [Measured("K", "stiffness", None)], [str(reason)]
     K = float(np.mean([step.static for step in steps]))
     beyond = float(np.mean([abs(step.peak - step.relaxed) for step in steps]))
-    drift = max((abs(step.drift) for step in steps if abs(step.drift) > 3 * step.noise), default=0.0)
-    doubts = [f"the force still drifts by {show(drift, 'force', 2)}"] if drift > DRIFT * beyond > 0 else []
+    further = left([step.later for step in steps])
+    moves = further.seen and abs(further.size) > DRIFT * beyond > 0
+    doubts = [f"the force would still change by {show(further.size, 'force', 2)}"] if moves else []
     return [
         Measured("K", "stiffness", K, expected.at("K", P) if expected is not None and P is not None else None),
         Measured("overshoot", "force", beyond, noise=3 * steps[0].noise),

@@ -11,10 +11,14 @@ from math import hypot
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.rest import Held, left
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
@@ -30,8 +34,12 @@ TAIL = 0.1
 CELL = ("pressure", "start", "step", "speed")
 STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and repeated tests may scatter more"
 ONE_STEP = "no repeats part: one step"
-DRIFTS = 0.05
-"""Drift at the end of a rest, as a share of the step of the force, that is doubted."""
+DRIFTS = 0.02
+"""What the force would still change by after a rest, as a share of its step, that is doubted."""
+SEVERAL = 0.25
+"""Share of a time constant by which that of the later part may differ where there is one exponential."""
+SURE = 0.9995
+"""Probability of Student's t beyond which a change from cycle to cycle is seen."""
 LONGEST_TRACE = 1500
 
 
@@ -97,14 +105,17 @@ def _estimates(
     """All of one direction of one cell."""
     each = [of(member.steps) for member in group]
     names = tuple(member.trial.name for member in group)
-    noise = max(one.noise for steps in each for one in steps)
-    moved = abs(float(np.mean([one.moved for steps in each for one in steps])))
-    drift = max(abs(one.drift) for steps in each for one in steps)
+    every = [one for steps in each for one in steps]
+    noise = max(one.noise for one in every)
+    moved = abs(float(np.mean([one.moved for one in every])))
+    extreme = hypot(EXTREME * noise, max(one.sampled for one in every))
+    before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
+    both = tuple(replace(one, half=one.half / moved) for one in (before, after))
     told: list[Estimate] = []
 
     def estimate(
         symbol: str, kind: tuple[str, str], method: str, value: Callable[[Relaxation], float],
-        powers: Mapping[str, int], extra: float, coordinate: str = "",
+        powers: Mapping[str, int], extra: float, coordinate: str = "", doubts: Sequence[Doubt] = (),
     ) -> None:  # fmt: skip
         values = [np.array([value(one) for one in steps]) for steps in each]
         means = np.array([float(one.mean()) for one in values])
@@ -113,32 +124,66 @@ def _estimates(
         note = ONE_STEP if half is None else STEPS_OF_ONE if len(group) == 1 else ""
         if part is None and set(powers) - {"force", "displacement"}:
             note = sentences(note, scales.lack(powers))
-        told.append(
-            Estimate(symbol, mean, *kind, method, dict(at), Parts(half, extra, part), len(group), note=note,
-                     trials=names, coordinate=coordinate)
-        )  # fmt: skip
+        e = Estimate(symbol, mean, *kind, method, dict(at), Parts(half, extra, part), len(group), note=note,
+                     trials=names, coordinate=coordinate)  # fmt: skip
+        told.append(weighed(e, [*doubts, *(_trend(values) if symbol == "F" else ())]))
 
     stiffness, newton, second = ("N/m", "stiffness"), ("N", "force"), ("s", "time")
     slope = {"force": 1, "displacement": -1}
-    estimate("K", stiffness, RELAXED, lambda one: one.static, slope, drift / moved)
-    estimate("K", stiffness, PEAK, lambda one: one.instant, slope, EXTREME * noise / moved)
-    estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, drift, "before")
-    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, EXTREME * noise, "peak")
-    estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, drift, "relaxed")
-    if all(np.isfinite(one.pressure_peak) for steps in each for one in steps):
+    estimate("K", stiffness, RELAXED, lambda one: one.static, slope, 0.0, doubts=both)
+    estimate("K", stiffness, PEAK, lambda one: one.instant, slope, extreme / moved, doubts=both[:1])
+    estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, 0.0, "before", (before,))
+    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak")
+    estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, 0.0, "relaxed", (after,))
+    if all(np.isfinite(one.pressure_peak) for one in every):
         estimate("P_err", ("Pa", "pressure"), PEAK, lambda one: one.pressure_peak, {"pressure": 1}, 0.0)
     for symbol, name in (("tau_F", "force_back"), ("tau_p", "pressure_back")):
-        if all(getattr(one, name) is not None for steps in each for one in steps):
-            estimate(symbol, second, BACK, lambda one, name=name: getattr(one, name).tau, {}, 0.0)  # type: ignore[misc]
-            last = told.pop()
-            note = sentences(last.note, "no calibration part: a time has no scale")
-            apart = max(getattr(one, name).apart for steps in each for one in steps)
-            tail = Parts(last.parts.repeats, hypot(TAIL * abs(last.value or 0.0), apart))
-            told.append(replace(last, parts=tail, note=note))
+        back = [getattr(one, name) for one in every]
+        if None in back:
+            note = "no recovery shows above the noise, or it is over within a few samples"
+            told.append(Estimate(symbol, None, *second, BACK, dict(at), n=len(group), note=note, trials=names))
             continue
-        note = "no recovery shows above the noise, or it is over within a few samples"
-        told.append(Estimate(symbol, None, *second, BACK, dict(at), n=len(group), note=note, trials=names))
+        estimate(symbol, second, BACK, lambda one, name=name: getattr(one, name).tau, {}, 0.0)  # type: ignore[misc]
+        size = float(np.mean([abs(one.size) for one in back]))
+        restless = name == "force_back" and after.seen and after.half > MOST_HIDDEN * size
+        tau = _one_time(told.pop(), max(one.apart for one in back))
+        told.append(withhold(tau, after.reason) if restless else tau)
     return told
+
+
+def _one_time(tau: Estimate, apart: float) -> Estimate:
+    """A time constant with what its later part differs by in its interval, or withheld where there are several."""
+    value = abs(tau.value or 0.0)
+    if apart > SEVERAL * value:
+        later = f"the later part of the way back has a time constant that differs by {apart / value:.0%}"
+        return withhold(tau, f"{later} (below {SEVERAL:.0%} is accepted): it is not one exponential")
+    note = sentences(tau.note, "no calibration part: a time has no scale")
+    return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
+
+
+def _still_moving(rests: Sequence[Held]) -> Doubt:
+    """What motion of the force at the end of the rests is worth [N]."""
+    further = left(rests)
+    text = f"the force is not at rest: after the hold it may still change by {show(further.most, 'force', 2)}"
+    return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
+
+
+def _trend(values: Sequence[NDArray[np.float64]]) -> list[Doubt]:
+    """What a force changes by from the first cycle to the last [N], by one line for each trial; none without three."""
+    rows = [(np.arange(len(one)) - 0.5 * (len(one) - 1), one - one.mean()) for one in values if len(one) > 2]
+    if not rows:
+        return []
+    place, off = (np.concatenate(column) for column in zip(*rows, strict=True))
+    freedom = len(off) - len(rows) - 1
+    power = float(place @ place)
+    slope = float(place @ off) / power
+    error = float(np.sqrt(np.sum((off - slope * place) ** 2) / freedom / power))
+    cycles = max(len(one) for one in values)
+    size, most = abs(slope) * cycles, (abs(slope) + float(student.ppf(0.975, freedom)) * error) * cycles
+    seen = abs(slope) > float(student.ppf(SURE, freedom)) * error
+    text = f"from cycle to cycle the force changes, by {show(size, 'force', 2)} in all: the cell drifts, or the muscle"
+    reason = f"{text} is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
+    return [Doubt("change from cycle to cycle", "drift", most, seen, reason)] if seen else []
 
 
 def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:
@@ -146,11 +191,12 @@ def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding
     told = []
     for member in group:
         every = (*member.steps.there, *member.steps.back)
-        drift = max(abs(one.drift) / max(abs(one.peak - one.before), 1e-9) for one in every)
-        worst = max(every, key=lambda one: abs(one.drift))
-        if drift > DRIFTS and abs(worst.drift) > 3 * worst.noise:
-            text = f"trial {member.trial.name}: the force still drifts by {show(worst.drift, 'force', 2)} at the end of"
-            told.append(Finding("doubt", f"{text} a rest; K is not static yet, hold longer"))
+        for steps in (member.steps.there, member.steps.back):
+            further, size = left([one.later for one in steps]), abs(steps[0].relaxed - steps[0].before)
+            if further.seen and abs(further.size) > DRIFTS * size:
+                change = show(further.size, "force", 2)
+                text = f"trial {member.trial.name}: after a rest the force would still change by {change}"
+                told.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
         if any(one.static <= 0 for one in every):
             text = f"trial {member.trial.name}: the force rises with contraction: a sign is wrong, or the step is lost"
             told.append(Finding("fault", text))

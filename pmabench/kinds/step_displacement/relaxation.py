@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from pmabench.analysis.shared.rest import Held
 from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -29,8 +30,8 @@ class Recovery:
     size: float
     tau: float
     apart: float
-    """How far tau is from that of the later part of the way back, from half a time constant on [s]: what is no single
-    exponential shows in it."""
+    """How far tau is from that of the later part of the way back, from half a time constant on, or from that with a
+    drift beside it [s]: what is no single exponential shows in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +43,12 @@ class Relaxation:
     before: float
     peak: float
     relaxed: float
-    drift: float
-    """What the relaxed force still changes by over the last fifth of the rest [N]."""
+    earlier: Held
+    """The force along the second half of the rest before [N]."""
+    later: Held
+    """The same of the rest after [N]."""
+    sampled: float
+    """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
     pressure_peak: float
     """Largest difference of the pressure from that before; nan where it is not recorded."""
     force_back: Recovery | None
@@ -124,10 +129,14 @@ def _one(trial: TrialData, values: dict[str, Array], ramp: Command, begin: float
     if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
         raise NotUsable("the displacement does not move above its noise")
     away = F[moving] - level
-    peak = level + float(away[np.argmax(-np.sign(moved) * away)])
-    half = np.flatnonzero(after)
-    middle = len(half) // 2
-    drift = 2 * float(F[half[middle:]].mean() - F[half[:middle]].mean())
+    place = int(np.argmax(-np.sign(moved) * away))
+    earlier, later = (
+        Held.of(t[rows], F[rows], since)
+        for rows, since in (
+            (good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9), ramp.t - LAST * (ramp.t - begin)),
+            (good & (t >= 0.5 * (arrived + end)) & (t < end), end - LAST * (end - arrived)),
+        )
+    )
     known = bool(np.isfinite(P).all())
     still = rest & (t > _arrival(t[moving], x[moving], float(x[after].mean()), abs(moved), arrived))
     if still.sum() < 2 * FEWEST:
@@ -140,9 +149,11 @@ def _one(trial: TrialData, values: dict[str, Array], ramp: Command, begin: float
     return Relaxation(
         moved=moved,
         before=level,
-        peak=peak,
+        peak=level + float(away[place]),
         relaxed=relaxed,
-        drift=drift,
+        earlier=earlier,
+        later=later,
+        sampled=abs(float(away[place] - away[max(0, place - 1)])),
         pressure_peak=pressure_peak,
         force_back=recovery(since, F[still]),
         pressure_back=recovery(since, P[still]) if known else None,
@@ -167,26 +178,28 @@ def recovery(t: Array, y: Array) -> Recovery | None:
     if abs(size) < max(SEEN * noise, 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
         return None
     late = t >= 0.5 * tau
-    later = _time_constant(t[late] - t[late][0], y[late])[0] if late.sum() > FEWEST else tau
-    return Recovery(size, tau, abs(later - tau))
+    others = [_time_constant(t, y, 1)[0]]
+    if late.sum() > FEWEST:
+        others.append(_time_constant(t[late] - t[late][0], y[late])[0])
+    return Recovery(size, tau, max(abs(other - tau) for other in others))
 
 
-def _exponential(t: Array, y: Array, tau: float) -> tuple[Array, float]:
-    """Constant and size of an exponential through y, and the mean square of what is left."""
-    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+def _exponential(t: Array, y: Array, tau: float, order: int = 0) -> tuple[Array, float]:
+    """Constant and size of an exponential through y, and the mean square of what is left; `order` 1 adds a drift."""
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau), *[t] * order])
     terms, *_ = np.linalg.lstsq(design, y, rcond=None)
     return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
 
 
-def _time_constant(t: Array, y: Array) -> tuple[float, bool]:
+def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
     """The time constant that leaves least [s], and whether it is within the range that is looked at."""
     step = float(np.median(np.diff(t)))
     grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
-    costs = [_exponential(t, y, float(np.exp(s)))[1] for s in grid]
+    costs = [_exponential(t, y, float(np.exp(s)), order)[1] for s in grid]
     best = int(np.argmin(costs))
     low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
     found = minimize_scalar(
-        lambda s: _exponential(t, y, float(np.exp(s)))[1], bounds=(low, high), method="bounded",
+        lambda s: _exponential(t, y, float(np.exp(s)), order)[1], bounds=(low, high), method="bounded",
         options={"xatol": 1e-5},
     )  # fmt: skip
     return float(np.exp(found.x)), best not in (0, len(grid) - 1)

@@ -6,6 +6,7 @@
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -58,4 +59,6 @@ KIND = Kind(
     front={
         "growth": "pmabench.plotting.loops:growth_alone",
     },
+    imported=Imported(),
+    loop=True,
 )

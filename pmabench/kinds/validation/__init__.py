@@ -3,6 +3,7 @@
 - `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
+from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -38,4 +39,5 @@ KIND = Kind(
     front={
         "validation": "pmabench.kinds.validation.figures:validations",
     },
+    imported=Imported(),
 )

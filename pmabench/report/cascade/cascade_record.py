@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from pmabench.base.errors import RecordError, invalid
 from pmabench.model.cascade import Course
+from pmabench.store.json_files import read_model
 
 SCHEMA: Literal["pmabench.cascade-result/1"] = "pmabench.cascade-result/1"
 MOST_BYTES = 400_000_000
@@ -150,26 +151,8 @@ def csv_text(found: Result) -> str:
 def read_result(path: Path) -> Result:
     """A result that was written, from its JSON file or the folder of it; `InvalidFile` in a sentence."""
     file = path / "cascade.json" if path.is_dir() else path
-    try:
-        if not file.is_file():
-            raise invalid(path, "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one")
-        if file.stat().st_size > MOST_BYTES:
-            raise invalid(file, f"is larger than {MOST_BYTES} bytes: no result of a cascade")
-        data = json.loads(file.read_bytes())
-    except OSError as error:
-        raise invalid(file, f"cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise invalid(file, f"is no JSON, or was cut off: {error}") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        said = data.get("schema") if isinstance(data, dict) else None
-        hint = " To simulate a cascade file: pmabench cascade simulate FILE." if "cascade/" in str(said) else ""
-        raise invalid(file, f"is no result of a cascade ({SCHEMA}).{hint}")
-    try:
-        found = Result.model_validate(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise invalid(file, f"is damaged at {where}: {first['msg']}; simulate again") from error
+    missing = "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one"
+    found = read_model(Result, file, SCHEMA, "result of a cascade", MOST_BYTES, missing)
     lengths = {len(getattr(found, name)) for name in TOTALS}
     lengths |= {len(getattr(link, name)) for link in found.muscles for name in EACH}
     rising = len(found.time) >= 2 and bool((np.diff(found.time) > 0).all())

@@ -12,11 +12,23 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
+from pmabench.base.errors import RecordError
 from pmabench.plotting.rounding import WITHHELD
 from pmabench.plotting.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.store.analyses.folder import write_analysis
 
 FORMULA = tuple("=+-@＝＋－＠")
 """A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""
+
+
+def write_with_tables(analysis: Analysis, folder: Path) -> Path:
+    """An analysis folder with its tables as CSV, as people want it; raises RecordError where it cannot be written."""
+    write_analysis(analysis, folder)
+    try:
+        write_tables(analysis, folder)
+    except OSError as error:
+        raise RecordError(f"{folder}: the tables cannot be written: {error.strerror or error}") from error
+    return folder
 
 
 def write_tables(analysis: Analysis, folder: Path) -> list[Path]:

@@ -23,11 +23,11 @@ from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
 from pmabench.plotting.wording import clean
 from pmabench.report.document import tables
 from pmabench.report.files import latex
-from pmabench.report.files.analysis_folder import file_names
 from pmabench.report.files.control_model import control_model, control_text, suits
 from pmabench.report.files.csv_files import inert, write_tables
 from pmabench.report.files.mujoco_model import mujoco_model, mujoco_text
 from pmabench.report.words.names import kind_title
+from pmabench.store.analyses.folder import file_names
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import record_of
 from pmabench.store.folder import plain

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pmabench.analysis.declared import in_common
 from pmabench.base.errors import RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many import many_cache
 from pmabench.report.many.many import Many
+from pmabench.report.words.names import in_common
 
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"

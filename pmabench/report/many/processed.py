@@ -49,7 +49,7 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
 
 def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
-    from pmabench.report.files.analysis_folder import write_analysis
+    from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words.names import declared
     from pmabench.store.chain import open_chains
     from pmabench.store.fingerprint import stamp
@@ -60,7 +60,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
         return {"skipped": f"is a run of kind {kind}"}
     runs = open_chains([path])
     (analysis,) = reduce_runs(runs, options)
-    written = write_analysis(analysis, out / folder / analysis.kind)
+    written = write_with_tables(analysis, out / folder / analysis.kind)
     told: dict[str, Any] = plain(
         {
             "run": runs[-1].id,

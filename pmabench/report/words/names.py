@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from pmabench.analysis.declared import in_common
 from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.text import clean
@@ -72,3 +71,18 @@ def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:
 def kind_title(kind: str) -> str:
     """The kind of test as a heading."""
     return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))
+
+
+def in_common(orders: Iterable[Iterable[str]]) -> list[str]:
+    """The symbols of several orders in one: a new symbol follows the one before it in its own order.
+
+    One that is first there precedes the next that is known, and comes last where none is.
+    """
+    whole: list[str] = []
+    for symbols in map(list, orders):
+        for place, symbol in enumerate(symbols):
+            if symbol in whole:
+                continue
+            after = next((whole.index(s) for s in symbols[place + 1 :] if s in whole), len(whole))
+            whole.insert(whole.index(symbols[place - 1]) + 1 if place else after, symbol)
+    return whole

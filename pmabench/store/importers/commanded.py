@@ -1,8 +1,8 @@
-"""Commands of the tests that this program knows, read off the columns of a file that it did not record.
+"""Commands of a test, read off the columns of a file that this program did not record.
 
 Steps, ramps and sines of the commanded channel (of the measured one where no command was recorded) get the names of
-phases that a protocol of the kind gives them. Pure functions of arrays; what was not commanded in a column, such as
-what a search found, is not made up.
+phases that the kind of test gives them, as plain data. Pure functions of arrays; what was not commanded in a column,
+such as what a search found, is not made up.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.base.imported import Commanded
 from pmabench.store.importers import motion
+from pmabench.store.importers.motion import Wave
 from pmabench.store.records import Array
 
 SMALLEST = {"pressure": 1e3, "displacement": 0.2e-3}
@@ -49,40 +51,52 @@ class Change:
 
     def command(self, output: str, phase: str) -> dict[str, Any]:
         """Data of a `command` event, with `t`."""
-        told = {"t": self.t, "output": output, "value": self.value, "before": self.before, "phase": phase}
+        data = {"t": self.t, "output": output, "value": self.value, "before": self.before, "phase": phase}
         if self.end - self.t <= AT_ONCE:
-            return {**told, "type": "set"}
-        return {**told, "type": "ramp", "rate": abs(self.value - self.before) / (self.end - self.t)}
+            return {**data, "type": "set"}
+        return {**data, "type": "ramp", "rate": self.speed}
+
+    @property
+    def speed(self) -> float:
+        """How fast it goes [SI/s]; one that is over at once as if it took a millisecond."""
+        return abs(self.value - self.before) / max(self.end - self.t, 1e-3)
 
 
 Named = tuple[list[dict[str, Any]], dict[str, float]]
 """Commands of a trial, and what of its operating point they tell."""
 
 
-def read(kind: str, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
-    """The commands of one trial of a kind, and its operating point as far as they tell it.
+def read(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
+    """The commands of one trial, and its operating point as far as they tell it.
 
     `t` [s] rises; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
     """
-    if kind not in _READ or len(t) < 2 * MOVING_SAMPLES + 2:
+    if len(t) < 2 * MOVING_SAMPLES + 2:
         return [], {}
-    output, name = _READ[kind]
-    channel = f"{output}_command" if f"{output}_command" in channels else output
+    channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
     if channel not in channels:
         return [], {}
-    least = smallest if smallest and output == "pressure" else SMALLEST[output]
-    if kind == "sinusoidal-displacement":
-        return _sine(t, channels, channel, least)
-    found = changes(t, channels[channel], least, measured=channel == output)
-    if not found:
-        return [], {**_held(channels), "side": -1.0} if kind == "free-contraction" else {}
-    if channel == output:  # ends that were measured lie within noise of each other from cycle to cycle
+    measured = channel == how.output
+    least = smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
+    waves = motion.waves(t, channels[channel], least) if how.sine else []
+    found = [] if how.sine else changes(t, channels[channel], least, measured=measured)
+    if not found and not waves and not how.still:
+        return [], {}
+    if measured and found:  # ends that were measured lie within noise of each other from cycle to cycle
         grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
         found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
-    commands, point = name(found, t, channels)
-    if channel == output:
-        commands = [{**command, "found": 1.0} for command in commands]
-    return commands, point
+    seen = Seen(tuple(found), t, channels, max(waves, key=lambda wave: wave.end - wave.begin, default=None))
+    point = {name: COORDINATES[way](seen) for name, way in how.point}
+    if seen.wave is not None:
+        return [sine_command(seen.wave, how.output)], {k: v for k, v in point.items() if v is not None}
+    commands = []
+    for place, change in enumerate(found):
+        phase = next(name for way, name in how.phases if CHANGES[way](seen, place))
+        command = change.command(how.output, phase)
+        if how.ramps and command["type"] == "set":
+            command |= {"type": "ramp", "rate": change.speed}
+        commands.append({**command, "found": 1.0} if measured else command)
+    return commands, {name: value for name, value in point.items() if value is not None}
 
 
 def changes(t: Array, values: Array, smallest: float, *, measured: bool = False) -> list[Change]:
@@ -135,75 +149,103 @@ def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> C
     return Change(at[0] - slack, at[1] + slack, _rounded(before), _rounded(value))
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+def _rounded(value: float, digits: int = DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
 
 
-def _contraction(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    lowest, highest = min(c.value for c in found), max(c.value for c in found)
-    lowest = min(lowest, found[0].before)
-    edge = lowest + 0.02 * (highest - lowest)
+@dataclass(frozen=True)
+class Seen:
+    """What was commanded in a trial, and its samples: `t` [s] and `channels` [SI] of shape (n,)."""
 
-    def phase(change: Change) -> str:
-        return "contract" if change.value > change.before else "vent" if change.value <= edge else "relax"
+    changes: tuple[Change, ...]
+    t: Array
+    channels: Mapping[str, Array]
+    wave: Wave | None = None
 
-    return [c.command("pressure", phase(c)) for c in found], {"pressure": highest}
+    @property
+    def ends(self) -> list[float]:
+        """Values before and after each change [SI]."""
+        return [end for c in self.changes for end in (c.before, c.value)]
 
+    @property
+    def left(self) -> bool:
+        """Whether the last change leaves the value at which the trial was held: it rests there longer than after it."""
+        if len(self.changes) < 2:
+            return False
+        before, last = self.changes[-2:]
+        return float(self.t[-1]) - last.end <= last.t - before.end
 
-def _ramps(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    commands = [c.command("displacement", "contract" if c.value > c.before else "expand") for c in found]
-    ends = [end for c in found for end in (c.before, c.value)]
-    speed = float(np.median([abs(c.value - c.before) / max(c.end - c.t, 1e-9) for c in found]))
-    point = {"lower": min(ends), "upper": max(ends), "speed": float(f"{speed:.3g}"), "cycles": float(len(found) // 2)}
-    return commands, {**point, **_held(channels)}
+    def held(self) -> float | None:
+        """The pressure at which a test was made [Pa]: as commanded, else as measured, to three digits."""
+        for name, digits in (("pressure_command", DIGITS), ("pressure", 3)):
+            if name in self.channels:
+                return _rounded(float(np.median(self.channels[name])), digits)
+        return None
 
+    def reached(self) -> float | None:
+        """The value at which the trial was held last, before it was left [SI]."""
+        if not self.changes:
+            return self.held()
+        return self.changes[-1].before if self.left else self.changes[-1].value
 
-def _steps(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    start = found[0].before
-    commands = []
-    for c in found:
-        away = abs(c.value - start) > abs(c.before - start)
-        commands.append({**c.command("displacement", "step" if away else "back"), "type": "ramp"})
-    for command, c in zip(commands, found, strict=True):
-        command.setdefault("rate", abs(c.value - c.before) / max(c.end - c.t, 1e-3))
-    speed = float(np.median([command["rate"] for command in commands]))
-    size = float(np.median([abs(c.value - c.before) for c in found]))
-    point = {"start": start, "step": _rounded(size), "speed": float(f"{speed:.3g}")}
-    return commands, {**point, **_held(channels)}
+    def usual(self, what: Callable[[Change], float], digits: int) -> float | None:
+        """Median over the changes."""
+        return _rounded(float(np.median([what(c) for c in self.changes])), digits) if self.changes else None
 
-
-def _fill(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    top = max(c.value for c in found)
-
-    def phase(change: Change) -> str:
-        if change.value >= 0.95 * top:
-            return "fill"
-        return "empty" if change.before >= 0.95 * top else "rest"
-
-    point = {}
-    if "displacement" in channels:
-        middle = float(np.median(channels["displacement"]))
-        point["contraction"] = round(middle, 4)
-    return [c.command("pressure", phase(c)) for c in found], point
+    def length(self) -> float | None:
+        """The displacement at which a test was made [m]."""
+        here = self.channels.get("displacement")
+        return None if here is None else round(float(np.median(here)), 4)
 
 
-def _free(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    """Up to the pressure, or beyond it and down to it; then at rest, and away."""
-    last = found[-1] if len(found) > 1 else None
-    if last is not None and t[-1] - last.end > last.t - found[-2].end:
-        last = None  # it rests longer after it than before: it was not vented but brought there
-    commands = []
-    for c in found:
-        phase = "vent" if c is last else "fill" if c.value > c.before else "empty"
-        commands.append({**c.command("pressure", phase), "type": "ramp"})
-        commands[-1].setdefault("rate", abs(c.value - c.before) / max(c.end - c.t, 1e-3))
-    pressure = last.before if last is not None else found[-1].value
-    before = found if last is None else found[:-1]
-    return commands, {"pressure": pressure, "side": 1.0 if len(before) > 1 else -1.0}
+def _lowest(seen: Seen) -> float:
+    """What counts as the lowest value: within 2 % of the way to the highest one."""
+    low = min(seen.changes[0].before, *(c.value for c in seen.changes))
+    return low + 0.02 * (max(c.value for c in seen.changes) - low)
 
 
-def _lifts(found: list[Change], t: Array, channels: Mapping[str, Array]) -> Named:
-    return [c.command("pressure", "lift" if c.value > c.before else "set-down") for c in found], {}
+def _highest(seen: Seen) -> float:
+    return 0.95 * max(c.value for c in seen.changes)
+
+
+CHANGES: Mapping[str, Callable[[Seen, int], bool]] = {
+    "rises": lambda seen, k: seen.changes[k].value > seen.changes[k].before,
+    "to the lowest": lambda seen, k: seen.changes[k].value <= _lowest(seen),
+    "to the highest": lambda seen, k: seen.changes[k].value >= _highest(seen),
+    "from the highest": lambda seen, k: seen.changes[k].before >= _highest(seen),
+    "away": lambda seen, k: (
+        abs(seen.changes[k].value - seen.changes[0].before) > abs(seen.changes[k].before - seen.changes[0].before)
+    ),
+    "leaves": lambda seen, k: seen.left and k == len(seen.changes) - 1,
+    "any": lambda seen, k: True,
+}
+"""Way of a change -> whether the change of a number goes that way."""
+COORDINATES: Mapping[str, Callable[[Seen], float | None]] = {
+    "highest": lambda seen: max((c.value for c in seen.changes), default=None),
+    "lowest end": lambda seen: min(seen.ends, default=None),
+    "highest end": lambda seen: max(seen.ends, default=None),
+    "first": lambda seen: seen.changes[0].before if seen.changes else None,
+    "size": lambda seen: seen.usual(lambda c: abs(c.value - c.before), DIGITS),
+    "speed": lambda seen: seen.usual(lambda c: c.speed, 3),
+    "pairs": lambda seen: float(len(seen.changes) // 2),
+    "held": Seen.held,
+    "length": Seen.length,
+    "reached": Seen.reached,
+    # from below where one change brought it there, from above where it came down again
+    "side": lambda seen: 1.0 if len(seen.changes) - seen.left > 1 else -1.0,
+    "frequency": lambda seen: _rounded(seen.wave.frequency) if seen.wave else None,
+    "mean": lambda seen: round(seen.wave.mean, 5) if seen.wave else None,
+    "amplitude": lambda seen: round(seen.wave.amplitude, 5) if seen.wave else None,
+}
+"""How a coordinate of the operating point is measured [SI]; None where it cannot be."""
+
+
+def sine_command(wave: Wave, output: str) -> dict[str, Any]:
+    """Data of a `command` event for a sine, with `t`."""
+    return {
+        "t": wave.begin, "output": output, "type": "sine", "value": wave.mean, "before": wave.mean, "phase": "sine",
+        "amplitude": wave.amplitude, "frequency": wave.frequency, "cycles": (wave.end - wave.begin) * wave.frequency,
+    }  # fmt: skip
 
 
 def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str, Any]]:
@@ -237,45 +279,6 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
         if "pressure" in result:
             told.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
     return told
-
-
-def _sine(t: Array, channels: Mapping[str, Array], channel: str, smallest: float) -> Named:
-    waves = motion.waves(t, channels[channel], smallest)
-    if not waves:
-        return [], {}
-    wave = max(waves, key=lambda wave: wave.end - wave.begin)
-    cycles = (wave.end - wave.begin) * wave.frequency
-    command = {
-        "t": wave.begin, "output": "displacement", "type": "sine", "value": wave.mean, "before": wave.mean,
-        "phase": "sine", "amplitude": wave.amplitude, "frequency": wave.frequency, "cycles": cycles,
-    }  # fmt: skip
-    point = {
-        "frequency": float(f"{wave.frequency:.4g}"),
-        "mean": round(wave.mean, 5),
-        "amplitude": round(wave.amplitude, 5),
-        **_held(channels),
-    }
-    return [command], point
-
-
-def _held(channels: Mapping[str, Array]) -> dict[str, float]:
-    """The pressure at which a test was made: as commanded, else as measured, to three digits."""
-    for name, digits in (("pressure_command", DIGITS), ("pressure", 3)):
-        if name in channels:
-            return {"pressure": float(f"{float(np.median(channels[name])):.{digits}g}")}
-    return {}
-
-
-_READ: dict[str, tuple[str, Callable[[list[Change], Array, Mapping[str, Array]], Named]]] = {
-    "contraction-relaxation": ("pressure", _contraction),
-    "isobaric-ramp": ("displacement", _ramps),
-    "step-displacement": ("displacement", _steps),
-    "isometric-pressurisation": ("pressure", _fill),
-    "free-contraction": ("pressure", _free),
-    "sinusoidal-displacement": ("displacement", _ramps),
-    "static-load": ("pressure", _lifts),
-}
-"""Kind -> what is commanded in it, and how its changes are named. Searches and loops leave no such trace."""
 
 
 def cell_load(t: Array, force: Array, commands: list[dict[str, Any]]) -> float | None:

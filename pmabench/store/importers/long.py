@@ -177,7 +177,7 @@ def _thinned(seen: Seen, rules: ImportMap, stretches: int) -> np.ndarray:
         first = np.arange(len(blocks)) * size
         for at in (blocks.argmin(axis=1), blocks.argmax(axis=1)):
             keep[np.minimum(first + at, rows - 1)] = True
-    edges = np.abs(np.diff(seen.t)) > min(rules.gap, rules.trials.longer_than or np.inf)
+    edges = np.abs(np.diff(seen.t)) > min(rules.file.sampling.gap, rules.trials.longer_than or np.inf)
     edges |= np.diff(seen.t) < 0
     for role, values in seen.values.items():
         if role.endswith("command") and rules.trials.smallest:

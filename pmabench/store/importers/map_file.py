@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import datetime
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
+from pmabench.store.formats.record import Layout
+from pmabench.store.formats.registry import formats
+from pmabench.store.formats.text import Name as Short
 
 Reading = Annotated[
     tuple[float, str],
@@ -16,16 +19,9 @@ Reading = Annotated[
     WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["4 mA", "0.683 N/count"]}),
 ]
 """A number with its unit, kept apart."""
-TIME = "@time"
-"""The column that `period` makes."""
 PLACE = "{test}"
 """In the name of a column: the name of the test."""
 Text = Annotated[str, Field(max_length=600)]
-Short = Annotated[str, Field(min_length=1, max_length=120)]
-
-Encoding = Literal[
-    "utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be", "shift_jis", "euc_jp", "gb18030", "big5", "euc_kr"
-]
 Role = Literal[
     "time",
     "date",
@@ -50,96 +46,20 @@ PointName = Literal[
     "contraction", "load", "mass", "pressure", "frequency", "speed", "lower", "upper", "start", "step", "mean",
     "amplitude", "cycles", "side", "setpoint", "bias", "tip_mass",
 ]  # fmt: skip
-Kind = Literal[
-    "isometric",
-    "recorded-step",
-    "recorded-sine",
-    "recorded-pull",
-    "contraction-relaxation",
-    "static-load",
-    "sinusoidal-displacement",
-    "isobaric-ramp",
-    "isometric-pressurisation",
-    "step-displacement",
-    "free-contraction",
-    "ultimate-gain",
-    "positioning",
-    "validation",
-    "closed-volume",
-    "arm-angle",
-]
-"""Kinds of recordings, then the kinds of tests of this program: a file of these is reduced as a run of its own is."""
-
-
-class TextLayout(Strict):
-    """How the text is laid out; pandas guesses none of it."""
-
-    format: Literal["text"] = "text"
-    delimiter: Literal["comma", "semicolon", "tab", "blank", "bar"]
-    """`blank`: any run of blanks and tabs."""
-    quoted: bool = False
-    """Numbers may stand in quotation marks, and the delimiter inside of them parts nothing."""
-    header: Literal["first line", "none"]
-    names: Annotated[list[Short], Field(max_length=200)] = []
-    """Names of the columns in order, where the file does not give them."""
-    decimal: Literal["point", "comma"] = "point"
-    thousands: Literal["comma", "point", "blank", "apostrophe"] | None = None
-    """Sign between groups of three digits, as in 1,234.5."""
-    encoding: Encoding = "utf-8"
-    blank_lines: Literal["refuse", "skip"] = "refuse"
-    comment: Annotated[str, Field(min_length=1, max_length=8)] | None = None
-    """Lines that begin so are left out."""
-    skip_lines: Annotated[int, Field(ge=0, le=10_000)] = 0
-    """Lines before the header, or before the data."""
-    lines_below_header: Annotated[int, Field(ge=0, le=20)] = 0
-    """Lines below the line of names that are no rows: units, or what the numbers are the mean of."""
-    repeated_header: Literal["refuse", "new test", "page"] = "refuse"
-    """What the line of names means where it is repeated further down: another test begins, which makes a run too; or
-    the same test goes on, as on the next page of a print-out.
-    """
-    missing: Annotated[list[Annotated[str, Field(max_length=20)]], Field(max_length=20)] = []
-    """Texts that stand for "no value"; nothing else may."""
-    period: Annotated[Time, Field(gt=0.0)] | None = None
-    """Distance of the samples where no column tells the time; it makes a column `@time`."""
-
-    @model_validator(mode="after")
-    def _names(self) -> TextLayout:
-        if (self.header == "none") != bool(self.names):
-            raise ValueError('"header: none" needs "names", and "header: first line" has them already')
-        if len(set(self.names)) != len(self.names):
-            raise ValueError("two columns have the same name")
-        if self.delimiter == "comma" and self.decimal == "comma" and not self.quoted:
-            raise ValueError(
-                'comma cannot be delimiter and decimal sign at once, but in quotation marks: "quoted: true"'
-            )
-        if (
-            self.thousands is not None
-            and self.thousands in (self.decimal, self.delimiter)
-            and not (self.quoted and self.thousands != self.decimal)
-        ):
-            raise ValueError(f"{self.thousands} cannot be the sign of thousands and of something else at once")
-        if self.header == "none" and (self.lines_below_header or self.repeated_header != "refuse"):
-            raise ValueError('"lines_below_header" and "repeated_header" need "header: first line"')
-        if self.delimiter == "blank" and self.quoted:
-            raise ValueError('"quoted: true" needs a delimiter that is no run of blanks')
-        return self
-
-
-class BinaryLayout(Strict):
-    """A file that says itself how it is laid out: LabVIEW measurement (.lvm), TDMS, MATLAB (.mat 5 and 7.3)."""
-
-    format: Literal["lvm", "tdms", "mat"]
-    period: Annotated[Time, Field(gt=0.0)] | None = None
-    """Distance of the samples where nothing in the file tells the time; it makes a column `@time`."""
 
 
 def _format(value: Any) -> str:
-    told = value.get("format", "text") if isinstance(value, dict) else getattr(value, "format", "text")
-    return "text" if told == "text" else "binary"
+    return str(value.get("format", "text") if isinstance(value, dict) else getattr(value, "format", "text"))
 
 
-Layout = Annotated[Annotated[TextLayout, Tag("text")] | Annotated[BinaryLayout, Tag("binary")], Discriminator(_format)]
-"""How a file is laid out: text says more."""
+if TYPE_CHECKING:
+    AnyLayout: TypeAlias = Layout
+else:
+    AnyLayout = Annotated[
+        Union[tuple(Annotated[each.layout, Tag(name)] for name, each in formats().items())],  # noqa: UP007
+        Discriminator(_format),
+    ]
+    """How a file is laid out: what its format takes."""
 
 
 class Line(Strict):
@@ -345,7 +265,8 @@ class MapFile(Strict):
     name: Text
     source: Text
     """Who recorded such files, and where they are to be found."""
-    kind: Kind
+    kind: Annotated[str, Field(max_length=80)]
+    """Kind of test: then the file is reduced as a run of this program is; or a kind of recording."""
     simulated: bool = False
     """The file holds no measurement but what a simulation made."""
     settings: Annotated[dict[Short, float | Text], Field(max_length=40)] = {}
@@ -353,7 +274,7 @@ class MapFile(Strict):
     bench: Text = ""
     recorded: datetime.date | None = None
     """Day of the recording, where the name of the file does not tell."""
-    file: Layout
+    file: AnyLayout
     columns: Annotated[dict[Short, Column], Field(max_length=200)]
     tests: Annotated[list[TestFile], Field(max_length=200)] = []
     """Several tests in each file: names of columns that hold {test} are those of each test in turn; else in the order
@@ -385,12 +306,11 @@ class MapFile(Strict):
         (time,) = (column for column in self.columns.values() if column.is_ == "time")
         if "date" in roles and time.written != "clock":
             raise ValueError('a column of dates belongs to a time that is "written: clock"')
-        if not isinstance(self.file, TextLayout) and time.written in ("clock", "date and time", "header step"):
+        if not self.file.holds_texts and time.written in ("clock", "date and time", "header step"):
             raise ValueError(f'"written: {time.written}" is for text; {self.file.format} holds numbers')
         if self.tests:
             placed = any(PLACE in name for name in self.columns)
-            repeated = isinstance(self.file, TextLayout) and self.file.repeated_header == "new test"
-            if placed == repeated:
+            if placed == self.file.repeats:
                 raise ValueError('"tests" needs either "{test}" in names of columns or "repeated_header: new test"')
             if len({test.name for test in self.tests}) < len(self.tests):
                 raise ValueError("two tests have the same name")

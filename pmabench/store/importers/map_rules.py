@@ -15,43 +15,33 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.imported import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
+from pmabench.store.formats.record import TIME
+from pmabench.store.formats.times import Stamps
 from pmabench.store.importers.map_file import (
     NUMBERS,
     PLACE,
-    TIME,
-    AnalysisRule,
     ColumnFile,
-    Layout,
     Line,
     MapFile,
-    TextLayout,
     Trials,
 )
 from pmabench.store.importers.questions import Question, settle
-from pmabench.store.importers.times import Stamps
 
-POINT_QUANTITY = {
-    "contraction": "length",
-    "load": "force",
-    "mass": "mass",
-    "pressure": "pressure",
+_OF_POINT = {
+    "length": "contraction lower upper start step mean amplitude setpoint",
+    "count": "cycles side",
+    "pressure": "pressure bias",
+    "mass": "mass tip_mass",
+    "force": "load",
     "frequency": "frequency",
     "speed": "speed",
-    "lower": "length",
-    "upper": "length",
-    "start": "length",
-    "step": "length",
-    "mean": "length",
-    "amplitude": "length",
-    "cycles": "count",
-    "side": "count",
-    "setpoint": "length",
-    "bias": "pressure",
-    "tip_mass": "mass",
 }
+POINT_QUANTITY = {name: quantity for quantity, names in _OF_POINT.items() for name in names.split()}
+"""Coordinate of an operating point -> its quantity."""
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
@@ -111,68 +101,50 @@ class ColumnRule:
 
 @dataclass(frozen=True)
 class NameRule:
-    """What a name tells: forms as patterns that cannot hang, and the factors of their numbers to SI."""
+    """What a name gives: forms as patterns that cannot hang, and the factors of their numbers to SI."""
 
     of: str
     forms: tuple[re.Pattern[str], ...]
-    comma: bool
     factors: Mapping[str, float]
     otherwise: Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class TestRule:
-    """One of several tests in a file: its name and its point [SI]."""
-
-    name: str
-    point: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class ImportMap:
-    """A map, ready to use."""
+    """A map, ready to use: `file` as it was written, and in SI what has units in it."""
 
     path: str
     texts: Mapping[str, str]
-    name: str
-    source: str
-    kind: str
-    simulated: bool
-    settings: Mapping[str, float | str]
-    bench: str
-    recorded: str
-    layout: Layout
+    file: MapFile
+    test: Imported
+    """What the kind needs of a file."""
     columns: tuple[ColumnRule, ...]
     """Without those that are ignored."""
     ignored: tuple[str, ...]
     name_rule: NameRule | None
-    notes: str | None
-    rate: tuple[float, float]
-    gap: float
-    leap: float
-    trials: Trials
     point: Mapping[str, float]
-    siblings: Mapping[str, float]
     specimen: Mapping[str, Any]
-    analysis: AnalysisRule
     stamps: Stamps
-    tests: tuple[TestRule, ...]
-    unresolved: tuple[Question, ...] = ()
+    tests: Mapping[str, Mapping[str, float]]
+    """Name of each of several tests in a file -> its point [SI]."""
+    unresolved: tuple[Question, ...]
     """Questions that nobody answered, with what is taken for them."""
-    confirmed: tuple[str, ...] = ()
-    """Kinds of findings that somebody has looked at and found right."""
+
+    @property
+    def trials(self) -> Trials:
+        """How a file is cut into trials."""
+        return self.file.trials
 
     def each_test(self) -> list[ImportMap]:
         """A map for each test whose columns have names of their own; else the map itself."""
         if not any(PLACE in column.column for column in self.columns):
             return [self]
-        return [self._named(test.name) for test in self.tests]
+        return [self._named(test) for test in self.tests]
 
     def of_test(self, number: int, rules: ImportMap) -> ImportMap:
         """`rules` with the point of a test."""
-        if not self.tests:
-            return rules
-        return replace(rules, point={**rules.point, **self.tests[number].point})
+        points = list(self.tests.values())
+        return replace(rules, point={**rules.point, **points[number]}) if points else rules
 
     def _named(self, test: str) -> ImportMap:
         """The columns of one test; those of the others are ignored."""
@@ -183,7 +155,7 @@ class ImportMap:
         columns = tuple(replace(column, column=named(column.column)) for column in self.columns)
         own = {column.column for column in columns}
         all_names = [
-            name.replace(PLACE, each.name)
+            name.replace(PLACE, each)
             for name in (*(column.column for column in self.columns), *self.ignored)
             for each in self.tests
         ]
@@ -196,23 +168,31 @@ class ImportMap:
         return next((column for column in self.columns if column.role == role), None)
 
 
-def read_map(path: Path, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False) -> ImportMap:
+def read_map(
+    path: Path, kinds: Mapping[str, Imported], answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False
+) -> ImportMap:
     """Read a map file; raises InvalidFile with every mistake, or every open question, at file:line:column.
 
-    `answers` are (key, value) of questions that the map leaves open. With `unresolved` what the map proposes is taken
-    for the others, and they are in `unresolved` of the rules.
+    `kinds`: what each kind of test needs of a file, by its name. `answers` are (key, value) of questions that the map
+    leaves open. With `unresolved` what the map proposes is taken for the others, which `unresolved` of the rules lists.
     """
     document = read_document(path)
     left = settle(document, answers, unresolved=unresolved)
-    return replace(_Rules(document, validate(MapFile, document)).build(), unresolved=left)
+    kind = str(document.data.get("kind", ""))
+    unknown = [document.problem(("kind",), f'"{kind}" is not known here{did_you_mean(kind, kinds)}')]
+    unknown = unknown if kind and kind not in kinds else []
+    try:
+        file = validate(MapFile, document)
+    except InvalidFile as error:
+        raise InvalidFile([*error.problems, *unknown]) from None
+    return _Rules(document, file, unknown).build(kinds.get(kind, Imported()), left)
 
 
 class _Rules:
     """Turns one validated map into rules and gathers what is wrong with it."""
 
-    def __init__(self, document: Document, file: MapFile) -> None:
-        self.document, self.file = document, file
-        self.problems: list[Problem] = []
+    def __init__(self, document: Document, file: MapFile, problems: list[Problem]) -> None:
+        self.document, self.file, self.problems = document, file, problems
 
     def fault(self, location: Location, message: str) -> None:
         self.problems.append(self.document.problem(location, message))
@@ -224,16 +204,42 @@ class _Rules:
             self.fault(location, str(error))
             return 0.0
 
-    def build(self) -> ImportMap:
+    def build(self, test: Imported, unresolved: tuple[Question, ...]) -> ImportMap:
         file = self.file
-        if isinstance(file.file, TextLayout) and file.file.names:
-            for name in file.columns:
-                if not (file.file.period and name == TIME) and name not in file.file.names:
-                    self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, file.file.names)}')
-            for index, name in enumerate(file.file.names):
-                if name not in file.columns:
-                    self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
+        self.check_names()
         columns = [self.column(name, c) for name, c in file.columns.items() if c.is_ != "ignore"]
+        self.check_columns(columns)
+        built = ImportMap(
+            path=self.document.path,
+            texts=dict(self.document.texts),
+            file=file,
+            test=test,
+            columns=tuple(columns),
+            ignored=tuple(name for name, column in file.columns.items() if column.is_ == "ignore"),
+            name_rule=self.name_rule(),
+            point=self.point(file.trials.point, ("trials", "point")),
+            specimen=file.specimen.model_dump(mode="json"),
+            stamps=self.stamps(),
+            tests={each.name: self.point(each.point, ("tests", k, "point")) for k, each in enumerate(file.tests)},
+            unresolved=unresolved,
+        )
+        if self.problems:
+            raise InvalidFile(self.problems)
+        return built
+
+    def check_names(self) -> None:
+        """Names that the layout gives and names of columns are the same."""
+        layout, columns = self.file.file, self.file.columns
+        for name in columns if layout.given else ():
+            if not (layout.period and name == TIME) and name not in layout.given:
+                self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, layout.given)}')
+        for index, name in enumerate(layout.given):
+            if name not in columns:
+                self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
+
+    def check_columns(self, columns: Sequence[ColumnRule]) -> None:
+        """What other parts of the map name is there."""
+        file = self.file
         phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
         phases |= {"fill", "exhaust"} if file.trials.by == "ramp" else set()
         for index, phase in enumerate(file.analysis.phases):
@@ -241,58 +247,18 @@ class _Rules:
                 self.fault(("analysis", "phases", index), f'no phase is called "{phase}"{did_you_mean(phase, phases)}')
         if file.sampling.rate[0] > file.sampling.rate[1]:
             self.fault(("sampling", "rate"), "is [least, most]")
-        for channel in file.siblings:
-            if channel not in {column.role for column in columns}:
-                self.fault(("siblings", channel), f'no column is "{channel}"')
-        built = ImportMap(
-            path=self.document.path,
-            texts=dict(self.document.texts),
-            name=file.name,
-            source=file.source,
-            kind=file.kind,
-            simulated=file.simulated,
-            settings=dict(file.settings),
-            bench=file.bench,
-            recorded=file.recorded.isoformat() if file.recorded else "",
-            layout=file.file,
-            columns=tuple(columns),
-            ignored=tuple(name for name, column in file.columns.items() if column.is_ == "ignore"),
-            name_rule=self.name_rule(),
-            notes=file.notes,
-            rate=file.sampling.rate,
-            gap=file.sampling.gap,
-            leap=file.sampling.leap,
-            trials=file.trials,
-            point={
-                name: reading[0] * self.of_point(name, reading[1], ("trials", "point", name))
-                for name, reading in file.trials.point.items()
-            },
-            siblings={str(name): share for name, share in file.siblings.items()},
-            specimen=file.specimen.model_dump(mode="json"),
-            analysis=file.analysis,
-            confirmed=tuple(file.confirmed),
-            stamps=self.stamps(),
-            tests=tuple(
-                TestRule(
-                    test.name,
-                    {
-                        name: reading[0] * self.of_point(name, reading[1], ("tests", number, "point", name))
-                        for name, reading in test.point.items()
-                    },
-                )
-                for number, test in enumerate(file.tests)
-            ),
-        )
-        if self.problems:
-            raise InvalidFile(self.problems)
-        return built
+        for channel in set(file.siblings) - {column.role for column in columns}:
+            self.fault(("siblings", channel), f'no column is "{channel}"')
+
+    def point(self, given: Mapping[Any, tuple[float, str]], at: Location) -> dict[str, float]:
+        """An operating point [SI]."""
+        return {name: number * self.of_point(name, unit, (*at, name)) for name, (number, unit) in given.items()}
 
     def column(self, name: str, file: ColumnFile) -> ColumnRule:
         at: Location = ("columns", name)
         if file.is_ in NUMBERS:
-            return ColumnRule(
-                name, file.is_, optional=file.optional, marks={float(v): k for k, v in file.marks.items()}
-            )
+            marks = {float(mark): name for name, mark in file.marks.items()}
+            return ColumnRule(name, file.is_, optional=file.optional, marks=marks)
         if file.is_ == "point" and file.of is not None:
             slope = self.of_point(file.of, file.unit, (*at, "unit"))
             return ColumnRule(name, f"point of {file.of}", file.unit, slope, optional=file.optional)
@@ -301,30 +267,26 @@ class _Rules:
         if file.is_ == "time":
             slope = self.si((1.0, file.unit), "time", (*at, "unit")) if file.written == "number" else 1.0
             return ColumnRule(name, "time", file.unit, slope, optional=False)
-        quantity = CHANNEL_QUANTITY[file.is_]
+        return self.channel(name, file, CHANNEL_QUANTITY[file.is_], at)
+
+    def channel(self, name: str, file: ColumnFile, quantity: str, at: Location) -> ColumnRule:
+        """A column that is measured or commanded."""
         slope, offset, bend = self.scale(file, quantity, at)
         if slope == 0:
             self.fault(at, "has a scale of slope 0: every reading would be the same")
             slope = 1.0
         if file.contraction is not None:
-            zero = self.raw(file.contraction.zero, file.unit, (*at, "contraction", "zero"))
+            zero = self.raw(file.contraction.zero, file.unit, (*at, "contraction", "zero")) or 0.0
             slope = abs(slope) * (-1.0 if file.contraction.reading == "falls" else 1.0)
             offset = -slope * zero
         uncertainty = 0.0
         if file.expanded_uncertainty is not None:
             uncertainty = self.si(file.expanded_uncertainty, quantity, (*at, "expanded_uncertainty"))
         if bend > uncertainty:
-            self.fault(
-                (*at, "points"),
-                f"bend away from a straight line by {show(bend, quantity, 3)}, more than expanded_uncertainty",
-            )
-        limits = (-inf, inf)
-        if file.range is not None:
-            ends = [
-                self.limit(end, file.unit, quantity, slope, offset, (*at, "range", i))
-                for i, end in enumerate(file.range)
-            ]
-            limits = (min(ends), max(ends))
+            text = f"bend away from a straight line by {show(bend, quantity, 3)}, more than expanded_uncertainty"
+            self.fault((*at, "points"), text)
+        scale = file.unit, quantity, slope, offset
+        ends = [self.limit(end, scale, (*at, "range", k)) for k, end in enumerate(file.range or ())] or [-inf, inf]
         return ColumnRule(
             column=name,
             role=file.is_,
@@ -333,12 +295,12 @@ class _Rules:
             offset=offset,
             back=self.back(file, at),
             whole=file.whole,
-            low=limits[0],
-            high=limits[1],
-            dropout=None if file.dropout is None else self.raw(file.dropout, file.unit, (*at, "dropout")),
-            blip=None if file.blip is None else self.raw(file.blip, file.unit, (*at, "blip")),
+            low=min(ends),
+            high=max(ends),
+            dropout=self.raw(file.dropout, file.unit, (*at, "dropout")),
+            blip=self.raw(file.blip, file.unit, (*at, "blip")),
             stale_after=file.stale_after,
-            spike=None if file.spike is None else self.distance(file.spike, file.unit, quantity, slope, (*at, "spike")),
+            spike=None if file.spike is None else abs(self.limit(file.spike, (*scale[:3], 0.0), (*at, "spike"))),
             late_by=file.late_by,
             optional=file.optional,
             calibration={
@@ -379,7 +341,7 @@ class _Rules:
             return si, self.si(file.line.offset, quantity, (*at, "line", "offset")), 0.0
         if file.points is None:
             return self.si((1.0, file.unit), quantity, (*at, "unit")), 0.0, 0.0
-        raw = [self.raw(p[0], file.unit, (*at, "points", i, 0)) for i, p in enumerate(file.points)]
+        raw = [self.raw(p[0], file.unit, (*at, "points", i, 0)) or 0.0 for i, p in enumerate(file.points)]
         value = [self.si(p[1], quantity, (*at, "points", i, 1)) for i, p in enumerate(file.points)]
         if len(set(raw)) < 2:
             self.fault((*at, "points"), "need two different readings")
@@ -390,10 +352,11 @@ class _Rules:
         bend = float(np.abs(np.array(raw) * slope_si + offset - value).max())
         return float(slope_si), offset, 0.0 if bend < 1e-9 * max(map(abs, value)) else bend
 
-    def raw(self, reading: tuple[float, str], unit: str, at: Location) -> float:
-        if reading[1] != unit:
+    def raw(self, reading: tuple[float, str] | None, unit: str, at: Location) -> float | None:
+        """A reading in the raw unit of its column; None where none is given."""
+        if reading is not None and reading[1] != unit:
             self.fault(at, f'is a reading in {unit}, not in {reading[1]}; write for instance "{reading[0]:g} {unit}"')
-        return reading[0]
+        return None if reading is None else reading[0]
 
     def per(self, slope: tuple[float, str], unit: str, at: Location) -> tuple[float, str]:
         """Number and upper unit of `0.683 N/count`."""
@@ -415,17 +378,10 @@ class _Rules:
             slope = 1.0
         return (slope, line.offset[0])
 
-    def limit(
-        self, reading: tuple[float, str], unit: str, quantity: str, slope: float, offset: float, at: Location
-    ) -> float:
-        """An end of the range [SI], given in the raw unit or in a unit of the quantity."""
-        if reading[1] == unit:
-            return slope * reading[0] + offset
-        return self.si(reading, quantity, at)
-
-    def distance(self, reading: tuple[float, str], unit: str, quantity: str, slope: float, at: Location) -> float:
-        """A difference [SI], given in the raw unit or in a unit of the quantity."""
-        return abs(slope) * reading[0] if reading[1] == unit else self.si(reading, quantity, at)
+    def limit(self, reading: tuple[float, str], scale: tuple[str, str, float, float], at: Location) -> float:
+        """A value [SI], given in the raw unit or in a unit of the quantity; `scale`: these, slope and offset."""
+        unit, quantity, slope, offset = scale
+        return slope * reading[0] + offset if reading[1] == unit else self.si(reading, quantity, at)
 
     def name_rule(self) -> NameRule | None:
         file = self.file.name_tells
@@ -438,17 +394,10 @@ class _Rules:
                 forms.append(form_pattern(form, file.decimal == "comma", used))
             except ValueError as error:
                 self.fault(("name_tells", "forms", index), str(error))
-        factors: dict[str, float] = {}
-        for name in sorted(used - set(_SPECIAL)):
-            if name not in file.units:
-                self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
-        for unit_of, unit in file.units.items():
-            factors[unit_of] = self.of_point(unit_of, unit, ("name_tells", "units", unit_of))
-        otherwise: dict[str, float] = {
-            name: reading[0] * self.of_point(name, reading[1], ("name_tells", "otherwise", name))
-            for name, reading in file.otherwise.items()
-        }
-        return NameRule(file.of, tuple(forms), file.decimal == "comma", factors, otherwise)
+        for name in sorted(used - set(_SPECIAL) - set(file.units)):
+            self.fault(("name_tells", "units"), f'the unit of "{name}" is missing')
+        factors = {str(of): self.of_point(of, unit, ("name_tells", "units", of)) for of, unit in file.units.items()}
+        return NameRule(file.of, tuple(forms), factors, self.point(file.otherwise, ("name_tells", "otherwise")))
 
 
 def factor_of(unit: str, quantity: str) -> float:

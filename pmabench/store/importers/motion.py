@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.store.records import Array
 
@@ -62,6 +63,11 @@ class Wave:
     frequency: float
     mean: float
     amplitude: float
+
+
+def later(t: Array) -> NDArray[np.bool_]:
+    """Which times lie later than all before them, shape (n,)."""
+    return np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
 
 
 def levels(t: Array, values: Array, smallest: float) -> list[Level]:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import commanded, motion
+from pmabench.store.importers.found import Bools
 from pmabench.store.importers.map_rules import G, ImportMap
+from pmabench.store.importers.motion import later
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
-RECORDED = ("isometric", "recorded-step", "recorded-sine", "recorded-pull")
-"""Kinds of recordings; the others are tests of this program."""
-LOADED = ("contraction-relaxation", "static-load")
-"""Kinds whose trials each hang from a load."""
 POINT = "point of "
 
 
@@ -45,21 +45,89 @@ class _Step:
     found: bool = False
     """It was found in the measured pressure; nobody recorded the command."""
 
+    @property
+    def point(self) -> dict[str, float]:
+        """Operating point of a trial that is this step [Pa]."""
+        return {"from": self.before, "pressure": self.value}
+
     def command(self) -> dict[str, Any]:
-        told = {
-            "t": self.t,
-            "output": "pressure",
-            "type": "set",
-            "value": self.value,
-            "before": self.before,
-            "phase": "step",
-            "within": self.within,
-        }
-        return {**told, "found": 1.0} if self.found else told
+        """Data of a `command` event, with `t`."""
+        command = {
+            "t": self.t, "output": "pressure", "type": "set", "value": self.value, "before": self.before,
+            "phase": "step", "within": self.within,
+        }  # fmt: skip
+        return {**command, "found": 1.0} if self.found else command
 
 
-_Span = tuple[float, float, dict[str, float], list[Mapping[str, Any]], list[tuple[float, str]]]
+_Span = tuple[float, float, dict[str, float], list[dict[str, Any]], list[tuple[float, str]]]
 """Begin and end [s], point, commands, phases of its own."""
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The samples of a file, all of shape (n,), and what the map says of them."""
+
+    t: Array
+    values: Mapping[str, Array]
+    flags: Flags
+    rules: ImportMap
+    point: Mapping[str, float]
+
+    @cached_property
+    def good(self) -> Bools:
+        """Samples that show what happened; a file of which most is suspect is taken as it is."""
+        suspect = (self.flags & np.uint16(Flag.SUSPECT)) != 0
+        wrong = Flag.DROPOUT | Flag.TIME_JUMP | (Flag.SUSPECT if suspect.mean() < 0.5 else Flag.OK)
+        return np.asarray((self.flags & np.uint16(wrong)) == 0)
+
+    @cached_property
+    def rising(self) -> Bools:
+        """Those of them that lie later than all samples before them."""
+        return self.good & later(self.t)
+
+    @property
+    def whole(self) -> tuple[float, float]:
+        """From the first to the last sample [s]."""
+        return float(self.t.min()), float(self.t.max())
+
+    @property
+    def smallest(self) -> float:
+        """Smallest change of pressure that counts [Pa]."""
+        return self.rules.trials.smallest or 0.0
+
+    @property
+    def driven(self) -> str:
+        """The command of the pressure, or the measured one where none was recorded."""
+        return "pressure_command" if "pressure_command" in self.values else "pressure"
+
+    def steps(self) -> list[_Step]:
+        """Steps of the command; where none was recorded those of the measured pressure, to a fourth of `smallest`."""
+        if not self.smallest:
+            return []
+        if self.driven == "pressure":
+            seen, grid = self.rising, self.smallest / 4
+            return [
+                _Step(
+                    each.t, round(each.before / grid) * grid, round(each.value / grid) * grid, each.within, found=True
+                )
+                for each in motion.levels(self.t[seen], self.values["pressure"][seen], self.smallest)
+            ]
+        t, command = self.t[self.good], self.values[self.driven][self.good]
+        at = np.flatnonzero(np.abs(np.diff(command)) >= self.smallest) + 1
+        return [_Step(float(t[i]), float(command[i - 1]), float(command[i]), float(t[i] - t[i - 1])) for i in at]
+
+    def commanded_steps(self) -> list[dict[str, Any]]:
+        """Commands of steps that were recorded."""
+        return [step.command() for step in self.steps()] if self.driven == "pressure_command" else []
+
+    def sine(self, frequency: float) -> list[dict[str, Any]]:
+        """A recorded command that is a sine of known frequency: its mean and amplitude from its ends."""
+        if self.driven == "pressure" or frequency <= 0 or not self.good.any():
+            return []
+        t, command = self.t[self.good], self.values[self.driven][self.good]
+        low, high = float(command.min()), float(command.max())
+        wave = motion.Wave(float(t[0]), float(t[-1]), frequency, (low + high) / 2, (high - low) / 2)
+        return [{**commanded.sine_command(wave, "pressure"), "before": float(command[0])}]
 
 
 def segments(
@@ -70,42 +138,31 @@ def segments(
     `t` [s], `values` [SI] by channel (and `phase`, `trial`, `point of NAME`) and `flags` have shape (n,). Steps, ramps,
     sines and phases are looked for among samples that are neither dropouts nor spikes nor out of time.
     """
-    good = _good(t, flags)
-    phases = _phases(t, values, good, rules)
-    cut = {
-        "step": _by_step,
-        "ramp": _by_ramp,
-        "sine": _by_sine,
-        "gap": _by_gap,
-        "file": _by_file,
-        "column": _by_column,
-        "command": _by_command,
-    }[rules.trials.by]
+    rows = _Rows(t, values, flags, rules, point)
+    phases = _phases(rows)
     found = [
         Segment(begin, end, here, tuple(commands), tuple(own or (p for p in phases if begin <= p[0] <= end)))
-        for begin, end, here, commands, own in cut(t, values, flags, good, rules, point)
+        for begin, end, here, commands, own in CUTS[rules.trials.by](rows)
     ]
-    if rules.kind in RECORDED:
-        return found, []
-    return _as_own(found, t, values, good & _later(t), rules)
+    return (found, []) if rules.test.recording else _as_own(found, rows)
 
 
-def _as_own(
-    found: Sequence[Segment], t: Array, values: Mapping[str, Array], good: Any, rules: ImportMap
-) -> tuple[list[Segment], list[str]]:
+def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], list[str]]:
     """The trials with commands and operating points as a test of the program's own has them.
 
     The operating point is what the map says, else what its columns say, else what the commands say.
     """
+    t, values, rules = all_rows.t, all_rows.values, all_rows.rules
     parts: list[Segment] = []
     doubts: list[str] = []
     loads: dict[int, float] = {}
     hanging = 0
     channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
     for number, part in enumerate(found):
-        rows = good & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
+        rows = all_rows.rising & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
         mine = {name: column[rows] for name, column in channels.items()}
-        commands, told = commanded.read(rules.kind, t[rows], mine, rules.trials.smallest)
+        how = rules.test.commanded
+        commands, told = commanded.read(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
         columns: dict[str, float] = {}
         for name, column in values.items():
             if not name.startswith(POINT):
@@ -120,14 +177,14 @@ def _as_own(
                     "[SI] within it, so it is not taken: cut the file into trials in which it is the same"
                 )
         point = {**told, **columns, **part.point}
-        if rules.kind in LOADED and "load" in point and "mass" not in point:
+        if rules.test.loaded and "load" in point and "mass" not in point:
             point["mass"] = point["load"] / G
             hanging += "force" not in mine
-        if rules.kind in LOADED and "load" not in point and "force" in mine:
+        if rules.test.loaded and "load" not in point and "force" in mine:
             load = commanded.cell_load(t[rows], mine["force"], commands)
             if load is not None:
                 loads[number] = load
-        searched = commanded.lift_and_set_down(t[rows], mine) if rules.kind == "static-load" else []
+        searched = commanded.lift_and_set_down(t[rows], mine) if rules.test.lifted else []
         parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
@@ -139,195 +196,115 @@ def _as_own(
     return parts, doubts
 
 
-def _good(t: Array, flags: Flags) -> Any:
-    """Samples that tell what happened, in the order of time; a file of which most is suspect is taken as it is."""
-    wrong = Flag.DROPOUT | Flag.TIME_JUMP
-    suspect = (flags & np.uint16(Flag.SUSPECT)) != 0
-    if suspect.mean() < 0.5:
-        wrong |= Flag.SUSPECT
-    return (flags & np.uint16(wrong)) == 0
-
-
-def _by_step(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
-    steps, lead = _steps(t, values, good, rules.trials.smallest), rules.trials.lead
-    ends = [step.t - lead - 1e-5 for step in steps[1:]] + [float(t.max())]
+def _by_step(rows: _Rows) -> list[_Span]:
+    steps, lead, (begin, end) = rows.steps(), rows.rules.trials.lead, rows.whole
+    ends = [step.t - lead - 1e-5 for step in steps[1:]] + [end]
     return [
-        (
-            max(step.t - lead, float(t.min())),
-            end,
-            {**point, "from": step.before, "pressure": step.value},
-            [step.command()],
-            [],
-        )
-        for step, end in zip(steps, ends, strict=False)
+        (max(step.t - lead, begin), until, {**rows.point, **step.point}, [step.command()], [])
+        for step, until in zip(steps, ends, strict=False)
     ]
 
 
-def _by_ramp(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
+def _by_ramp(rows: _Rows) -> list[_Span]:
     """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`."""
-    rises = good & ((flags & np.uint16(Flag.OVERRANGE)) == 0) & _later(t)
+    seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
+    named = "phase" in rows.values or bool(rows.rules.trials.phases)
     spans: list[_Span] = []
-    for cycle in motion.cycles(t[rises], values["pressure"][rises], rules.trials.smallest or 0.0):
+    for cycle in motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest):
         own = [(cycle.begin, "fill"), *([(cycle.turn, "exhaust")] if cycle.end > cycle.turn else [])]
-        marked = rules.column("phase") is not None and "phase" in values
-        spans.append((cycle.begin, cycle.end, dict(point), [], [] if marked or rules.trials.phases else own))
+        spans.append((cycle.begin, cycle.end, dict(rows.point), [], [] if named else own))
     return spans
 
 
-def _by_sine(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
+def _by_sine(rows: _Rows) -> list[_Span]:
     """Stretches of one frequency, which is the point; of the command, else of the measured pressure."""
-    channel = "pressure_command" if "pressure_command" in values else "pressure"
-    rises = good & _later(t)
     spans: list[_Span] = []
-    for wave in motion.waves(t[rises], values[channel][rises], rules.trials.smallest or 0.0):
-        command = {
-            "t": wave.begin,
-            "output": "pressure",
-            "type": "sine",
-            "value": wave.mean,
-            "before": wave.mean,
-            "phase": "sine",
-            "amplitude": wave.amplitude,
-            "frequency": wave.frequency,
-            "cycles": (wave.end - wave.begin) * wave.frequency,
-        }
-        spans.append((wave.begin, wave.end, {**point, "frequency": float(f"{wave.frequency:.4g}")}, [command], []))
+    for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
+        point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
+        spans.append((wave.begin, wave.end, point, [commanded.sine_command(wave, "pressure")], []))
     return spans
 
 
-def _by_gap(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
-    steps = _steps(t, values, good, rules.trials.smallest) if "pressure_command" in values else []
-    cuts = np.flatnonzero(np.diff(t) > (rules.trials.longer_than or np.inf)) + 1
+def _by_gap(rows: _Rows) -> list[_Span]:
+    commands = rows.commanded_steps()
+    cuts = np.flatnonzero(np.diff(rows.t) > (rows.rules.trials.longer_than or np.inf)) + 1
     spans: list[_Span] = []
-    for rows in np.split(np.arange(len(t)), cuts):
-        begin, end = float(t[rows].min()), float(t[rows].max())
-        inside: list[Mapping[str, Any]] = [step.command() for step in steps if begin < step.t <= end]
-        spans.append((begin, end, {**point, **_measured(values, flags, rows)}, inside, []))
+    for part in np.split(np.arange(len(rows.t)), cuts):
+        begin, end = float(rows.t[part].min()), float(rows.t[part].max())
+        inside = [command for command in commands if begin < command["t"] <= end]
+        spans.append((begin, end, {**rows.point, **_length(rows, part)}, inside, []))
     return spans
 
 
-def _by_file(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
-    steps = _steps(t, values, good, rules.trials.smallest) if "pressure_command" in values else []
-    told: list[Mapping[str, Any]] = [step.command() for step in steps]
-    if rules.kind == "recorded-sine" and "frequency" not in point:
-        return _longest_sine(t, values, good, point)
-    if rules.kind == "isometric":
-        point = {**_measured(values, flags, np.arange(len(t))), **point}
-    commands = told or list(_sine(t[good], values.get("pressure_command"), good, point))
-    return [(float(t.min()), float(t.max()), dict(point), commands, [])]
+def _by_file(rows: _Rows) -> list[_Span]:
+    point = dict(rows.point)
+    if "contraction" in rows.rules.test.point:
+        point = {**_length(rows, np.arange(len(rows.t))), **point}
+    open_frequency = "frequency" in rows.rules.test.point and "frequency" not in point
+    if open_frequency and (frequency := _only_sine(rows)):
+        point["frequency"] = frequency
+    steps = [] if open_frequency else rows.commanded_steps()
+    return [(*rows.whole, point, steps or rows.sine(point.get("frequency", 0.0)), [])]
 
 
-def _by_column(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
+def _by_column(rows: _Rows) -> list[_Span]:
     """Where the column of trials holds the same number for a while; 0 and no number are no trial."""
-    number = np.where(np.isfinite(values["trial"]), values["trial"], 0.0)
+    number = np.where(np.isfinite(rows.values["trial"]), rows.values["trial"], 0.0)
     edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
     return [
-        (float(t[first:last].min()), float(t[first:last].max()), dict(point), [], [])
+        (float(rows.t[first:last].min()), float(rows.t[first:last].max()), dict(rows.point), [], [])
         for first, last in pairwise(edges)
         if number[first] != 0
     ]
 
 
-def _by_command(
-    t: Array, values: Mapping[str, Array], flags: Flags, good: Any, rules: ImportMap, point: Mapping[str, float]
-) -> list[_Span]:
+def _by_command(rows: _Rows) -> list[_Span]:
     """From each rise of the pressure command out of its lowest level, with `lead` before it, to the next."""
-    steps, lead = _steps(t, values, good, rules.trials.smallest), rules.trials.lead
-    if not steps:
-        return []
-    smallest = rules.trials.smallest or 0.0
-    lowest = min(min(step.before, step.value) for step in steps)
-    begins = [step.t - lead for step in steps if step.before < lowest + smallest < step.value]
-    ends = [begin - 1e-5 for begin in begins[1:]] + [float(t.max())]
-    return [(max(begin, float(t.min())), end, dict(point), [], []) for begin, end in zip(begins, ends, strict=True)]
+    steps, lead, (begin, end) = rows.steps(), rows.rules.trials.lead, rows.whole
+    lowest = min((min(step.before, step.value) for step in steps), default=0.0)
+    begins = [step.t - lead for step in steps if step.before < lowest + rows.smallest < step.value]
+    ends = [following - 1e-5 for following in begins[1:]] + [end]
+    return [(max(at, begin), until, dict(rows.point), [], []) for at, until in zip(begins, ends, strict=False)]
 
 
-def _longest_sine(t: Array, values: Mapping[str, Array], good: Any, point: Mapping[str, float]) -> list[_Span]:
-    """The whole file, with the frequency that it shows where it is one sine."""
-    channel = "pressure_command" if "pressure_command" in values else "pressure"
-    rises = good & _later(t)
-    seen = values[channel][rises]
-    waves = motion.waves(t[rises], seen, 0.25 * float(np.ptp(seen))) if rises.any() else []
-    whole = 0.8 * float(t.max() - t.min())
-    found = [wave for wave in waves if wave.end - wave.begin > whole]
-    here = {**point, "frequency": float(f"{found[0].frequency:.5g}")} if len(found) == 1 else dict(point)
-    commands: list[Mapping[str, Any]] = [*_sine(t[good], values.get("pressure_command"), good, here)]
-    return [(float(t.min()), float(t.max()), here, commands, [])]
+CUTS: Mapping[str, Callable[[_Rows], list[_Span]]] = {
+    "step": _by_step,
+    "ramp": _by_ramp,
+    "sine": _by_sine,
+    "gap": _by_gap,
+    "file": _by_file,
+    "column": _by_column,
+    "command": _by_command,
+}
+"""`by` of the map -> how a file is cut into trials."""
 
 
-def _later(t: Array) -> Any:
-    """Samples that lie later than all before them."""
-    return np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+def _only_sine(rows: _Rows) -> float:
+    """The frequency of a file that is one sine [Hz]; else 0."""
+    t, seen = rows.t[rows.rising], rows.values[rows.driven][rows.rising]
+    waves = motion.waves(t, seen, 0.25 * float(np.ptp(seen))) if len(seen) else []
+    begin, end = rows.whole
+    found = [wave for wave in waves if wave.end - wave.begin > 0.8 * (end - begin)]
+    return float(f"{found[0].frequency:.5g}") if len(found) == 1 else 0.0
 
 
-def _steps(t: Array, values: Mapping[str, Array], good: Any, smallest: float | None) -> list[_Step]:
-    """Steps of the command; where none was recorded those of the measured pressure, to a fourth of `smallest`."""
-    if smallest is None:
-        return []
-    command = values.get("pressure_command")
-    if command is None:
-        rises = good & _later(t)
-        grid = smallest / 4
-        return [
-            _Step(each.t, round(each.before / grid) * grid, round(each.value / grid) * grid, each.within, found=True)
-            for each in motion.levels(t[rises], values["pressure"][rises], smallest)
-        ]
-    t, command = t[good], command[good]
-    at = np.flatnonzero(np.abs(np.diff(command)) >= smallest) + 1
-    return [_Step(float(t[i]), float(command[i - 1]), float(command[i]), float(t[i] - t[i - 1])) for i in at]
-
-
-def _sine(t: Array, command: Array | None, good: Any, point: Mapping[str, float]) -> list[dict[str, Any]]:
-    """A sine of known frequency: mean and amplitude from the ends of the command."""
-    frequency = point.get("frequency", 0.0)
-    if command is None or frequency <= 0 or len(t) == 0:
-        return []
-    low, high = float(command[good].min()), float(command[good].max())
-    return [
-        {
-            "t": float(t[0]),
-            "output": "pressure",
-            "type": "sine",
-            "value": (low + high) / 2,
-            "before": float(command[good][0]),
-            "phase": "sine",
-            "amplitude": (high - low) / 2,
-            "frequency": frequency,
-            "cycles": float(t[-1] - t[0]) * frequency,
-        }
-    ]
-
-
-def _measured(values: Mapping[str, Array], flags: Flags, rows: Any) -> dict[str, float]:
+def _length(rows: _Rows, part: NDArray[np.intp]) -> dict[str, float]:
     """The contraction at which a part was held, where the file has a displacement."""
-    usable = (flags[rows] & np.uint16(UNUSABLE)) == 0
-    if "displacement" not in values or not usable.any():
+    usable = part[(rows.flags[part] & np.uint16(UNUSABLE)) == 0]
+    if "displacement" not in rows.values or not len(usable):
         return {}
-    return {"contraction": float(np.median(values["displacement"][rows][usable]))}
+    return {"contraction": float(np.median(rows.values["displacement"][usable]))}
 
 
-def _phases(t: Array, values: Mapping[str, Array], good: Any, rules: ImportMap) -> list[tuple[float, str]]:
+def _phases(rows: _Rows) -> list[tuple[float, str]]:
     """When each phase begins [s]: from the column that marks it, else from the map's times."""
-    column = rules.column("phase")
-    if column is not None and "phase" in values and good.any():
-        marks, times = values["phase"][good], t[good]
+    column = rows.rules.column("phase")
+    if column is not None and "phase" in rows.values and rows.good.any():
+        marks, times = rows.values["phase"][rows.good], rows.t[rows.good]
         first = np.concatenate([[True], marks[1:] != marks[:-1]])
         return [
             (float(at), column.marks[float(mark)])
             for at, mark in zip(times[first], marks[first], strict=True)
             if float(mark) in column.marks
         ]
-    begin = float(t.min())
-    return [(max(begin, at), name) for name, at in rules.trials.phases.items()]
+    return [(max(rows.whole[0], at), name) for name, at in rows.rules.trials.phases.items()]

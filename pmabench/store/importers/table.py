@@ -15,18 +15,19 @@ import numpy as np
 
 from pmabench.base.errors import invalid
 from pmabench.base.text import printable
-from pmabench.store.importers.map_file import TIME, BinaryLayout, TextLayout
+from pmabench.store.formats.record import TIME, Layout
+from pmabench.store.formats.registry import formats
+from pmabench.store.formats.times import Clock, Stamps, step_in
 from pmabench.store.importers.spool import Columns
-from pmabench.store.importers.times import Clock, Stamps, step_in
-from pmabench.store.importers.warm import Answer, read_apart, read_text_apart
+from pmabench.store.importers.warm import Answer, read_apart
 from pmabench.store.records import Array
 
 MAX_BYTES = 2_000_000_000
-"""Of a text file, which is read in pieces."""
+"""Of a file that is read in pieces."""
 MAX_WHOLE = 200_000_000
-"""Of a file that is read at once, as those of LabVIEW and MATLAB are."""
+"""Of a file that is read at once."""
 PIECE = 4_000_000
-"""Bytes of a text file that are read at a time."""
+"""Bytes of a file that are read at a time."""
 
 
 @dataclass
@@ -121,7 +122,7 @@ class Table:
 
 def read_table(
     path: Path,
-    layout: TextLayout | BinaryLayout,
+    layout: Layout,
     wanted: Sequence[str] | None,
     optional: Sequence[str] = (),
     ignored: Sequence[str] = (),
@@ -134,12 +135,15 @@ def read_table(
     written; the column of time holds seconds then, unless it holds plain numbers. `most`: bytes of text from its
     beginning that are read. Raises InvalidFile with every fault, at file:line where there is one.
     """
-    made = layout.period is not None
-    asked = None if wanted is None else [name for name in wanted if not (made and name == TIME)]
-    if isinstance(layout, TextLayout):
-        table = _read_text(path, layout, asked or [], optional, ignored, stamps, most)
-    else:
-        table = _read_whole(path, layout, asked, optional, ignored, stamps)
+    asked = None if wanted is None else [name for name in wanted if layout.period is None or name != TIME]
+    question = {
+        "layout": layout.model_dump(mode="json"),
+        "wanted": asked,
+        "optional": list(optional),
+        "ignored": list(ignored),
+    }
+    in_pieces = formats()[layout.format].reader is not None
+    table = (_read_pieces if in_pieces else _read_whole)(path, layout.format, question, stamps, most)
     if layout.period is None:
         return table
     if TIME in table.columns:
@@ -163,16 +167,9 @@ def _with_period(table: Table, period: float) -> Mapping[str, Array]:
     return columns
 
 
-def _read_whole(
-    path: Path,
-    layout: BinaryLayout,
-    asked: Sequence[str] | None,
-    optional: Sequence[str],
-    ignored: Sequence[str],
-    stamps: Stamps | None,
-) -> Table:
+def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
     content = content_of(path)
-    answer = read_apart(layout.format, str(path), content, asked, optional, ignored)
+    (answer,) = read_apart(kind, str(path), [content], question)
     columns, head = dict(answer.columns), answer.head
     started = datetime.fromisoformat(head["started"]) if head.get("started") else None
     if stamps is not None and stamps.column in columns:
@@ -197,7 +194,7 @@ def _read_whole(
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
-    """A doubt where channels are of another matrix of a .mat file than the clock."""
+    """A doubt where channels are of another matrix than the clock."""
     of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
     others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
     if not others:
@@ -207,28 +204,14 @@ def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
     ]
 
 
-def _read_text(
-    path: Path,
-    layout: TextLayout,
-    wanted: Sequence[str],
-    optional: Sequence[str],
-    ignored: Sequence[str],
-    stamps: Stamps | None,
-    most: int | None,
-) -> Table:
+def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
     _size_of(path, MAX_BYTES)
-    question = {
-        "layout": layout.model_dump(mode="json"),
-        "wanted": list(wanted),
-        "optional": list(optional),
-        "ignored": list(ignored),
-        "texts": stamps.texts if stamps is not None else {},
-        "order": stamps.order if stamps is not None else "",
-    }
+    if stamps is not None:
+        question = {**question, "texts": stamps.texts, "order": stamps.order}
     digest, rows = hashlib.sha256(), _Rows(path, stamps)
     try:
         with path.open("rb") as file:
-            for answer in read_text_apart(str(path), _pieces(file, digest, most), question):
+            for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
                 rows.take(answer)
             size = file.tell()
     except OSError as error:

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, Any
@@ -21,8 +21,8 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, PmaError, Problem, invalid
 from pmabench.base.text import printable
+from pmabench.store.formats.registry import formats
 from pmabench.store.importers.child import CPU, CPU_PER_MB, MEMORY
-from pmabench.store.importers.recorded import NEEDS
 from pmabench.store.records import Array
 
 WALL = 20.0
@@ -64,13 +64,8 @@ class _Child:
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
 
-    def ask(self, content: bytes, question: Mapping[str, Any]) -> tuple[Mapping[str, Any], bytes]:
-        """Head and numbers of the answer; `EOFError` where the process ended instead."""
-        self.send(content, question)
-        return self.answer(len(content))
-
     def send(self, content: bytes, question: Mapping[str, Any]) -> None:
-        """Put a question; its answer is fetched by `answer` before the next one."""
+        """Put a question; its answer is fetched by `answer` before the next one. EOFError where the process ended."""
         ask = self.process.stdin
         if ask is None:
             raise EOFError
@@ -156,57 +151,29 @@ _children: dict[str, _Child] = {}
 _lock = threading.Lock()
 
 
-def read_apart(
-    kind: str,
-    path: str,
-    content: bytes,
-    wanted: Sequence[str] | None,
-    optional: Sequence[str] = (),
-    ignored: Sequence[str] = (),
-) -> Answer:
-    """The `wanted` columns (None: all) of a file of format `kind` (`lvm`, `tdms`, `mat`), read in its child.
+def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[str, Any]) -> Iterator[Answer]:
+    """What each piece of a file of format `kind` completes, read in its child; the last answer says how the file ends.
 
-    Raises InvalidFile with what is wrong with the file, also where reading it ended the child; ReaderMissing where
-    the package that reads the format is not installed.
+    `question`: `layout`, `wanted` (None: all), `optional`, `ignored`; for text `texts` and `order`, as `TextReader` has
+    them. The child reads a piece while the caller works on what the one before held. Raises InvalidFile with what is
+    wrong with the file, also where reading it ended the child; ReaderMissing where a package is not installed.
     """
-    question = {
-        "path": path,
-        "wanted": None if wanted is None else list(wanted),
-        "optional": list(optional),
-        "ignored": list(ignored),
-    }
-    with _lock:
-        with _asking(kind, path, len(content)) as child:
-            head, numbers = child.ask(content, question)
-        if "lack" in head and child.asked > 1:  # what others left behind may be in the way
-            _children.pop(kind).end()
-            with _asking(kind, path, len(content)) as child:
-                head, numbers = child.ask(content, question)
-        if "lack" in head:
-            _children.pop(kind).end()
-    _check(kind, path, head)
-    return _answer(head, numbers)
-
-
-def read_text_apart(path: str, pieces: Iterable[bytes], question: Mapping[str, Any]) -> Iterator[Answer]:
-    """The rows that each piece of a text file completes; the last answer says how the file ends.
-
-    `question`: `layout`, `wanted`, `optional`, `ignored`, `texts` and `order` as `TextReader` has them. The child reads
-    a piece while the caller works on what the one before held. Raises InvalidFile as `read_apart` does.
-    """
-    asked: dict[str, Any] = {**question, "path": path}
+    asked: dict[str, Any] = {"texts": {}, "order": "", **question, "path": path}
     pending: Answer | None = None
     with _lock:
         for piece, last in _with_last(pieces):
-            with _asking("text", path, len(piece)) as child:
-                child.send(piece, {**asked, "last": last})
-                if pending is not None:
-                    yield pending  # a caller that stops here ends the child, for its answer is still to come
-                head, numbers = child.answer(len(piece))
+            while True:
+                with _asking(kind, path, len(piece)) as child:
+                    child.send(piece, {**asked, "last": last})
+                    if pending is not None:
+                        yield pending  # a caller that stops here ends the child, for its answer is still to come
+                    head, numbers = child.answer(len(piece))
+                if "lack" in head:
+                    _children.pop(kind).end()
+                if "lack" not in head or not asked or child.asked == 1:
+                    break  # else what files before it left in the memory of the child may be in the way
             asked = {}
-            if "lack" in head:
-                _children.pop("text").end()
-            _check("text", path, head)
+            _check(kind, path, head)
             pending = _answer(head, numbers)
     if pending is not None:
         yield pending
@@ -225,11 +192,9 @@ def _with_last(pieces: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
 def _check(kind: str, path: str, head: Mapping[str, Any]) -> None:
     """Raises what an answer without numbers says."""
     if "absent" in head:
-        needs = NEEDS.get(kind, "")
-        raise ReaderMissing(
-            f"{path}: files of this kind are read with {needs}, which is not installed ({str(head['absent'])[:100]}): "
-            'pip install "pmabench[import]"'
-        )
+        package, why = formats()[kind].package, str(head["absent"])[:100]
+        text = f"files of this kind are read with {package}, which is not installed ({why})"
+        raise ReaderMissing(f'{path}: {text}: pip install "pmabench[import]"')
     if "lack" in head:
         if head["lack"] == "MemoryError":
             raise invalid(

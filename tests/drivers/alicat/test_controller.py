@@ -172,7 +172,7 @@ def test_ramps_are_stepped_and_their_end_vents(rig, protocol):
     device.start(50.0)
     device.write("pressure", 200.0)
     device.follow("pressure", Segment("ramp", device._clock.now(), 200.0, 0.0, 800.0))
-    assert until(lambda: emulator.log.of("set")[-1]["raw"] == 0.0 and device._following is None)
+    assert until(lambda: emulator.log.of("set")[-1]["raw"] == 0.0 and not device._following)
     sent = [entry["raw"] for entry in emulator.log.of("set")]
     assert len(sent) > 4
     assert sent == sorted(sent, reverse=True)
@@ -202,7 +202,7 @@ def test_a_step_that_waits_for_the_line_is_not_sent_after_the_ramp_was_ended(rig
     with device._link._lock:
         time.sleep(0.03)
         sent = len(emulator.log.of("set"))
-        device._following = None
+        device._following.clear()
     time.sleep(0.1)
     assert len(emulator.log.of("set")) == sent
 

@@ -17,7 +17,7 @@ WRONG = {
     "no protocol": ({"protocol": "tcp"}, ("options", "protocol"), "is not known here"),
     "an unknown key": ({"watchdog": "1 s"}, ("options", "watchdog"), "unknown key"),
     "a slow line": ({"baud": 9600}, ("options", "baud"), "from 19200"),
-    "a rate of its own": ({"baud": 20000}, ("options", "baud"), "is not known here"),
+    "a rate of its own": ({"baud": 20000}, ("options", "baud"), "not possible here"),
     "a number for a letter": ({"unit_id": "12"}, ("options", "unit_id"), "one letter"),
     "three valves": ({"valves": 3}, ("options", "valves"), "from 1 to 2"),
     "a long time-out": ({"timeout": "1 s"}, ("options", "timeout"), "outside 0.01 to 0.1 s"),

@@ -33,7 +33,7 @@ def test_the_rigs_are_right():
         (bus("127.0.0.1:15805"), "address", 'INTERFACE:CHANNEL is expected, for instance "socketcan:can0"'),
         (bus("kvaser:can0"), "address", "needs the number of its channel"),
         (bus("slcan:socket://nowhere"), "address", "slcan:socket://HOST:PORT"),
-        (bus(bitrate=123_456), "options.bitrate", "no usual rate"),
+        (bus(bitrate=123_456), "options.bitrate", "not possible here"),
         (bus(sync="1 us"), "options.sync", "outside 0.002 to 0.1 s"),
         (bus(sync="30.5 ms"), "options.sync", "whole milliseconds"),
         (bus(own_node=5), "options.nodes.drive.node", "the number of the program itself"),

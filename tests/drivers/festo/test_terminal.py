@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from pmabench_drivers.festo_cpx_e import FestoCpxE
 from pmabench_drivers.festo_cpx_e.terminal import build, read_options
-from pmabench_drivers.options import Reader
+from pmabench_drivers.shared.options import Reader
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

@@ -31,7 +31,7 @@ def test_good_options_have_no_problems():
         ({"spead": "20 mm/s"}, "options.spead", 'did you mean "speed"'),
         ({"watchdog": 0.0}, "", 'needs "watchdog"'),
         ({"watchdog": 0.05}, "watchdog", "waits 0.1 to 65.535 s"),
-        ({"address": "drive:502"}, "address", "an IP address with its port"),
+        ({"address": "drive:502"}, "address", "an IP address with a port"),
     ],
 )
 def test_each_mistake_has_its_place(options, place, words):

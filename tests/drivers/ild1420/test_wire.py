@@ -145,7 +145,7 @@ WRONG = {
     "a rate without unit": ({"rate": 1000}, ("options", "rate"), "with its unit"),
     "a rate that it has not": ({"rate": "8 kHz"}, ("options", "rate"), "outside 100 to 4000 Hz"),
     "a rate that the line cannot carry": ({"baud": 115200, "rate": "2 kHz"}, ("options", "rate"), "need 120000 baud"),
-    "a baud rate that it has not": ({"baud": 921601}, ("options", "baud"), "none of the sensor's"),
+    "a baud rate that it has not": ({"baud": 921601}, ("options", "baud"), "not possible here"),
     "an unknown key": ({"rnge": "100 mm"}, ("options", "rnge"), 'did you mean "range"'),
     "another input": ({"input": "distnce"}, ("channels", "displacement", "input"), 'did you mean "distance"'),
     "another unit": ({"unit": "V"}, ("channels", "displacement"), "gives mm"),

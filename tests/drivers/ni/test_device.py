@@ -213,7 +213,7 @@ def test_names_that_are_not_there(bench):
         (lambda: device.write("ao0", float("nan")), "cannot be set to nan V"),
         (lambda: device.start(0.0), "cannot sample at 0.0 Hz"),
         (lambda: device.start(100e3), "cannot take 400000 samples a second: at most 250000"),
-        (lambda: device.follow("ao0", Segment("ramp", 0.0, 0.0, 11.0, rate=1.0)), "cannot follow to 11 V"),
+        (lambda: device.follow("ao0", Segment("ramp", 0.0, 0.0, 11.0, rate=1.0)), "cannot be set to 11 V"),
     ):
         with pytest.raises(DeviceError, match=why):
             call()
@@ -243,7 +243,7 @@ def test_a_command_ends_a_ramp_for_good(bench, monkeypatch):
         seen.append(now)
         return 2.0, False
 
-    monkeypatch.setattr("pmabench_drivers.ni_daq.driver.stepped", interrupted)
+    monkeypatch.setattr("pmabench_drivers.shared.device.stepped", interrupted)
     device.follow("ao0", Segment("ramp", 0.0, 0.0, 5.0, rate=1.0))
     until(lambda: seen)
     time.sleep(0.1)

@@ -22,7 +22,7 @@ def changed(what, **changes):
 
 WRONG = {
     "an unknown key": (replace(RIG, options={"bauds": 1}), ("options", "bauds"), "did you mean"),
-    "no usual rate": (replace(RIG, options={"baud": 12345}), ("options", "baud"), "no usual rate"),
+    "no usual rate": (replace(RIG, options={"baud": 12345}), ("options", "baud"), "not possible here"),
     "no address": (replace(RIG, address=""), ("address",), "/dev/ttyACM0"),
     "no such input": (changed("channels", input="a6"), ("channels", "pressure", "input"), "a0 to a5"),
     "no such level": (changed("interlocks", input="e_stop"), ("interlocks", "e-stop", "input"), "d0 to d5"),

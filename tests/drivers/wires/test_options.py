@@ -162,7 +162,7 @@ def test_addresses_that_are_taken(address):
     ("changes", "key", "message"),
     [
         ({"pattern": r"(?P<value>(\d+)+)"}, "pattern", "repeats a group"),
-        ({"baud": 9601}, "baud", "no usual rate"),
+        ({"baud": 9601}, "baud", "not possible here"),
         ({"rate": "10"}, "rate", "with its unit"),
         ({"terminator": ""}, "terminator", "what ends a line"),
         ({"poll": "µ"}, "poll", "ASCII"),

@@ -160,7 +160,7 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
         while len(asked) < 100:
             fault(emulator, "delay", chance.uniform(0.5, 3.0) * 0.02, count=1)
             before = len(asked)
-            driver._poll()
+            driver._tick()
             time.sleep(0.004)
             for value in driver.collect().columns["force"]:
                 assert value == asked[-1]

@@ -15,7 +15,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
-from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
 from pmabench.store.records import Array
@@ -139,7 +139,7 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
 def pull_of(column: Proposal, guess: Guess) -> Asked | None:
     """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure."""
     pressure = guess.role("pressure")
-    if column.role != "force" or guess.kind != "isometric" or pressure is None:
+    if column.role != "force" or not guess.test.held or pressure is None:
         return None
     P, F = _both(pressure.values, column.values)
     low, high = _ends(P, F)
@@ -187,7 +187,7 @@ def _air(unit: str) -> str:
 
 def contraction_of(guess: Guess) -> Asked | str:
     """At which contraction a file was held, where no name tells it; a text where the file does, empty: not needed."""
-    if guess.kind != "isometric" or guess.lacks or guess.tests or any("{contraction}" in form for form in guess.forms):
+    if guess.lacks or guess.tests or not guess.open_point("contraction"):
         return ""
     column = guess.role("displacement")
     head = "at which contraction was the muscle held? No name tells it"
@@ -207,7 +207,7 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
     None where no threshold changes anything.
     """
     pressure, force = guess.role("pressure"), guess.role("force")
-    if guess.kind != "isometric" or pressure is None or force is None:
+    if not guess.test.held or pressure is None or force is None:
         return None
     P, F = _both(pressure.values, force.values)
     if len(P) < 50:

@@ -19,69 +19,23 @@ from pmabench.store.importers.units import QUANTITY, spelled
 from pmabench.store.records import Array
 
 WORDS = {
-    "time": {
-        "t",
-        "time",
-        "zeit",
-        "elapsed",
-        "timestamp",
-        "seconds",
-        "sec",
-        "tijd",
-        "temps",
-        "x_value",
-        "datetime",
-        "date",
-        "clock",
-        "uhrzeit",
-    }
-    | {"時間", "时间", "時刻", "시간"},
-    "pressure": {"p", "press", "pressure", "druck", "pressao", "presion", "pression", "pma", "pneu"}
-    | {"圧力", "压力", "壓力", "압력"},
-    "force": {
-        "f",
-        "force",
-        "load",
-        "kraft",
-        "lc",
-        "loadcell",
-        "tension",
-        "weight",
-        "cell",
-        "fuerza",
-        "forca",
-        "荷重",
-        "張力",
-        "拉力",
-        "载荷",
-        "하중",
-    },
-    "displacement": {
-        *("x", "pos", "position", "disp", "displacement", "dist", "distance", "length", "len", "stroke", "weg", "lvdt"),
-        *("pot", "z", "contraction", "extension", "elongation", "encoder", "laser"),
-        *("変位", "位移", "변위"),
-    },
-    "command": {
-        *("cmd", "command", "set", "setpoint", "sp", "ref", "reference", "desired", "target", "soll", "out", "output"),
-        *("demand", "commanded", "des", "vpr", "u"),
-    },
-    "not measured": {"calc", "calculated", "theory", "theoretical", "model", "predicted", "simulated"},
-    "supply": {"supply", "comp", "compressor", "tank", "reservoir", "source", "inlet", "line"},
-    "phase": {"phase", "state", "step", "stage", "branch"},
-    "other": {
-        "volt",
-        "volts",
-        "temp",
-        "temperature",
-        "temperatura",
-        "flow",
-        "volume",
-        "humidity",
-        "sys",
-        "index",
-        "count",
-    },
+    role: set(text.split())
+    for role, text in {
+        "time": "t time zeit elapsed timestamp seconds sec tijd temps x_value datetime date clock uhrzeit 時間 时间 "
+        "時刻 시간",
+        "pressure": "p press pressure druck pressao presion pression pma pneu 圧力 压力 壓力 압력",
+        "force": "f force load kraft lc loadcell tension weight cell fuerza forca 荷重 張力 拉力 载荷 하중",
+        "displacement": "x pos position disp displacement dist distance length len stroke weg lvdt pot z contraction "
+        "extension elongation encoder laser 変位 位移 변위",
+        "command": "cmd command set setpoint sp ref reference desired target soll out output demand commanded des "
+        "vpr u",
+        "not measured": "calc calculated theory theoretical model predicted simulated",
+        "supply": "supply comp compressor tank reservoir source inlet line",
+        "phase": "phase state step stage branch",
+        "other": "volt volts temp temperature temperatura flow volume humidity sys index count",
+    }.items()
 }
+"""Role of a column -> words in its name that speak for it, in lower case."""
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
 """Words of a column that counts the samples."""
 HELD, STILL = 0.02, 3e-4

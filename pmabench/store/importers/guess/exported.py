@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from pmabench.base.errors import invalid
 from pmabench.store.exported import NAME as RECORD
-from pmabench.store.exported import read_record
-
-if TYPE_CHECKING:
-    from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.exported import Known, read_record
+from pmabench.store.importers.guess.record import Guess
 
 
 def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
@@ -24,6 +21,8 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
         return False
     if len(files) > 1:
         raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
+    if record.kind not in guess.kinds:
+        raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
     guess.kind, guess.trials = record.kind, {"by": "record"}
     guess.exported, guess.simulated = True, record.simulated
     told = f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"
@@ -36,7 +35,7 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
         elif column.name in ("flags", "simulated"):
             column.role, column.reasons = column.name, []
         elif known is not None:
-            column.role, column.reasons = str(known["channel"]), []
+            column.role, column.reasons = known.channel, []
             column.extra = _as_known(known, column.unit)
     specimen = record.about.get("specimen")
     if isinstance(specimen, dict):
@@ -44,13 +43,11 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
     return True
 
 
-def _as_known(known: Mapping[str, Any], unit: str) -> list[str]:
+def _as_known(known: Known, unit: str) -> list[str]:
     """Lines of a map for what a record knows of the calibration of a channel."""
-    found = []
-    if known["offset_uncertainty"]:
-        found.append(f"expanded_uncertainty: {known['offset_uncertainty']:.9g} {unit}")
-    if known["gain_uncertainty"]:
-        found.append(f"gain_uncertainty: {100 * known['gain_uncertainty']:.9g} %")
-    if known["sensor_lag"]:
-        found.append(f"sensor_lag: {known['sensor_lag']:.9g} s")
-    return found
+    lines = {
+        f"expanded_uncertainty: {known.offset_uncertainty:.9g} {unit}": known.offset_uncertainty,
+        f"gain_uncertainty: {100 * known.gain_uncertainty:.9g} %": known.gain_uncertainty,
+        f"sensor_lag: {known.sensor_lag:.9g} s": known.sensor_lag,
+    }
+    return [line for line, value in lines.items() if value]

@@ -10,10 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
-from pmabench.store.importers.fields import MINUS
+from pmabench.store.formats.fields import MINUS
+from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.formats.times import Stamps, step_in
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
-from pmabench.store.importers.map_file import TextLayout
-from pmabench.store.importers.times import Stamps, step_in
 
 TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
@@ -21,7 +21,6 @@ LOOKED_AT = 400
 """Lines from the beginning."""
 FURTHER = 4000
 """Lines further down, evenly spread, that are looked at for signs of thousands and for texts that mean no value."""
-MARKS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|"}
 COMMENTS = ("#", "%", "//", ";", "!")
 NO_VALUE = {
     *("nan", "na", "n/a", "null", "none", "-", "--", "", "inf", "-inf", "*", "#n/a", "err", "error", "overflow"),

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
 from pmabench.store.importers.guess.columns import Proposal
-from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.guess.spell import comment, question, scalar
 from pmabench.store.importers.guess.written_time import date_lines, period_lines, test_lines, time_lines
-from pmabench.store.importers.map_file import TextLayout
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
 
@@ -234,7 +234,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         question(Asked("rises", unsure)),
         f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
     ]
-    if guess.kind == "isometric":
+    if guess.test.held:
         return [], []
     others = [c for c in (pressure, force) if c is not None]
     good = np.isfinite(column.values) & (column.values != 0)
@@ -244,7 +244,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     if pressure is None or len(x) < 20 or np.ptp(x) == 0 or np.ptp(pressure.values[good]) == 0:
         return open_sign, []
     P = pressure.values[good]
-    if guess.kind == "recorded-pull" and force is not None:
+    if guess.test.follows == "force" and force is not None:  # the length is set from outside
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
@@ -307,7 +307,7 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
         lines.append(question(at))
     if at:
         trials["point"] = f"{{contraction: {at.scalar if isinstance(at, Asked) else at}}}"
-    if guess.kind == "recorded-sine" and trials["by"] == "file" and not any("{frequency}" in f for f in guess.forms):
+    if trials["by"] == "file" and guess.open_point("frequency"):
         which = Asked(f"{guess.frequency:.3g} Hz", "which frequency has the sine? It is read off its spectrum only")
         trials["point"] = f"{{frequency: {which.scalar}}}"
         lines.append(question(which))
@@ -317,7 +317,7 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
 def _siblings(guess: Guess) -> list[str]:
     """Repeats of an isometric test have the same peaks; a file in another scale has not."""
     repeats = any("{test}" in form for form in guess.forms) and len(guess.files) > 1
-    if guess.kind != "isometric" or guess.role("force") is None or not repeats:
+    if not guess.test.held or guess.role("force") is None or not repeats:
         return []
     return [
         "siblings: {force: 30 %, pressure: 10 %}  # of files at one contraction: beyond it the scale is another one"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked
 from pmabench.store.importers.guess.columns import UNLIKE_TIME, Proposal
-from pmabench.store.importers.guess.guess import Guess
+from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.guess.spell import question, scalar
 from pmabench.store.importers.questions import OPEN
 
@@ -70,7 +70,7 @@ def test_lines(guess: Guess) -> list[str]:
     lines = ["tests:"] if guess.tests else []
     for test in guess.tests:
         point = ""
-        if guess.kind == "isometric" and not any("{contraction}" in form for form in guess.forms):
+        if guess.open_point("contraction"):
             which = Asked("", f'at which contraction was "{test}" held? For instance 8 mm')
             lines.append(question(which))
             point = f", point: {{contraction: {which.scalar}}}"

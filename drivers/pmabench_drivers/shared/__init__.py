@@ -1,0 +1,1 @@
+"""What families of devices share: options, polling, streaming, ramps in steps, serial lines. Standard library only."""

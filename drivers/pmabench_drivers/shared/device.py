@@ -1,0 +1,184 @@
+"""What drivers of all families do alike: read options, look names up, poll, and step along ramps and sines.
+
+A driver derives from `Driver`; from `Polled` where a thread of the driver asks the device for samples; from `Stepped`
+where the device takes single set-points only; from `Controlled` where one thread does both. Devices that send by
+themselves: `serial_stream`. Knows no wire. Standard library only.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, OutputRecord, Segment
+from pmabench_drivers.shared.link import Still
+from pmabench_drivers.shared.options import Place, Reader, options_of
+from pmabench_drivers.shared.polling import Cycle, Samples
+from pmabench_drivers.shared.segments import refuse_nonsense, stepped
+
+
+class Driver(ABC):
+    """One device of a bench with its options."""
+
+    _options: Any
+
+    @staticmethod
+    @abstractmethod
+    def read_options(device: DeviceRecord, reader: Reader) -> Any:
+        """The options of this family; every problem goes to the reader."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._options = options_of(device, self.read_options)
+        self._device, self._clock = device, clock
+        self._outputs = {output.output: output for output in device.outputs}
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        cls.read_options(device, reader)
+        return reader.problems
+
+    def _error(self, message: str, what: str = "") -> DeviceError:
+        return DeviceError(self._device.name, message, what)
+
+    def _known(self, kind: str, name: str, known: Iterable[str]) -> None:
+        """Refuse a name that is none of the known ones."""
+        if name not in (names := list(known)):
+            raise self._error(f'no {kind} "{name}"{did_you_mean(name, names)}')
+
+    def _output(self, output: str) -> OutputRecord:
+        self._known("output", output, self._outputs)
+        return self._outputs[output]
+
+    def _refuse_rate(self, rate: float) -> None:
+        if not 0 < rate < math.inf:
+            raise self._error(f"cannot sample at {rate} Hz")
+
+
+class Polled(Driver):
+    """A device that is asked for each sample, by a thread that calls `_tick` at absolute deadlines."""
+
+    _doing = "polling"
+    """What broke off, in the words of an error."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._cycle = Cycle(f"polls {device.name}", self._tick, clock)
+        self._streaming = False
+
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate at which it is polled [Hz]; its line may allow less."""
+        return float(cls.read_options(device, Reader()).rate)
+
+    @abstractmethod
+    def _tick(self) -> None:
+        """One turn of the thread."""
+
+    def _fastest(self) -> float:
+        """Highest rate of the open device [Hz]; an error where it is not open."""
+        return float(self._options.rate)
+
+    def start(self, rate: float) -> float:
+        """Poll at `rate` [Hz], or as fast as options and line allow if that is less."""
+        self._refuse_rate(rate)
+        used = min(rate, self._fastest())
+        self._cycle.note(None)
+        self._samples.take()
+        self._streaming = True
+        self._cycle.start(used)
+        return used
+
+    def collect(self) -> Block:
+        """What was polled since the last call; an error once polls or steps have failed for 0.25 s."""
+        self._cycle.refuse(self._device.name, self._doing)
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """Poll no more."""
+        self._streaming = False
+        self._cycle.stop()
+
+    @property
+    def missed(self) -> int:
+        """Polls that fell out because the device or the machine was late."""
+        return self._cycle.missed
+
+    def _keep(self, values: Iterable[float], asked: float, answered: float) -> None:
+        """Keep the values of one poll, taken halfway between question and answer [s, bench time]."""
+        self._samples.append(round((asked + answered) / 2 * 1e9), list(values), round(answered * 1e9))
+
+
+class Stepped(Driver):
+    """A device that takes single set-points: the driver sends the one of each moment of a ramp or sine."""
+
+    _following: dict[str, Segment]
+    """Output -> the segment under way."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._following = {}
+        super().__init__(device, clock)
+
+    @abstractmethod
+    def _begin_steps(self) -> None:
+        """Let a thread call `_step`, where none does so far; an error where the device is not open."""
+
+    @abstractmethod
+    def _refuse_value(self, output: str, value: float) -> None:
+        """Refuse a value [device units] that the output cannot take."""
+
+    @abstractmethod
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        """Send a set-point [device units], unless `still()` is false when the line is free."""
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Step along the segment from its start on, or from now on if that has passed."""
+        self._output(output)
+        refuse_nonsense(self._device.name, output, segment)
+        swing = abs(segment.amplitude)
+        for value in (segment.origin - swing, segment.origin + swing, segment.target):
+            self._refuse_value(output, value)
+        self._begin_steps()
+        self._following[output] = segment
+
+    def _step(self) -> DeviceError | None:
+        """Send the value of this moment of every segment, the last one of which ends it; the first error."""
+        failure: DeviceError | None = None
+        for output, segment in list(self._following.items()):
+            value, last = stepped(segment, self._clock.now(), self._outputs[output].resolution)
+            if value is None:
+                continue
+            still = partial(self._follows, output, segment)
+            try:
+                self._send_step(output, value, still, last=last)
+            except DeviceError as error:
+                failure = failure or (error if still() else None)
+            else:
+                if last and still():
+                    self._following.pop(output, None)
+        return failure
+
+    def _follows(self, output: str, segment: Segment) -> bool:
+        return self._following.get(output) is segment
+
+
+class Controlled(Stepped, Polled):
+    """A polled device with set-points, whose one thread polls and steps."""
+
+    def _begin_steps(self) -> None:
+        rate = self._fastest()
+        if not self._cycle.running:
+            self._cycle.start(rate)
+
+    def stop(self) -> None:
+        """Poll no more; a ramp under way goes on."""
+        self._streaming = False
+        if not self._following:
+            self._cycle.stop()

@@ -1,0 +1,186 @@
+"""A driver's options as strictly read plain data: every problem with its place; knows no driver. Standard library only.
+
+The same reading serves `check`, which wants all problems, and the driver itself, which refuses the first one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from ipaddress import ip_address
+from typing import Any, TypeVar
+
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import DeviceRecord
+
+T = TypeVar("T")
+Place = tuple[str | int, ...]
+"""Keys from the top of the bench file (`("channels", "pressure", "input")`) or of the device (`("options", "map")`)."""
+
+UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "frequency": {"Hz": 1.0, "kHz": 1e3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3},
+}
+BAUDS = (1200, 2400, 4800, 9600, 14400, 19200, 38400, 57600, 76800, 115200, 230400, 460800, 921600)
+PARITIES = {"none": "N", "even": "E", "odd": "O"}
+_QUANTITY = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([A-Za-z/]+)")
+_EXAMPLES = {"time": '"100 ms"', "frequency": '"50 Hz"', "speed": '"20 mm/s"'}
+
+
+class Reader:
+    """Reads values and collects what is wrong with them; a wrong value reads as its default."""
+
+    def __init__(self) -> None:
+        self.problems: list[tuple[Place, str]] = []
+
+    def fault(self, place: Place, message: str) -> None:
+        """Note a problem."""
+        self.problems.append((place, message))
+
+    def keys(self, value: Any, place: Place, known: Collection[str], needed: Collection[str] = ()) -> Mapping[str, Any]:
+        """A mapping with known keys only, and with those that are needed."""
+        if not isinstance(value, Mapping):
+            self.fault(place, f"keys and values are expected here, not {_shown(value)}")
+            return {}
+        for key in value:
+            if key not in known:
+                self.fault((*place, key), f'unknown key "{key}"{did_you_mean(str(key), known)}')
+        for key in needed:
+            if key not in value:
+                self.fault(place, f'"{key}" is missing')
+        return value
+
+    def named(self, value: Any, place: Place) -> Mapping[str, Any]:
+        """A mapping whose keys are names of the user's own."""
+        if not isinstance(value, Mapping):
+            self.fault(place, f"names and what belongs to them are expected here, not {_shown(value)}")
+            return {}
+        return value
+
+    def text(self, given: Mapping[str, Any], key: str, place: Place, default: str = "", longest: int = 200) -> str:
+        """A text."""
+        value = given.get(key, default)
+        if not isinstance(value, str) or len(value) > longest:
+            self.fault((*place, key), f"a text of at most {longest} characters is expected, not {_shown(value)}")
+            return default
+        return value
+
+    def texts(self, given: Mapping[str, Any], key: str, place: Place) -> tuple[str, ...]:
+        """A list of texts."""
+        value = given.get(key, ())
+        if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
+            self.fault((*place, key), f"a list of texts is expected, not {_shown(value)}")
+            return ()
+        return tuple(value)
+
+    def choice(self, given: Mapping[str, Any], key: str, place: Place, known: Iterable[str], default: str) -> str:
+        """One of the known words."""
+        value, options = given.get(key, default), tuple(known)
+        if value not in options:
+            self.fault((*place, key), f"{_shown(value)} is not known here{did_you_mean(str(value), options)}")
+            return default
+        return str(value)
+
+    def flag(self, given: Mapping[str, Any], key: str, place: Place, *, default: bool) -> bool:
+        """A yes or no, as true or false."""
+        value = given.get(key, default)
+        if not isinstance(value, bool):
+            self.fault((*place, key), f"true or false is expected, not {_shown(value)}")
+            return default
+        return value
+
+    def whole(
+        self, given: Mapping[str, Any], key: str, place: Place, low: int, high: int, default: int | None = None
+    ) -> int:
+        """A whole number from `low` to `high`; also as `"0x1F"`."""
+        value = given.get(key, default)
+        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
+            value = int(value, 16)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            if key in given or default is None:
+                self.fault((*place, key), f"a whole number from {low} to {high} is expected, not {_shown(value)}")
+            return low if default is None else default
+        return value
+
+    def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
+        """One of the known whole numbers, which stand in rising order."""
+        value = self.whole(given, key, place, known[0], known[-1], default)
+        if value not in known:
+            self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")
+        return value
+
+    def known(self, place: Place, says: str, name: str, known: Iterable[str], more: str = "") -> bool:
+        """Whether a name is one of the known; else a problem that `says` what is missing, and `more`."""
+        if name in (names := list(known)):
+            return True
+        self.fault(place, f'{says} "{name}"{did_you_mean(name, names)}{more}')
+        return False
+
+    def port(self, device: DeviceRecord, example: str) -> None:
+        """The address must be that of a serial port."""
+        if not device.address:
+            self.fault(("address",), f'the path of a serial port is expected, for instance "{example}"')
+
+    def host(self, device: DeviceRecord, example: str, usual: int | None = None, other: str = "") -> tuple[str, int]:
+        """Host and port of IP:PORT, or of IP alone where a `usual` port is given; `other`: what is possible, too."""
+        host, colon, port = device.address.rpartition(":")
+        if not colon and usual is not None:
+            host, port = device.address, str(usual)
+        try:
+            ip_address("127.0.0.1" if host == "localhost" else host.strip("[]"))
+            if port.isdecimal() and int(port) <= 65535:
+                return host, int(port)
+        except ValueError:
+            pass
+        wanted = f'an IP address{"" if usual else " with a port"} ("{example}"){other}'
+        self.fault(("address",), f'{wanted} is expected, not "{device.address}"')
+        return "", 0
+
+    def watchdog(self, device: DeviceRecord, who: str, shortest: float, longest: float) -> None:
+        """The watchdog of the bench must be one that the device can have [s]."""
+        if device.watchdog and not shortest <= device.watchdog <= longest:
+            self.fault(("watchdog",), f"{who} waits {shortest:g} to {longest:g} s, not {device.watchdog:g} s")
+
+    def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
+        """A finite number, also as `"0x1F"`; None where none is given."""
+        value = given.get(key)
+        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
+            value = int(value, 16)
+        if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
+            return None if value is None else float(value)
+        self.fault((*place, key), f"a number is expected, not {_shown(value)}")
+        return None
+
+    def quantity(
+        self, given: Mapping[str, Any], key: str, place: Place, kind: str, default: float, low: float, high: float
+    ) -> float:
+        """A time [s], a frequency [Hz] or a speed [m/s] as NUMBER UNIT, from `low` to `high`."""
+        if key not in given:
+            return default
+        value = given[key]
+        match = _QUANTITY.fullmatch(value.strip()) if isinstance(value, str) else None
+        factor = UNITS[kind].get(match[2]) if match else None
+        if match is None or factor is None:
+            self.fault((*place, key), f"a {kind} with its unit is expected, for instance {_EXAMPLES[kind]}")
+            return default
+        number = float(match[1]) * factor
+        if not low <= number <= high:
+            self.fault((*place, key), f"{value} is outside {low:g} to {high:g} {next(iter(UNITS[kind]))}")
+            return default
+        return number
+
+
+def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) -> T:
+    """What `read` makes of the options of a device; raises the first problem as a `DeviceError`."""
+    reader = Reader()
+    options = read(device, reader)
+    for place, message in reader.problems:
+        raise DeviceError(device.name, f"{'.'.join(map(str, place))}: {message}")
+    return options
+
+
+def _shown(value: Any) -> str:
+    text = f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,71 @@
+"""What a departure from the form of a reduction does to a value: a line of its budget, or the reason to withhold it.
+
+A departure that is seen shifts the value one way: its effect is added to the half width as it is. One that could only
+hide adds as a square. Decision 0019 says why; knows no test kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
+
+from pmabench.analysis.results import Estimate, Parts, Source, withhold
+
+MOST_HIDDEN = 0.02
+"""A departure that is seen, and could change a value by more than this share, is not left to its interval."""
+NEGLIGIBLE = 0.05
+"""Share of a half width below which an effect needs no line."""
+NAMES = {
+    "repeats": "scatter of repeats",
+    "method": "method",
+    "calibration": "calibration",
+    "skew": "time between the streams",
+    "drift": "drift",
+}
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """The effect of one departure on one value."""
+
+    name: str
+    """As in the budget."""
+    part: str
+    """Field of `Parts` that it belongs to."""
+    half: float
+    """Effect on the value at the largest size that the data allow [as the value]."""
+    seen: bool
+    """Whether the departure is significant."""
+    reason: str = ""
+    """What was found, how large, and what to do: why the value is withheld where the effect is too large."""
+
+
+def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) -> Estimate:
+    """The estimate with the effects of `doubts` in its interval and budget, or withheld.
+
+    `scale` is what an effect is compared with in place of the value [as the value], where that can be near 0.
+    """
+    if e.value is None:
+        return e
+    known = sorted(doubts, key=lambda one: one.half, reverse=True)
+    worst = next((one for one in known if one.seen and one.reason), None)
+    limit = MOST_HIDDEN * (abs(e.value) if scale is None else scale)
+    if worst is not None and worst.half > limit:
+        return withhold(e, f"{worst.reason} (an effect above {100 * MOST_HIDDEN:g} % is not left to an interval)")
+    before = e.parts.combined or 0.0
+    known = [one for one in known if one.half > NEGLIGIBLE * before]
+    rest = hypot(before, *(one.half for one in known if not one.seen))
+    shift, squares = sum(one.half for one in known if one.seen), sum(one.half**2 for one in known if one.seen)
+    more = sqrt((shift**2 + 2 * shift * rest) / squares) if squares else 1.0
+    lines = [Source(one.name, one.part, "B", one.half * (more if one.seen else 1.0)) for one in known]
+    if not lines:
+        return e
+    halves = vars(e.parts) | {
+        part: hypot(getattr(e.parts, part) or 0.0, *(line.half or 0.0 for line in lines if line.part == part))
+        for part in {line.part for line in lines}
+    }
+    told = ((part, half) for part, half in vars(e.parts).items() if half)
+    base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in told]
+    budget = sorted((*base, *lines), key=lambda line: line.half or 0.0, reverse=True)
+    return replace(e, parts=Parts(**halves), budget=tuple(budget))

@@ -1,0 +1,251 @@
+"""Whether isometric tests have the form that their values assume: nothing drifts, slips, gives way or is late.
+
+Each departure is sized by what does not depend on the values themselves, and taken off the forces at that size: what
+the values then differ by is its effect. Knows cells of tests; computes no estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.isometric_lines import Test, ends
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.base.quantities import show
+from pmabench.kinds.isometric_pressurisation.curve import REST
+from pmabench.kinds.isometric_pressurisation.sections import Cell
+from pmabench.store.records import Array
+
+FALSE_ALARMS = 0.005
+"""Share of sound runs in which a drift or a slip is called seen, each."""
+SWINGS = 0.3
+"""Time after a ramp in which the force may still settle [s]."""
+AROUND = 1.0
+"""Of the end of the ramp up, in which a late force shows [s]."""
+SMOOTH = 0.2
+"""Pressure and force are means over this time before one is compared with the slope of the other [s]."""
+YIELDS = 1e-5
+"""Change of the displacement below which nothing gives way [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """One way in which the tests may not be what they seem."""
+
+    name: str
+    part: str
+    """Field of `Parts`."""
+    force: Callable[[Test], Array]
+    """What it adds to the force of a test at the largest size that the tests allow [N], shape of its samples."""
+    seen: bool
+    reason: str
+
+
+def departures(cells: Sequence[Cell]) -> list[Departure]:
+    """Those that these tests let one size: a drift of the cell, a slip of a mount, a driven end that gives way."""
+    K = _stiffness(cells)
+    drift, slope = _drift(cells)
+    return [one for one in (drift, _slip(cells, K, slope), _gives_way(cells, K)) if one is not None]
+
+
+def late(cells: Sequence[Cell]) -> tuple[float, float]:
+    """By how much the force comes after the pressure [s], and its standard error, by the ends of the ramps up.
+
+    F = a + m (P - delay dP/dt): while the pressure rises the force is low, and it catches up when the ramp ends, where
+    hysteresis stays as it is. NaN where there are too few samples. Creep looks alike.
+    """
+    found = []
+    for test in (test for cell in cells if cell.pooled is not None for test in cell.tests):
+        turn = next((ends(c) for c in test.trial.commands if c.phase == "fill" and c.data.get("rate")), None)
+        if turn is None:
+            continue
+        trial = test.trial
+        near = (np.abs(trial.t - turn) <= AROUND) & trial.usable
+        t, P, F = trial.t[near], trial.channels["pressure"][near], trial.channels["force"][near]
+        width = max(3, round(SMOOTH / float(np.median(np.diff(t))))) if len(t) > 20 else len(t) + 1
+        if len(t) < 4 * width or not np.isfinite([P, F]).all():
+            continue
+        window = np.ones(width) / width
+        P, F, t = (np.convolve(values, window, mode="valid") for values in (P, F, t))
+        design = np.column_stack([np.ones_like(P), P - P.mean(), np.gradient(P, t)])
+        size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        _, m, delayed = np.linalg.lstsq(design / size, F, rcond=None)[0] / size
+        if m > 0:
+            found.append(-delayed / m)
+    if len(found) < 3:
+        return float("nan"), float("nan")
+    return float(np.mean(found)), float(np.std(found, ddof=1)) / sqrt(len(found))
+
+
+def _stiffness(cells: Sequence[Cell]) -> dict[float, tuple[Array, Array]]:
+    """K [N/m] over pressure [Pa] at each contraction, from the forces of its neighbours; empty with one contraction."""
+    known = [cell for cell in cells if np.isfinite(cell.mean.force).sum() > 1]
+    places = np.array([float(cell.place.mean()) for cell in known])
+    if len(known) < 2 or np.min(np.diff(places)) <= 0:
+        return {}
+    P = known[0].mean.P
+    forces = []
+    for cell in known:
+        there = np.isfinite(cell.mean.force)
+        forces.append(np.interp(P, cell.mean.P[there], cell.mean.force[there]))
+    K = np.maximum(0.0, -np.gradient(np.array(forces), places, axis=0))
+    return {cell.contraction: (P, row) for cell, row in zip(known, K, strict=True)}
+
+
+def _rows(cells: Sequence[Cell]) -> list[tuple[Test, tuple[object, ...], Cell]]:
+    """The tests in the order in which they were done, with what makes two of them repeats of each other."""
+    rows = [
+        (test, (test.run.id, cell.contraction, test.trial.point.get("side", 0.0)), cell)
+        for cell in cells
+        for test in cell.tests
+    ]
+    return sorted(rows, key=lambda row: (str(row[0].run.manifest.get("started_utc", "")), row[0].run.id, row[0].t[0]))
+
+
+def _off(values: Array, groups: Sequence[object]) -> Array:
+    """Values less the mean of their group, along the first axis."""
+    names = {name: place for place, name in enumerate(dict.fromkeys(groups))}
+    group = np.array([names[name] for name in groups])
+    count = np.bincount(group)
+    sums = np.zeros((len(count), *values.shape[1:]))
+    np.add.at(sums, group, values)
+    means = sums / count.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(values - means[group])
+
+
+def scatter_of(cells: Sequence[Cell]) -> float | None:
+    """Half width of the 95 % interval of one test, as a share of its force, by all repeats; None with few of them."""
+    rows = [(test, group, cell) for test, group, cell in _rows(cells) if cell.low is not None]
+    shares = []
+    for test, _, cell in rows:
+        each = cell.mean.each[next(i for i, one in enumerate(cell.tests) if one is test)]
+        there = np.isfinite(each) & np.isfinite(cell.mean.force) & (cell.mean.P >= (cell.low or 0.0))
+        shares.append(float(each[there].sum() / cell.mean.force[there].sum()) if there.any() else 1.0)
+    groups = [group for _, group, _ in rows]
+    freedom = len(rows) - len(set(groups))
+    if freedom < 2:
+        return None
+    return float(student.ppf(0.975, freedom)) * sqrt(float(np.sum(_off(np.array(shares), groups) ** 2)) / freedom)
+
+
+def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
+    """A drift of the zero of the cell, by what it reads at rest before and after the ramps; and its slope [N/s]."""
+    times, readings, groups = [], [], []
+    for test, group, _ in _rows(cells):
+        trial = test.trial
+        ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")}
+        if not {"fill", "empty"} <= set(ramps):
+            continue
+        begin, over = ramps["fill"].t, ends(ramps["empty"])
+        rests = ((begin - REST + SWINGS, begin), (over + SWINGS, over + REST))
+        for which, (low, high) in enumerate(rests):
+            rows = (trial.t >= low) & (trial.t < high) & trial.usable & np.isfinite(trial.channels["force"])
+            if rows.sum() > 2:
+                times.append(0.5 * (low + high))
+                readings.append(float(trial.channels["force"][rows].mean()))
+                groups.append((*group, which))
+    if len(times) < 3:
+        return None, 0.0
+    t, z = (_off(np.array(values), groups) for values in (times, readings))
+    freedom = len(times) - len(set(groups))
+    power = float(t @ t)
+    if freedom < 2 or power <= 0:
+        return None, 0.0
+    slope = float(t @ z) / power
+    error = sqrt(float(np.sum((z - slope * t) ** 2)) / (freedom - 1) / power)
+    seen = abs(slope) > float(student.ppf(1 - FALSE_ALARMS / 2, freedom - 1)) * error
+    most = abs(slope) + 2 * error
+    first, whole = min(times), max(times) - min(times)
+    reason = (
+        f"the force cell drifts: at rest it reads {show(abs(slope) * whole, 'force', 2)} "
+        f"{'more' if slope > 0 else 'less'} at the end of the run. Let the cell warm up, and measure again"
+    )
+
+    def force(test: Test) -> Array:
+        return np.asarray(np.copysign(most, slope) * (test.t - first))
+
+    return Departure("drift of the force cell", "drift", force, seen, reason), slope
+
+
+def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: float) -> Departure | None:
+    """A mount that gave way before one of the tests: from then on the forces of repeats differ by K times a length."""
+    rows = [row for row in _rows(cells) if row[2].contraction in K and row[2].low is not None]
+    pulls, stiff = [], []
+    for test, _, cell in rows:
+        place = next(i for i, one in enumerate(cell.tests) if one is test)
+        each = cell.mean.each[place]
+        there = np.isfinite(each) & (cell.mean.P >= (cell.low or 0.0))
+        pulls.append(float(each[there].mean() - slope * test.t.mean()) if there.any() else np.nan)
+        stiff.append(float(np.interp(cell.mean.P[there], *K[cell.contraction]).mean()) if there.any() else np.nan)
+    known = np.isfinite(pulls)
+    rows, F, k = (
+        [row for row, one in zip(rows, known, strict=True) if one],
+        np.array(pulls)[known],
+        np.array(stiff)[known],
+    )
+    if len(rows) < 4:
+        return None
+    groups = [group for _, group, _ in rows]
+    runs = np.array([hash(test.run.id) for test, _, _ in rows])
+    order = np.arange(len(rows))
+    steps = np.array(
+        [(order >= at) & (runs == runs[at]) for at in order[1:] if runs[at] == runs[at - 1]], dtype=float
+    ).T
+    y, freedom = _off(F, groups), len(F) - len(set(groups))
+    if freedom < 4 or not steps.size:
+        return None
+    columns = _off(steps * k[:, None], groups)
+    power = np.sum(columns**2, axis=0)
+    usable = power > 1e-6 * power.max()
+    size = np.where(usable, columns.T @ y / np.where(usable, power, 1.0), 0.0)
+    left = float(y @ y) - size**2 * power
+    best = int(np.argmin(left))
+    error = sqrt(max(float(left[best]), 0.0) / (freedom - 2) / float(power[best]))
+    seen = abs(size[best]) > float(student.ppf(1 - 0.5 * FALSE_ALARMS / steps.shape[1], freedom - 2)) * error
+    if not seen:
+        return None
+    most = float(np.copysign(abs(size[best]) + 2 * error, size[best]))
+    first = [test for (test, _, _), after in zip(rows, steps[:, best], strict=True) if after]
+    reason = (
+        f"from test {first[0].name} on the muscle pulls as if it were held {show(abs(float(size[best])), 'length', 2)} "
+        f"{'longer' if size[best] > 0 else 'shorter'} than the displacement says: a mount that slips, or a muscle that "
+        "settles. Mend it and measure again"
+    )
+    names = {test.name for test in first}
+    at = {test.name: cell.contraction for test, _, cell in rows}
+
+    def force(test: Test) -> Array:
+        if test.name not in names:
+            return np.zeros(len(test.P))
+        return np.asarray(most * np.interp(test.P, *K[at[test.name]]) * (test.F > 0))
+
+    return Departure("slip of a mount", "drift", force, True, reason)
+
+
+def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> Departure | None:
+    """A driven end that the displacement shows to move while the muscle pulls."""
+    at = {test.name: cell.contraction for cell in cells if cell.contraction in K for test in cell.tests}
+    moves = [0.0]
+    for cell in cells:
+        for test in cell.tests:
+            blocks = [part for part in np.array_split(test.x, 20) if len(part)]
+            if test.name in at and np.isfinite(test.x).all() and len(blocks) == 20:
+                noise = noise_of(test.x) / sqrt(len(blocks[0]))
+                moves.append(max(0.0, float(np.ptp([part.mean() for part in blocks])) - 6 * noise))
+    if max(moves) < YIELDS:
+        return None
+    reason = (
+        f"it is not isometric: the driven end moves by up to {show(max(moves), 'length', 2)} while the muscle pulls. "
+        "Hold it more stiffly"
+    )
+
+    def force(test: Test) -> Array:
+        if test.name not in at or not np.isfinite(test.x).all():
+            return np.zeros(len(test.P))
+        return np.asarray(-np.interp(test.P, *K[at[test.name]]) * (test.x - test.x.mean()))
+
+    return Departure("motion of the driven end", "method", force, True, reason)

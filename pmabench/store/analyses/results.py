@@ -1,0 +1,382 @@
+"""What an analysis says: estimates with their intervals in parts, curves, dropped cells, findings, traces to plot.
+
+Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here computes an estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from math import isfinite, nan, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import UsageError
+from pmabench.base.kind import Result
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.store.records import RunData
+
+SCHEMA = "pmabench.analysis/1"
+POSITIVE = frozenset(
+    ("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "eta", "t_d", "tau_c", "tau_r", "tau_P", "f_b", "K_u", "T_u")
+)
+"""Symbols of what cannot be below 0; terms of their curves and differences of them can."""
+POINT_QUANTITIES = {
+    "pressure": "pressure",
+    "from": "pressure",
+    "contraction": "length",
+    "setpoint": "length",
+    "mean": "length",
+    "amplitude": "length",
+    "frequency": "frequency",
+    "speed": "speed",
+    "start": "length",
+    "step": "length",
+    "lower": "length",
+    "upper": "length",
+    "load": "force",
+    "bias": "pressure",
+    "mass": "mass",
+    "tip_mass": "mass",
+    "displacement": "length",
+    "cycles": "count",
+    "side": "count",
+}
+"""Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Half widths of the 95 % interval by cause; None where a cause was not assessed, 0 where it has no effect."""
+
+    repeats: float | None = None
+    """Scatter between trials."""
+    method: float | None = None
+    """What the estimator itself adds, found by replay of the fitted plant."""
+    calibration: float | None = None
+    """From the calibration files of the channels."""
+    skew: float = 0.0
+    """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
+    drift: float = 0.0
+    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing tells of a drift."""
+
+    @property
+    def combined(self) -> float | None:
+        """Root of the sum of squares of the assessed parts; None without `repeats`, for the others are no interval."""
+        if self.repeats is None:
+            return None
+        return sqrt(sum(p * p for p in vars(self).values() if p is not None))
+
+
+@dataclass(frozen=True)
+class Source:
+    """One line of the uncertainty budget of an estimate, in the sense of the GUM (JCGM 100, 5.1).
+
+    The halves of all lines of a part add as squares to that part of `Parts`, and those of the whole budget to
+    `Parts.combined`. A share is half^2 / combined^2.
+    """
+
+    name: str
+    """What it is, in words: `calibration of pressure, offset`."""
+    part: str
+    """The field of `Parts` that it belongs to."""
+    kind: str
+    """`A`, from the scatter of what was measured, or `B`, from other knowledge."""
+    half: float | None
+    """Half width of the 95 % interval, in the unit of the estimate; None: not assessed, `note` says why."""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One coefficient: a value with unit, interval and parents, or the reason why there is none."""
+
+    symbol: str
+    """As in the field: F_ce, K, B_c, B_r, F_c, t_d, K_u, T_u ..."""
+    value: float | None
+    """None: not identifiable; `note` says why."""
+    unit: str
+    quantity: str
+    """Key of `QUANTITIES`, for display units."""
+    method: str
+    at: Mapping[str, float] = field(default_factory=dict)
+    """Operating point [SI], for instance {"pressure": 3e5} or {"frequency": 0.5}; empty for the whole campaign."""
+    parts: Parts = field(default_factory=Parts)
+    n: int = 0
+    """Number of trials behind it."""
+    bias: float | None = None
+    """Bias of the estimator found by replay; already taken off `value` where `corrected`."""
+    corrected: bool = False
+    note: str = ""
+    trials: tuple[str, ...] = ()
+    """Parents, as `run/index`."""
+    coordinate: str = ""
+    """Where the same symbol appears once per coefficient of a curve: its name, for instance `slope`."""
+    budget: tuple[Source, ...] = ()
+    """Its uncertainty by source, largest first; empty where only the parts are known."""
+    withheld: bool = False
+    """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
+
+    def __post_init__(self) -> None:
+        """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
+        if self.value is not None and not isfinite(self.value):
+            self._lacks("no finite number came out", value=None, bias=None, corrected=False)
+        elif not all(part is None or isfinite(part) for part in vars(self.parts).values()):
+            self._lacks("no interval: one of its parts has no bound")
+
+    def _lacks(self, why: str, **instead: Any) -> None:
+        instead |= {"parts": Parts(), "budget": (), "note": f"{self.note}; {why}".removeprefix("; ")}
+        for name, value in instead.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def shares(self) -> tuple[float | None, ...]:
+        """Share of the combined variance of each line of the budget [1]; None for a line that was not assessed."""
+        total = (self.parts.combined or 0.0) ** 2
+        return tuple(None if s.half is None else s.half**2 / total if total else 0.0 for s in self.budget)
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval from all parts together; None without a repeats part.
+
+        It ends at 0 for what cannot be below: what is cut off cannot be true, so it holds the truth as often.
+        """
+        half = self.parts.combined
+        if self.value is None or half is None:
+            return None
+        low, high = self.value - half, self.value + half
+        return (max(0.0, low) if self.positive and high > 0 else low, high)
+
+    @property
+    def positive(self) -> bool:
+        """Whether the quantity cannot be below 0."""
+        return self.symbol in POSITIVE and (not self.coordinate or self.quantity == "time")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documented JSON object of an estimate."""
+        ci = self.ci95
+        return {
+            "symbol": self.symbol,
+            "coordinate": self.coordinate,
+            "at": dict(self.at),
+            "value": self.value,
+            "unit": self.unit,
+            "quantity": self.quantity,
+            "ci95": None if ci is None else list(ci),
+            "parts": asdict(self.parts),
+            "bias": self.bias,
+            "corrected": self.corrected,
+            "n": self.n,
+            "method": self.method,
+            "note": self.note,
+            "trials": list(self.trials),
+            "budget": [{**asdict(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
+            "withheld": self.withheld,
+        }
+
+
+def withhold(estimate: Estimate, reason: str) -> Estimate:
+    """The estimate without its value and interval, because the data contradict it; `reason` completes "withheld: "."""
+    return replace(
+        estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=reason, withheld=True
+    )
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A regression of a coefficient on pressure (or another coordinate), with its domain; refuses outside."""
+
+    symbol: str
+    form: str
+    """`line`, `quadratic` or `order n in z`, powers of z in `terms` from the constant up."""
+    terms: tuple[Estimate, ...]
+    against: str
+    domain: tuple[float, float]
+    r2: float
+    residual_rms: float
+    method: str
+    centre: float = 0.0
+    scale: float = 1.0
+    """z = (coordinate - centre) / scale [SI]."""
+
+    @property
+    def normalised(self) -> bool:
+        """Whether the terms are those of z and not of the coordinate itself."""
+        return (self.centre, self.scale) != (0.0, 1.0)
+
+    def values(self, at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The coefficient [SI] at coordinates [SI], any shape; UsageError outside the domain."""
+        at = np.asarray(at, dtype=np.float64)
+        low, high = self.domain
+        slack = 1e-9 * max(abs(low), abs(high))
+        outside = ~((at >= low - slack) & (at <= high + slack))
+        if outside.any():
+            quantity = POINT_QUANTITIES.get(self.against, "count")
+            asked, *ends = (show(float(value), quantity) for value in (at[outside].flat[0], low, high))
+            told = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
+            raise UsageError(f"{told} and means nothing outside")
+        z = (at - self.centre) / self.scale
+        return np.asarray(np.polyval([nan if t.value is None else t.value for t in reversed(self.terms)], z))
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A trial that did not enter the fit, and why."""
+
+    trial: str
+    point: Mapping[str, float]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of plain words; `level` is `note`, `doubt` or `fault`."""
+
+    level: str
+    text: str
+
+
+AGREEMENT = "agreement"
+"""Kind of the analysis that compares tests and is none itself."""
+PUBLISHED = "published"
+"""Kind of an analysis that holds other people's values and is none itself."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Points of somebody else on the axes of a trace: `columns` as in the trace, equally long, SI."""
+
+    label: str
+    columns: Mapping[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Columns of numbers behind one figure: name, caption, and each column's quantity.
+
+    `columns` are equally long arrays, SI. `marks` are named numbers that the figure shows.
+    """
+
+    name: str
+    figure: str
+    """Kind of figure: `overlay`, `loop`, `oscillation`, `isometric`, `bode`, `lift` ..."""
+    title: str
+    columns: Mapping[str, NDArray[np.float64]]
+    quantities: Mapping[str, str]
+    marks: Mapping[str, float] = field(default_factory=dict)
+    beside: tuple[Beside, ...] = ()
+    """Published points, for the figure alone; they are not stored."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """All that was found in one or more runs of one kind."""
+
+    kind: str
+    runs: tuple[str, ...]
+    simulated: bool
+    estimates: tuple[Estimate, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    dropped: tuple[Dropped, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers of trials and cells used, residual rms, options, in SI."""
+    refusals: tuple[str, ...] = ()
+    """Why these results are not accepted, whatever limits the protocol sets: one sentence each, with numbers."""
+    results: tuple[Result, ...] = ()
+    """What its kind of test can give, as declared there; empty where nobody declared it (a foreign or old file)."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a result is not declared; without any declaration symbols are taken as they are."""
+        if self.results:
+            check_declared(self.kind, self.results, self.estimates, self.curves)
+
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        runs: Sequence[RunData],
+        *,
+        results: Sequence[Result],
+        estimates: Iterable[Estimate] = (),
+        curves: Iterable[Curve] = (),
+        dropped: Iterable[Dropped] = (),
+        findings: Iterable[Finding] = (),
+        traces: Iterable[Trace] = (),
+        facts: Mapping[str, Any] | None = None,
+        refusals: Iterable[str] = (),
+    ) -> Analysis:
+        """What was found in `runs`, of which one that is simulated makes all simulated; `results` as declared."""
+        return cls(
+            kind,
+            tuple(run.id for run in runs),
+            any(run.simulated for run in runs),
+            tuple(estimates),
+            tuple(curves),
+            tuple(dropped),
+            tuple(findings),
+            tuple(traces),
+            facts or {},
+            tuple(refusals),
+            tuple(results),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documented JSON object; traces by name only, their numbers lie beside it."""
+        return {
+            "schema": SCHEMA,
+            "kind": self.kind,
+            "runs": list(self.runs),
+            "simulated": self.simulated,
+            "estimates": [e.to_dict() for e in self.estimates],
+            "curves": [{**asdict(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
+            "dropped": [asdict(d) for d in self.dropped],
+            "findings": [asdict(f) for f in self.findings],
+            "traces": [
+                {
+                    "name": t.name,
+                    "figure": t.figure,
+                    "title": t.title,
+                    "quantities": dict(t.quantities),
+                    "marks": dict(t.marks),
+                }
+                for t in self.traces
+            ],
+            "facts": dict(self.facts),
+            "refusals": list(self.refusals),
+            "results": [asdict(result) for result in self.results],
+        }
+
+
+def check_declared(
+    kind: str, declared: Sequence[Result], estimates: Iterable[Estimate], curves: Iterable[Curve]
+) -> None:
+    """Raise ValueError where a result of an analysis of `kind` is not declared, or is in another quantity or unit.
+
+    An estimate with a coordinate (a slope, a term) may have another quantity, in the unit of that.
+    """
+    known = {result.symbol: result for result in declared}
+    if len(known) < len(declared):
+        raise ValueError(f"{kind}: a symbol is declared twice in {', '.join(r.symbol for r in declared)}")
+    estimates = list(estimates)
+    symbols = [e.symbol for e in estimates]
+    symbols += [symbol for c in curves for symbol in (c.symbol, *(term.symbol for term in c.terms))]
+    missing = [symbol for symbol in dict.fromkeys(symbols) if symbol not in known]
+    if missing:
+        raise ValueError(
+            f"{kind}: not declared: {', '.join(missing)}; declared are {', '.join(known)}. Add the result to the "
+            "record of this kind of test, with title, quantity and whether it is a headline"
+        )
+    for e in estimates:
+        if e.quantity in QUANTITIES and e.unit != QUANTITIES[e.quantity].unit:
+            right = QUANTITIES[e.quantity].unit
+            raise ValueError(f"{kind}: {e.symbol} is given in {e.unit}; a {e.quantity} is in {right}")
+        wanted = known[e.symbol]
+        if not e.coordinate and (e.quantity, e.unit if wanted.unit else "") != (wanted.quantity, wanted.unit):
+            declaration = wanted.quantity or wanted.unit
+            raise ValueError(
+                f"{kind}: {e.symbol} is declared as {declaration}, and was given as {e.quantity or e.unit}"
+            )

@@ -1,0 +1,286 @@
+"""LabVIEW measurement files (.lvm), read as text.
+
+The layout is that of National Instruments, "Specification for the LabVIEW Measurement File (.lvm)": a header of keys,
+then segments, each with a header of its own, a line of names and rows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Literal
+
+import numpy as np
+
+from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins
+from pmabench.store.records import Array
+
+MAGIC = (b"LabVIEW Measurement", b"\xef\xbb\xbfLabVIEW Measurement")
+END = "***End_of_Header***"
+KEYS = {
+    *("Channels", "Samples", "Date", "Time", "Notes", "Test_Name", "Test_Numbers", "UUT_Name", "UUT_S/N", "UUT_M/N"),
+    *("X_Dimension", "X0", "Delta_X", "Y_Dimension", "Y_Unit_Label", "X_Unit_Label"),
+}
+"""Keys of the header of a segment."""
+SHOWN = 10
+MAX_CHANNELS = 500
+NO_NUMBER = {"nan": np.nan, "inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "": np.nan}
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?")
+
+
+class LvmLayout(Layout):
+    """A LabVIEW measurement: Tab or Comma, decimal point or comma, X_Columns No, One or Multi, several headings."""
+
+    format: Literal["lvm"]
+
+
+@dataclass
+class _Segment:
+    """One segment: its header, its names and its rows."""
+
+    keys: dict[str, list[str]]
+    names: list[str]
+    first: int
+    """Line of its first row."""
+    rows: list[tuple[int, list[str]]] = field(default_factory=list)
+
+
+class _File:
+    """The keys of the file's header, and what the rows look like by them."""
+
+    def __init__(self, path: str, content: bytes) -> None:
+        self.path = path
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+        self.ends = text.endswith(("\n", "\r"))
+        self.lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+        self.separator = self._separator()
+        self.keys: dict[str, str] = {}
+        self.body = self._header()
+        self.x = self.key("X_Columns", {"No", "One", "Multi"}, "One")
+        self.multi = self.key("Multi_Headings", {"Yes", "No"}, "No") == "Yes"
+        self.decimal = self.keys.get("Decimal_Separator", "")
+        if self.decimal not in {"", ".", ","}:
+            raise invalid(path, f'says Decimal_Separator "{self.decimal[:20]}", which is neither point nor comma')
+
+    def _separator(self) -> str:
+        for number, line in enumerate(self.lines[:50], 1):
+            if line.startswith("Separator"):
+                mark, word = line[9:10], line[10:].strip()
+                if (mark, word) in {("\t", "Tab"), (",", "Comma")}:
+                    return mark
+                raise invalid(self.path, "says a separator that is neither Tab nor Comma", number, 1)
+        raise invalid(self.path, "is no LVM file: its header has no line that begins with Separator", 1, 1)
+
+    def _header(self) -> int:
+        for number, line in enumerate(self.lines):
+            key, _, value = line.partition(self.separator)
+            if key.strip() == END:
+                return number + 1
+            self.keys.setdefault(key.strip(), value.strip())
+        raise invalid(self.path, f"is cut off: its header has no {END}", len(self.lines), 1)
+
+    def key(self, name: str, allowed: set[str], otherwise: str) -> str:
+        value = self.keys.get(name, otherwise)
+        if value not in allowed:
+            raise invalid(self.path, f'says {name} "{value[:20]}", expected {" or ".join(sorted(allowed))}')
+        return value
+
+
+def read_lvm(
+    path: str, content: bytes, layout: LvmLayout | None = None, only: Collection[str] | None = None
+) -> Recorded:
+    """All channels and their X; raises InvalidFile at file:line. X is s where the file says that it is time.
+
+    Several segments are put one after the other by the clock times in their headers.
+    """
+    if not content.startswith(MAGIC):
+        raise invalid(path, f'is no LVM file: it does not begin with "{MAGIC[0].decode()}"', 1, 1)
+    file = _File(path, content)
+    segments = _segments(file)
+    if not segments or not any(segment.rows for segment in segments):
+        raise invalid(path, "holds headers and no data", len(file.lines), 1)
+    for segment in segments[1:]:
+        if segment.names != segments[0].names or segment.keys.get("Y_Unit_Label") != segments[0].keys.get(
+            "Y_Unit_Label"
+        ):
+            raise invalid(path, "has other channels or units than the segment before; split the file", segment.first, 1)
+    recorded = Recorded([], _started(segments[0], file.keys), segments[0].first, not file.ends)
+    _drop_cut_row(file, segments[-1], recorded)
+    tables = [_numbers(file, segment) for segment in segments]
+    xs = _abscissae(file, segments, tables, recorded)
+    channels = len(segments[0].names)
+    step = 2 if file.x == "Multi" else 1
+    units = segments[0].keys.get("Y_Unit_Label", [])
+    recorded.columns += xs
+    for index, name in enumerate(segments[0].names):
+        values = np.concatenate([table[:, 1 + index * step] for table in tables])
+        recorded.columns.append(Column(name, values, units[index] if len(units) == channels else ""))
+    for number, (segment, table) in enumerate(zip(segments, tables, strict=True), 1):
+        said = segment.keys.get("Samples", [])
+        if file.multi and said and max(_whole(text) for text in said) != len(table):
+            recorded.doubts.append(
+                f"segment {number} has {len(table)} rows, its header says {max(_whole(text) for text in said)}: "
+                "rows are missing or were added"
+            )
+    return recorded
+
+
+def _drop_cut_row(file: _File, segment: _Segment, recorded: Recorded) -> None:
+    """Leave out the last row where the file ends within it, and say so."""
+    width = len(segment.names) * 2 if file.x == "Multi" else len(segment.names) + 1
+    if not file.ends and len(segment.rows) > 1 and len(segment.rows[-1][1]) < width:
+        number, fields = segment.rows.pop()
+        recorded.cut_end = False
+        recorded.doubts.append(
+            f"the last row is cut off, in line {number}: {len(fields)} of {width} columns; it was left out"
+        )
+
+
+def _whole(text: str) -> int:
+    return int(text) if text.isdecimal() and len(text) < 12 else -1
+
+
+def _segments(file: _File) -> list[_Segment]:
+    """Headers and rows; a segment begins with any key of its header, in any order."""
+    segments: list[_Segment] = []
+    keys: dict[str, list[str]] | None = None
+    special = names_next = False
+    for number, line in enumerate(file.lines[file.body :], file.body + 1):
+        fields = line.split(file.separator)
+        first = fields[0].strip()
+        if special or first == "***Start_Special***":
+            special = first != "***End_Special***"
+        elif not line.strip():
+            continue
+        elif keys is None and (first in KEYS or not segments):
+            keys = {first: [text.strip() for text in fields[1:] if text.strip()]}
+            if not segments and first not in KEYS and _NUMBER.fullmatch(first):
+                raise invalid(file.path, "a header with the number of channels is expected before the rows", number, 1)
+        elif keys is not None and first == END:
+            names_next = True
+        elif names_next and keys is not None:
+            segments.append(_Segment(keys, _names(file, fields, keys, number), number + 1))
+            keys, names_next = None, False
+        elif keys is not None:
+            keys[first] = [text.strip() for text in fields[1:] if text.strip()]
+        else:
+            segments[-1].rows.append((number, fields))
+    if keys is not None:
+        raise invalid(file.path, "is cut off within the header of a segment", len(file.lines), 1)
+    return segments
+
+
+def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int) -> list[str]:
+    count = _whole(keys["Channels"][0]) if keys.get("Channels") else -1
+    if not 1 <= count <= MAX_CHANNELS:
+        raise invalid(file.path, f"the number of channels is not 1 to {MAX_CHANNELS}", line, 1)
+    step = 2 if file.x == "Multi" else 1
+    names = [text.strip() for text in fields[1 : 1 + count * step : step]]
+    if len(names) < count or fields[0].strip() != "X_Value":
+        raise invalid(file.path, f'"X_Value" and the names of {count} channels are expected', line, 1)
+    seen: dict[str, int] = {}
+    for index, name in enumerate(names):
+        text = name or "channel"
+        seen[text] = seen.get(text, 0) + 1
+        names[index] = text if seen[text] == 1 else f"{text} ({seen[text]})"
+    return names
+
+
+def _numbers(file: _File, segment: _Segment) -> Array:
+    """Shape (rows, 1 + channels x step): X and channels as they stand; a comment at the end of a row is left out."""
+    step = 2 if file.x == "Multi" else 1
+    width = len(segment.names) * step + (0 if file.x == "Multi" else 1)
+    table = np.full((len(segment.rows), width), np.nan)
+    problems: list[Problem] = []
+    comma = file.decimal == ","
+    if not file.decimal and file.separator != "," and segment.rows:
+        comma = any("," in text for text in segment.rows[0][1][:width])
+    for index, (number, fields) in enumerate(segment.rows):
+        if not width <= len(fields) <= width + 1:
+            last = number == len(file.lines)
+            text = (
+                f"the last row is cut off: {len(fields)} of {width} columns"
+                if last and len(fields) < width
+                else f"has {len(fields)} columns, {width} are expected"
+            )
+            problems.append(Problem(file.path, number, 1, text))
+        else:
+            for place, text in enumerate(fields[:width]):
+                try:
+                    table[index, place] = _number(text.strip(), comma)
+                except ValueError:
+                    shown = text.strip()[:40]
+                    problems.append(Problem(file.path, number, 1, f'"{shown}" is no number, in column {place + 1}'))
+        if len(problems) >= SHOWN:
+            break
+    if problems:
+        raise InvalidFile(problems[:SHOWN])
+    return table
+
+
+def _number(text: str, comma: bool) -> float:
+    plain = text
+    if comma:
+        plain = "?" if "." in text else text.replace(",", ".")
+    if _NUMBER.fullmatch(plain) is not None:
+        return float(plain)
+    return NO_NUMBER[text.lower()] if text.lower() in NO_NUMBER else float("?")
+
+
+def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array], recorded: Recorded) -> list[Column]:
+    """The column X_Value: as it stands, or from X0 and Delta_X; segments follow each other by their clock."""
+    times = [_started(segment, file.keys) for segment in segments]
+    parts: list[Array] = []
+    for segment, table, at in zip(segments, tables, times, strict=True):
+        later = (at - times[0]).total_seconds() if at is not None and times[0] is not None else 0.0
+        if file.x == "No":
+            begin, steps = _floats(file, segment, "X0"), _floats(file, segment, "Delta_X")
+            if len(set(steps)) != 1 or len(set(begin)) > 1:
+                raise invalid(file.path, "its channels have X of their own (X0, Delta_X differ)", segment.first, 1)
+            if not steps[0] > 0:
+                raise invalid(file.path, "has no X, and Delta_X is not above 0", segment.first, 1)
+            x = (begin[0] if begin else 0.0) + np.arange(len(table)) * steps[0]
+        else:
+            x = table[:, 0]
+            if file.x == "Multi":
+                others = table[:, 2::2]
+                if not np.array_equal(others, np.broadcast_to(x[:, None], others.shape), equal_nan=True):
+                    raise invalid(file.path, "its channels have X of their own, which differ", segment.first, 1)
+        parts.append(np.asarray(x + later, dtype=np.float64))
+    unit = segments[0].keys.get("X_Dimension", ["Time"])
+    return [Column("X_Value", np.concatenate(parts), "s" if unit and unit[0] == "Time" else "")]
+
+
+def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
+    comma = "," in "".join(segment.keys.get(key, [])) and file.separator != ","
+    try:
+        values = [_number(text, comma) for text in segment.keys.get(key, [])]
+    except ValueError as error:
+        raise invalid(file.path, f"its {key} is no number", segment.first, 1) from error
+    return values if np.isfinite(values).all() else []
+
+
+def _started(segment: _Segment, header: dict[str, str]) -> datetime | None:
+    """Date and time of a segment, else of the file, as they stand."""
+    date = (segment.keys.get("Date") or [header.get("Date", "")])[0]
+    time = (segment.keys.get("Time") or [header.get("Time", "")])[0]
+    whole, _, part = time.replace(",", ".").partition(".")
+    try:
+        begin = datetime.strptime(f"{date} {whole}", "%Y/%m/%d %H:%M:%S")  # local, zone unknown
+    except ValueError:
+        return None
+    return begin + timedelta(seconds=float(f"0.{part}") if part.isdecimal() else 0.0)
+
+
+def _as_one(columns: Mapping[str, Array]) -> dict[str, str]:
+    """A file has one table, whatever signs are in the names of its channels."""
+    return dict.fromkeys(columns, "")
+
+
+FORMAT = Format("lvm", "LabVIEW measurement", LvmLayout, begins(*MAGIC), read_lvm, together=_as_one)

@@ -1,0 +1,118 @@
+"""TDMS files, read by npTDMS: channels as `group/channel`, and the time of a group as `group/@time`."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from typing import Any, Literal
+
+import numpy as np
+
+from pmabench.base.errors import invalid
+from pmabench.store.formats.record import TIME, Column, Format, Layout, Recorded, begins, damaged, numbers
+
+MAGIC = b"TDSm"
+
+
+class TdmsLayout(Layout):
+    """TDMS, with the scales that the file holds."""
+
+    format: Literal["tdms"]
+
+
+def read_tdms(path: str, content: bytes, layout: TdmsLayout | None, only: Collection[str] | None) -> Recorded:
+    """The channels of numbers in `only` (None: all); raises InvalidFile.
+
+    Values are those that the file's own scales give, as every other program shows them. `group/@time` [s] comes from
+    `wf_increment` where all channels of a group have the same. Time stamps count from the first one.
+    """
+    if not content.startswith(MAGIC):
+        raise invalid(path, f'is no TDMS file: it does not begin with "{MAGIC.decode()}"')
+    from nptdms import TdmsFile
+
+    ends = _end(content)
+    recorded = Recorded([])
+    with damaged(path, "TDMS"), _warnings(recorded), TdmsFile.open(io.BytesIO(content)) as file:
+        if getattr(file.file_status, "incomplete_final_segment", False):
+            recorded.cut_end = True
+            recorded.doubts.append("the last segment is incomplete: the recording was cut off")
+        if ends is not None and ends != len(content):
+            recorded.doubts.append(
+                f"the segments end at byte {ends}, the file at byte {len(content)}: bytes were lost or put in"
+            )
+        for group in file.groups():
+            _group(recorded, group, only)
+        return recorded
+
+
+@contextmanager
+def _warnings(recorded: Recorded) -> Iterator[None]:
+    """What npTDMS logs of a file that contradicts itself is a doubt."""
+
+    class Doubts(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            recorded.doubts.append(record.getMessage()[:200])
+
+    logger, handler = logging.getLogger("nptdms"), Doubts(logging.WARNING)
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+
+
+def _end(content: bytes) -> int | None:
+    """Where the last segment ends by the lengths in the segments' heads; None where the last length was never written.
+
+    A head is 28 bytes: TDSm, mask, version, length of what follows, length of the description.
+    """
+    at = 0
+    while at + 28 <= len(content):
+        if content[at : at + 4] != MAGIC:
+            return at
+        order: Any = "big" if content[at + 4] & 0x40 else "little"
+        length = int.from_bytes(content[at + 12 : at + 20], order)
+        if length == 2**64 - 1:
+            return None
+        at += 28 + length
+    return at
+
+
+def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None:
+    times: set[tuple[float, float, int]] = set()
+    for channel in group.channels():
+        name, told = f"{group.name}/{channel.name}", channel.properties
+        if len(channel) == 0:
+            continue
+        step = told.get("wf_increment")
+        begin = told.get("wf_start_offset", 0.0)
+        if isinstance(step, float) and isinstance(begin, float):
+            times.add((step, begin, len(channel)))
+        stamp = told.get("wf_start_time")
+        if recorded.started is None and isinstance(stamp, np.datetime64):
+            recorded.started = stamp.astype("datetime64[us]").astype(datetime)
+        if only is not None and name not in only:
+            recorded.left_out.append(name)
+            continue
+        values = np.asarray(channel[:])
+        unit = told.get("unit_string") or told.get("NI_UnitDescription") or ""
+        if values.dtype.kind == "M":
+            since = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
+            recorded.columns.append(Column(name, np.asarray(since, dtype=np.float64), "s"))
+            continue
+        column = numbers(values)
+        if column is None:
+            recorded.left_out.append(name)
+        else:
+            recorded.columns.append(Column(name, column, unit if isinstance(unit, str) else ""))
+    name = f"{group.name}/{TIME}"
+    if len(times) == 1 and (only is None or name in only):
+        step, begin, count = times.pop()
+        if step > 0 and np.isfinite([step, begin]).all():
+            recorded.columns.append(Column(name, np.asarray(begin + np.arange(count) * step, dtype=np.float64), "s"))
+
+
+FORMAT = Format("tdms", "TDMS", TdmsLayout, begins(MAGIC), read_tdms, modules=("nptdms",), package="npTDMS")

@@ -1,0 +1,430 @@
+"""Reads columns of numbers from text with a given layout, piece by piece: nothing is guessed; knows no channels.
+
+Arrow turns a piece into numbers where it is plain. Whatever it refuses, or reads as no finite number, is read once more
+line by line: the fault is then named at its line, or the field is one that the map allows.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.store.arrow import arrow_csv, pa
+from pmabench.store.formats.fields import MINUS, NUMBER, Fields
+from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.formats.times import seconds_of
+from pmabench.store.records import Array
+
+PIECE = 4_000_000
+"""Bytes of a file that are read at a time."""
+LONGEST_LINE = 8_000_000
+SHOWN = 10
+"""Faulty rows that are named of one file."""
+MOST_HEAD = 60
+"""Lines above the first row that are handed on, for what the file says in them."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Some rows of a file in order."""
+
+    columns: dict[str, Array]
+    """Name -> numbers, shape (n,); NaN where the file says that there is none; seconds where it holds times."""
+    lines: NDArray[np.int64]
+    """Line in the file of each row, from 1."""
+    starts: tuple[int, ...] = ()
+    """Rows, from 0, before which the header was repeated: another test begins."""
+
+
+@dataclass
+class TextReader:
+    """Reads one file: `feed` takes its bytes in pieces of any size, `end` the last rows."""
+
+    path: str
+    layout: TextLayout
+    wanted: Sequence[str]
+    optional: Sequence[str] = ()
+    ignored: Sequence[str] = ()
+    texts: Mapping[str, str] | None = None
+    order: str = "year first"
+    """Order of day and month in dates."""
+    taken: list[str] = field(default_factory=list)
+    """Names of the columns that are read, once the first row is known."""
+    head: list[str] = field(default_factory=list)
+    cut_end: bool = False
+    cut_row: str = ""
+
+    def __post_init__(self) -> None:
+        encoding = self.layout.encoding
+        self._decoder = codecs.getincrementaldecoder("utf-8-sig" if encoding == "utf-8" else encoding)()
+        self._plain = encoding not in ("utf-16", "utf-16-le", "utf-16-be")
+        self._begun = False
+        """Whether anything but a byte order mark came."""
+        self._rest = ""
+        """What was decoded and is no whole line yet, with the last whole line."""
+        self._zeros = 0
+        """Bytes of zero at the end, as an interrupted write leaves them."""
+        self._line = 0
+        """Lines that are done."""
+        self._names: list[str] = []
+        self._header = ""
+        self._below = 0
+        """Lines below the header that are still to be left out."""
+        self._rows = 0
+        self._seen = False
+        """A line was kept."""
+        self._titles: list[tuple[int, str]] = []
+        """Lines that are no rows, which may stand above a repeated header only."""
+        self._fields_of = Fields(self.layout, self.order)
+
+    # -- pieces ------------------------------------------------------------------------------------------------
+
+    def answer(self, piece: bytes, *, last: bool) -> tuple[dict[str, Any], list[Any]]:
+        """The rows that a piece completes, the end of the file being one too: what is said of them, and the numbers."""
+        rows = self.feed(piece)
+        if last:
+            rows = self.joined([rows, self.end()])
+        head = {"columns": list(rows.columns), "rows": len(rows.lines), "starts": rows.starts, "head": self.head}
+        if last:
+            head |= {"cut_end": self.cut_end, "cut_row": self.cut_row}
+        return head, [*rows.columns.values(), rows.lines]
+
+    def feed(self, piece: bytes) -> Rows:
+        """The rows that are whole by now, but for the last line, which may turn out to be cut."""
+        self._rest += self._decoded(piece, last=False)
+        if not self._begun:
+            return self._none()
+        held = len(self._rest) - (1 if self._rest.endswith("\r") else 0)
+        if "\r" in self._rest:
+            self._rest = self._rest[:held].replace("\r\n", "\n").replace("\r", "\n") + self._rest[held:]
+        end = self._rest.rfind("\n")
+        end = self._rest.rfind("\n", 0, max(end, 0))
+        if end < 0:
+            if len(self._rest) > LONGEST_LINE:
+                raise invalid(self.path, f"has a line longer than {LONGEST_LINE // 1_000_000} MB", self._line + 1, 1)
+            return self._none()
+        block, self._rest = self._rest[: end + 1], self._rest[end + 1 :]
+        return self._block(block)
+
+    def end(self) -> Rows:
+        """The last rows; raises InvalidFile where the whole file held none."""
+        self._rest += self._decoded(b"", last=True)
+        block = self._rest.replace("\r\n", "\n").replace("\r", "\n")
+        self._rest = ""
+        if not self._begun and not block.strip():
+            raise invalid(self.path, "is empty")
+        self.cut_end = bool(block) and not block.endswith("\n")
+        body = block.rstrip()
+        before, last = body[: body.rfind("\n") + 1], block[body.rfind("\n") + 1 :]
+        parts = [self._block(before)] if before else []
+        if last:
+            parts.append(self._last(last))
+        if self._zeros:
+            told = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
+            self.cut_row = f"{self.cut_row}; {told}" if self.cut_row else told
+        if not self._seen:
+            raise invalid(self.path, "holds no data: all lines are blank, skipped or comments")
+        if not self._rows:
+            at = max(self._line, 1)
+            raise invalid(self.path, self.cut_row or "holds a header and no data", at, 1)
+        return self.joined(parts)
+
+    def joined(self, parts: Sequence[Rows]) -> Rows:
+        """Rows of several pieces in order."""
+        ends = np.cumsum([0, *(len(part.lines) for part in parts)])
+        return Rows(
+            {n: np.concatenate([p.columns[n] for p in parts if p.columns] or [np.empty(0)]) for n in self.taken},
+            np.concatenate([np.empty(0, np.int64), *(part.lines for part in parts)]),
+            tuple(int(end) + start for end, part in zip(ends, parts, strict=False) for start in part.starts),
+        )
+
+    def _last(self, last: str) -> Rows:
+        """The last line, with blank ones after it; where it is cut off in its row, it is left out and said so."""
+        number = self._line + 1
+        begun = bool(self._names)
+        try:
+            return self._block(last if last.endswith("\n") else last + "\n")
+        except InvalidFile:
+            fields = self._split(last.split("\n", 1)[0])
+            count, expected = len(fields), len(self._names)
+            if not begun or self._rows < 2 or not (count < expected or (self.cut_end and self._ends_badly(fields))):
+                raise
+            what = f"{count} of {expected} columns" if count < expected else "its last number is no whole one"
+            self.cut_row = f"the last row is cut off, in line {number}: {what}; it was left out"
+            self._line, self.cut_end = number, False
+            return self._none()
+
+    def _ends_badly(self, fields: Sequence[str]) -> bool:
+        """Whether a row is whole but for its last field."""
+        texts = self.texts or {}
+        try:
+            for name in self.taken:
+                if name != self._names[-1]:
+                    self._fields_of.value(fields[self._names.index(name)], texts.get(name, ""))
+        except ValueError:
+            return False
+        return len(fields) == len(self._names)
+
+    def _decoded(self, piece: bytes, *, last: bool) -> str:
+        if self._plain and (self._zeros or b"\0" in piece):
+            text = piece.rstrip(b"\0")
+            if b"\0" in text or (self._zeros and text):
+                raise invalid(self.path, f"is binary, not text (a zero at byte {piece.index(0)})")
+            self._zeros, piece = self._zeros + len(piece) - len(text), text
+        self._begun = self._begun or bool(piece.strip())
+        try:
+            return self._decoder.decode(piece, last).replace(MINUS, "-")
+        except UnicodeError as error:
+            where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
+            told = f"is not text in {self.layout.encoding}{where}; say the right encoding, or it is binary"
+            raise invalid(self.path, told) from error
+
+    def _none(self) -> Rows:
+        return Rows({name: np.empty(0) for name in self.taken}, np.empty(0, np.int64))
+
+    # -- blocks of whole lines ---------------------------------------------------------------------------------
+
+    def _block(self, block: str) -> Rows:
+        """The rows in whole lines of text."""
+        if not self._names or self._below:
+            block = self._past_header(block)
+            if not block:
+                return self._none()
+        layout = self.layout
+        if layout.delimiter != "blank" and not layout.quoted and not (layout.comment and layout.comment in block):
+            count = block.count("\n")
+            found = self._by_arrow(block, count, MARKS[layout.delimiter])
+            if found is not None and not self._titles:
+                lines = np.arange(self._line + 1, self._line + 1 + count)
+                self._line, self._rows = self._line + count, self._rows + count
+                return Rows(found, lines)
+        return self._by_lines(block)
+
+    def _past_header(self, block: str) -> str:
+        """Takes the lines above the first row; the rest of the block."""
+        layout = self.layout
+        while block:
+            line, _, after = block.partition("\n")
+            number = self._line + 1
+            skipped = number <= layout.skip_lines
+            if skipped or not self._counts(line, number):
+                self._keep_head(line)
+            elif not self._names:
+                self._seen = True
+                self._name(line, number)
+                if layout.header == "none":
+                    return block
+                self._header, self._below = line.strip(), layout.lines_below_header
+                self._keep_head(line)
+            elif self._below:
+                self._below -= 1
+                self._keep_head(line)
+            else:
+                return block
+            self._line, block = number, after
+        return ""
+
+    def _keep_head(self, line: str) -> None:
+        if len(self.head) < MOST_HEAD:
+            self.head.append(line[:400])
+
+    def _counts(self, line: str, number: int) -> bool:
+        """Whether a line is neither a comment nor blank; raises InvalidFile for a blank one that is not expected."""
+        if self.layout.comment and line.lstrip().startswith(self.layout.comment):
+            return False
+        if line.strip():
+            return True
+        if self.layout.blank_lines == "refuse":
+            told = 'the line is blank; if that is usual say "blank_lines: skip"'
+            raise invalid(self.path, told, number, 1)
+        return False
+
+    def _name(self, line: str, number: int) -> None:
+        """Names of the columns by the first line that counts, and which of them are read."""
+        fields = self._fields(line, number)
+        if self.layout.header == "first line":
+            names = [text.strip().strip('"').strip() for text in fields]
+            if names and not names[-1] and len(names) > 1:  # the delimiter at the end of each line
+                names[-1] = "@end"
+            if len(set(names)) < len(names):
+                raise invalid(self.path, "two columns have the same name", number, 1)
+        else:
+            names = list(self.layout.names)
+            while len(names) > len(fields) and names[-1] in self.optional:
+                names.pop()
+        wanted = [*self.wanted, *(name for name in self.optional if name in names)]
+        known = {*wanted, *self.ignored, "@end"}
+        problems = [
+            *(Problem(self.path, number, 1, f'has no column "{n}"{did_you_mean(n, names)}')
+              for n in wanted if n not in names),
+            *[Problem(self.path, number, 1, f'the map does not say what column "{n}" is')
+              for n in names if n not in known][:SHOWN],
+        ]  # fmt: skip
+        if problems:
+            raise InvalidFile(problems)
+        self._names, self.taken = names, wanted
+
+    def _by_arrow(self, block: str, count: int, delimiter: str) -> dict[str, Array] | None:
+        """The columns of a block of plain rows; None where one of them is anything else."""
+        layout, texts = self.layout, self.texts or {}
+        if layout.thousands is not None:
+            return None
+        try:
+            table = arrow_csv.read_csv(
+                pa.BufferReader(block.encode()),
+                read_options=arrow_csv.ReadOptions(
+                    use_threads=False, column_names=self._names, block_size=max(1 << 16, 2 * PIECE)
+                ),
+                parse_options=arrow_csv.ParseOptions(delimiter=delimiter, quote_char=False, ignore_empty_lines=False),
+                convert_options=arrow_csv.ConvertOptions(
+                    include_columns=self.taken,
+                    column_types={name: pa.string() if name in texts else pa.float64() for name in self._names},
+                    null_values=layout.missing,
+                    strings_can_be_null=False,
+                    decimal_point="," if layout.decimal == "comma" else ".",
+                ),
+            )
+        except pa.ArrowException:
+            return None
+        if table.num_rows != count:
+            return None
+        columns: dict[str, Array] = {}
+        for name in self.taken:
+            column = table.column(name)
+            if name in texts:
+                try:
+                    columns[name] = seconds_of(column.to_pylist(), texts[name], self.order)
+                except ValueError:
+                    return None
+                continue
+            values = np.concatenate([_plain(chunk) for chunk in column.chunks])
+            # words that Arrow takes for numbers ("nan", "inf") are no finite number, and no missing one either
+            if int(np.isfinite(values).sum()) + column.null_count != count:
+                return None
+            columns[name] = values
+        return columns
+
+    # -- line by line ------------------------------------------------------------------------------------------
+
+    def _by_lines(self, block: str) -> Rows:
+        """The rows of a block that holds more than plain ones, or the faults in it, each at its line."""
+        kept: list[str] = []
+        numbers: list[int] = []
+        starts: list[int] = []
+        for line in block.removesuffix("\n").split("\n"):
+            self._line += 1
+            if not self._counts(line, self._line):
+                continue
+            if self._header and line.strip() == self._header:
+                self._again(starts, len(kept))
+            elif self._below:
+                self._below -= 1
+            elif self._is_title(line):
+                self._titles.append((self._line, line))
+            else:
+                kept.append(line)
+                numbers.append(self._line)
+            if kept and self._titles and numbers[-1] > self._titles[0][0]:
+                self._rectangular([self._split(line) for _, line in self._titles], [at for at, _ in self._titles])
+        if not kept:
+            return Rows(self._none().columns, np.empty(0, np.int64), tuple(starts))
+        self._seen = True
+        rows: list[list[str]] = []
+        if self.layout.delimiter == "blank" or self.layout.quoted:
+            rows = [self._fields(line, number) for line, number in zip(kept, numbers, strict=True)]
+            found = self._by_arrow("\n".join("\t".join(fields) for fields in rows) + "\n", len(kept), "\t")
+        else:
+            found = self._by_arrow("\n".join(kept) + "\n", len(kept), MARKS[self.layout.delimiter])
+        if found is None:
+            rows = rows or [self._split(line) for line in kept]
+            self._rectangular(rows, numbers)
+            found = self._each(rows, numbers)
+        self._rows += len(kept)
+        return Rows(found, np.array(numbers, dtype=np.int64), tuple(starts))
+
+    def _is_title(self, line: str) -> bool:
+        """Whether a line may belong to the header of another test: it has not the fields of a row."""
+        if self.layout.repeated_header == "refuse":
+            return False
+        fields = self._split(line)
+        return len(fields) != len(self._names) or not any(NUMBER.fullmatch(text) for text in fields)
+
+    def _again(self, starts: list[int], row: int) -> None:
+        """The header line once more: another test begins, where the map says so."""
+        if self.layout.repeated_header == "refuse":
+            told = 'the header is repeated: say "repeated_header: new test" or, where the test goes on below it, "page"'
+            raise invalid(self.path, told, self._line, 1)
+        if self.layout.repeated_header == "new test":
+            starts.append(row)
+        self._titles.clear()
+        self._below = self.layout.lines_below_header
+
+    def _split(self, line: str) -> list[str]:
+        if self.layout.delimiter == "blank":
+            return line.split()
+        return line.split(MARKS[self.layout.delimiter])
+
+    def _fields(self, line: str, number: int) -> list[str]:
+        """Fields of one line, without the quotation marks around them where the map allows these."""
+        if not self.layout.quoted:
+            return self._split(line)
+        try:
+            (fields,) = csv.reader([line], delimiter=MARKS[self.layout.delimiter], strict=True)
+        except (csv.Error, ValueError) as error:
+            told = "the line ends within quotation marks, or they are set wrongly"
+            raise invalid(self.path, told, number, 1) from error
+        if any("\t" in text for text in fields):
+            raise invalid(self.path, "holds a tab within a field", number, 1)
+        return fields
+
+    def _rectangular(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> None:
+        """Every row has as many fields as there are names."""
+        expected = len(self._names)
+        wrong = [index for index, row in enumerate(rows) if len(row) != expected]
+        if not wrong:
+            return
+        if len(wrong) == len(rows) and {len(row) for row in rows} == {1} and not self._rows:
+            delimiter = self.layout.delimiter
+            told = f"is not delimited by {delimiter}: the whole line is one column, {expected} are expected"
+            raise invalid(self.path, told, numbers[0], 1)
+        raise InvalidFile(
+            Problem(self.path, numbers[index], 1, f"has {len(rows[index])} columns, {expected} are expected")
+            for index in wrong[:SHOWN]
+        )
+
+    def _each(self, rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> dict[str, Array]:
+        """Every wanted field by itself; raises InvalidFile with the first faults, each at its place."""
+        problems: list[Problem] = []
+        columns: dict[str, Array] = {}
+        texts = self.texts or {}
+        for name in self.taken:
+            index = self._names.index(name)
+            fields = [row[index] for row in rows]
+            values = np.empty(len(rows))
+            for at, text in enumerate(fields):
+                try:
+                    values[at] = self._fields_of.value(text, texts.get(name, ""))
+                except ValueError as error:
+                    column = 1 + sum(len(f) + 1 for f in rows[at][:index])
+                    shown = f'"{text.strip()[:40]}" {error}, in column "{name}"'
+                    problems.append(Problem(self.path, numbers[at], column, shown))
+                    if len(problems) >= SHOWN:
+                        break
+            columns[name] = values
+        if problems:
+            raise InvalidFile(sorted(problems, key=lambda problem: problem.line)[:SHOWN])
+        return columns
+
+
+def _plain(chunk: Any) -> Array:
+    """The numbers of an Arrow array, NaN where it has none; its own `to_numpy` imports pandas."""
+    whole = chunk.fill_null(np.nan) if chunk.null_count else chunk
+    values: Array = np.frombuffer(whole.buffers()[1], dtype=np.float64)[whole.offset : whole.offset + len(whole)]
+    return values

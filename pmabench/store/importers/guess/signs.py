@@ -1,0 +1,143 @@
+"""Which kind of test a file shows, and how it parts into trials: by its pauses, steps, sines, or numbers of trials.
+
+Knows no kind of test: each says by the name of a sign for what it is proposed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.store.importers import motion
+from pmabench.store.importers.guess.columns import held, lone
+from pmabench.store.importers.guess.record import Guess
+from pmabench.store.records import Array
+
+LONG_PAUSE = 2.0
+"""Seconds; a log that pauses so long several times was switched off between its parts."""
+
+
+@dataclass(frozen=True)
+class Sign:
+    """What a file shows, and the trials that follow from it."""
+
+    name: str
+    trials: dict[str, str]
+    """Lines of `trials` of the map, as text."""
+    reason: str
+    smallest_of: str = "pressure_command"
+    """Role whose unit `smallest` of the trials has."""
+    frequency: float = 0.0
+    """Of a command that is one sine throughout [Hz]."""
+
+
+def choose_kind(guess: Guess) -> None:
+    """Take the first sign for which there is a kind of test, and how it cuts the file."""
+    for sign in signs(guess):
+        kind = next((name for name, test in guess.kinds.items() if test.shown == sign.name), "")
+        if kind:
+            guess.kind, guess.trials = kind, sign.trials
+            guess.smallest_of, guess.frequency = sign.smallest_of, sign.frequency
+            guess.reasons.setdefault("trials", []).extend(sign.reason.split("\n"))
+            return
+
+
+def signs(guess: Guess) -> Iterator[Sign]:
+    """What a file shows, the surest first: numbered trials, pauses, a held length, a sine, steps."""
+    command, displacement, t = guess.role("pressure_command"), guess.role("displacement"), guess.seconds
+    if guess.role("trial") is not None and command is not None and edge(command.values) > 0:
+        reason = "the command goes in steps, and a column numbers the trials"
+        yield Sign("numbered trials", {"by": "column"}, reason)
+    pauses = np.diff(t)[np.diff(t) > LONG_PAUSE] if t is not None else np.empty(0)
+    if displacement is not None and len(pauses) >= 2 and guess.role("force") is not None:
+        shortest = pauses.min()
+        reason = f"the log pauses {len(pauses)} times for {shortest:.2g} s and longer: parts at set contractions"
+        yield Sign("pauses", {"by": "gap", "longer_than": f"{0.6 * shortest:.2g} s"}, reason)
+    still = displacement is not None and guess.role("force") is not None and held(displacement, guess.role("pressure"))
+    if displacement is None or still:
+        reason = "the length is held" if still else "no displacement"
+        reason += ": force over pressure at one contraction in each file"
+        cycles, trials = count(guess, "ramp"), {"by": "file"}
+        if cycles > 1:
+            reason += f"\nthe pressure rises and falls {cycles} times: each is a trial"
+            trials = {"by": "ramp", "smallest": f"{5 * share(guess, 'pressure'):.3g}"}
+        yield Sign("held length", trials, reason, "pressure" if cycles > 1 else "pressure_command")
+    sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
+    if sine:
+        reason = f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)"
+        yield Sign("sine", {"by": "file"}, reason, frequency=sine)
+    if command is not None and (step := edge(command.values)) > 0:
+        reason = "the command goes in steps: each is a trial"
+        yield Sign("steps", {"by": "step", "smallest": f"{step:.3g}", "lead": _lead(guess)}, reason)
+    if (waves := count(guess, "sine")) > 0:
+        of = "pressure_command" if command is not None else "pressure"
+        reason = f"{waves} stretches of one frequency each, found in the {of.replace('_', ' ')}"
+        yield Sign("sine", {"by": "sine", "smallest": f"{share(guess, of):.3g}"}, reason, of)
+    if command is None and (steps := count(guess, "step")) > 0:
+        reason = "no command was recorded; the measured pressure makes "
+        reason += f"{steps} steps: each is a trial, without dead time"
+        trials = {"by": "step", "smallest": f"{share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
+        yield Sign("steps", trials, reason, "pressure")
+    yield Sign("steps", {"by": "file"}, "neither steps nor sines were found: the file is one trial")
+
+
+def _lead(guess: Guess) -> str:
+    """So long before its step a trial begins: 1 s, more where that is less than 50 samples."""
+    return f"{max(1.0, 50.0 / (guess.rate[0] / 0.7)):.2g} s"
+
+
+def share(guess: Guess, role: str) -> float:
+    """A tenth of the span of a channel, in its own unit."""
+    column = guess.role(role)
+    if column is None or not len(column.good):
+        return 0.0
+    return 0.1 * float(np.ptp(np.quantile(column.good[~lone(column.good)], [0.005, 0.995])))
+
+
+def count(guess: Guess, what: str) -> int:
+    """How many steps, ramps or sines the pressure makes (sines: its command, where there is one)."""
+    command = guess.role("pressure_command") if what == "sine" else None
+    column, t = command or guess.role("pressure"), guess.seconds
+    if column is None or t is None or len(t) < 50:
+        return 0
+    good = np.isfinite(column.values) & np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    good &= (column.values != 0) | (column.unit != "mA")
+    smallest = share(guess, column.role)
+    if smallest <= 0 or good.sum() < 50:
+        return 0
+    t, values = t[good], column.values[good]
+    t, values = t[~lone(values)], values[~lone(values)]
+    if what == "ramp":
+        return len(motion.cycles(t, values, 5 * smallest))
+    return len(motion.waves(t, values, smallest) if what == "sine" else motion.levels(t, values, smallest))
+
+
+def sine_of(t: Array, values: Array) -> float:
+    """The frequency [Hz] of a channel that is one sine, shape (n,), `t` [s]; 0 where it is not."""
+    good = np.isfinite(values) & np.concatenate([[True], np.diff(t) > 0])
+    t, values = t[good], values[good]
+    if len(t) < 50 or np.ptp(values) == 0:
+        return 0.0
+    low, high = np.quantile(values, [0.02, 0.98])
+    even = np.linspace(t[0], t[-1], min(4096, len(t)))
+    signal = np.interp(even, t, np.clip(values, low, high))
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(even)))) ** 2
+    peak = int(np.argmax(power[1:])) + 1
+    share = float(power[max(1, peak - 3) : peak + 4].sum() / power[1:].sum())
+    smooth = len(np.unique(np.round(values, 6))) > 8
+    return float(peak / (t[-1] - t[0])) if share > 0.9 and peak >= 3 and smooth else 0.0
+
+
+def edge(values: Array) -> float:
+    """Half of the smallest usual step of a command that rests at levels; 0 where it does not."""
+    good = values[np.isfinite(values)]
+    span = float(np.ptp(good)) if len(good) else 0.0
+    if span == 0:
+        return 0.0
+    moves = np.abs(np.diff(good))
+    big = moves > 0.02 * span
+    if not 0 < big.sum() < 0.1 * len(good):
+        return 0.0
+    return 0.5 * float(np.quantile(moves[big], 0.05))

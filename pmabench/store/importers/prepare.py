@@ -1,0 +1,346 @@
+"""Reads one foreign file, scales and checks it, and cuts it into trials; writes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, time
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from pmabench.base.errors import invalid
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import Exported, read_record
+from pmabench.store.importers import long, plausible, quality, units
+from pmabench.store.importers.found import Checked, Found
+from pmabench.store.importers.long import Seen
+from pmabench.store.importers.magnitude import muscle_of, slope_of_held
+from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule
+from pmabench.store.importers.order import pressure_late
+from pmabench.store.importers.questions import Question
+from pmabench.store.importers.segments import Segment, segments
+from pmabench.store.importers.siblings import Summary
+from pmabench.store.importers.table import Table, read_table
+from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.trials import trial_spans
+
+NOTES_BYTES = 100_000
+PAUSED = ("record", "column")
+"""Ways to cut a file whose trials are marked: between them nothing need be recorded."""
+SAME = 0.5
+"""Share of rows with the time stamp of the row before, above which the time is too coarse for the rows."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """What the name of a file says."""
+
+    point: Mapping[str, float]
+    test: int
+    started: datetime | None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One test of one file, read and checked."""
+
+    table: Table
+    named: Named
+    t: Array
+    """Time stamps [s]; of a long file those of the rows on which trials were cut."""
+    checked: tuple[Checked, ...]
+    """Channels of the same rows as `t`."""
+    flags: Flags
+    """Of all rows."""
+    findings: tuple[Found, ...]
+    parts: tuple[Segment, ...]
+    notes: tuple[str, bytes] | None
+    rules: ImportMap
+    """Of this test."""
+    name: str
+    """Of this test among those of the file; empty where it is the only one."""
+    whole: frozenset[str]
+    """Roles of channels that are stored as int32: whole counts throughout."""
+    period: float
+    """Median distance of the samples [s]."""
+    summary: Summary
+    questions: tuple[Question, ...]
+    """Of the map, and what its numbers cannot decide."""
+    record: Exported | None
+    """What the run that the file was exported from said beyond its columns."""
+    simulated: bool
+
+    def blocks(self) -> Iterator[tuple[Array, tuple[Checked, ...]]]:
+        """Time stamps [s] and channels of all rows in order, so many at a time as fit into memory."""
+        if len(self.t) == len(self.table):
+            yield self.t, self.checked
+            return
+        for begin, end in long.parts(len(self.table)):
+            part = self.table.part(begin, end)
+            yield times(part, self.rules), channels_of(part, self.rules)
+
+
+def prepare(path: Path, rules: ImportMap) -> Prepared:
+    """Read, scale and check one file, of several tests in it the first."""
+    return prepare_all(path, rules)[0]
+
+
+def prepare_all(path: Path, rules: ImportMap) -> list[Prepared]:
+    """Read, scale and check every test of one file."""
+    found = [(each, table) for each in rules.each_test() for table in _read(path, each).tests()]
+    if rules.tests and len(found) != len(rules.tests):
+        told = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
+        raise invalid(path, told)
+    prepared = []
+    for number, (each, table) in enumerate(found):
+        name = "" if len(found) == 1 else list(rules.tests)[number] if rules.tests else str(number + 1)
+        prepared.append(_prepared(path, rules.of_test(number, each), table, name, number))
+    return prepared
+
+
+def _read(path: Path, rules: ImportMap) -> Table:
+    wanted = [column.column for column in rules.columns if not column.optional]
+    optional = [column.column for column in rules.columns if column.optional]
+    return read_table(path, rules.file.file, wanted, optional, rules.ignored, rules.stamps)
+
+
+def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int) -> Prepared:
+    units.agree(path, rules.columns, table.units)
+    named = _named(path, rules, table.started)
+    if name:
+        named = replace(named, test=named.test or number + 1)
+    record = _record_of(path, rules)
+    looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
+    seen, found = looked.seen, looked.seen.found
+    muscle = muscle_of(rules.specimen, named.point, held=_held(rules))
+    questions: list[Question] = []
+    if record is None:
+        more, questions = plausible.judge(seen.t, seen.checked, seen.flags, muscle, rules.file.confirmed)
+        found += looked.placed(more)
+        parts, doubts = segments(seen.t, seen.values, seen.flags, rules, named.point)
+        found += [Found("doubt", "trial", text) for text in doubts]
+    else:
+        parts = [Segment(begin, end, {}) for begin, end in trial_spans(record.events)]
+        if named.started is None and record.started_utc:
+            named = replace(named, started=datetime.fromisoformat(record.started_utc))
+    if not parts:
+        found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
+    told = tuple(placed(each, seen.t, len(table)) for each in found)
+    return Prepared(
+        table=table,
+        named=named,
+        t=seen.t,
+        checked=seen.checked,
+        flags=looked.flags,
+        findings=told,
+        parts=tuple(parts),
+        notes=_notes(path, rules.file.notes),
+        rules=rules,
+        name=name,
+        whole=looked.whole,
+        period=looked.period,
+        summary=Summary(
+            tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
+            {role: pair[0] for role, pair in looked.peaks.items()},
+            {role: pair[1] for role, pair in looked.peaks.items()},
+            not any(each.level == "fault" for each in told),
+            slope_of_held(seen.values, seen.flags) if muscle.held else None,
+        ),
+        questions=(*rules.unresolved, *questions),
+        record=record,
+        simulated=rules.file.simulated
+        or (record is not None and record.simulated)
+        or bool(np.any(seen.values.get("simulated", 0.0))),
+    )
+
+
+def _held(rules: ImportMap) -> bool:
+    """Whether the muscle is held at one length throughout a file, so that its force follows pressure."""
+    return rules.test.held and rules.trials.by in ("file", "ramp")
+
+
+def _record_of(path: Path, rules: ImportMap) -> Exported | None:
+    """The record next to an exported file, where the map asks for it."""
+    if rules.trials.by != "record":
+        return None
+    place = path.resolve().parent / RECORD
+    record = read_record(place)
+    if record.file != path.name:
+        raise invalid(place, f"is the record of {record.file}, not of {path.name}")
+    if record.kind != rules.file.kind:
+        raise invalid(place, f'is of a run of kind "{record.kind}", the map says "{rules.file.kind}"')
+    return record
+
+
+def _flags_told(path: Path, values: Array) -> Flags:
+    """Flags that the file itself gives its samples, as `pmabench export` writes them."""
+    most = sum(Flag)
+    if not np.all((values >= 0) & (values <= most) & (values == np.round(values))):
+        raise invalid(path, f"a value of its flags is no whole number from 0 to {most}")
+    return np.asarray(values.astype(np.uint16))
+
+
+def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
+    """Flag gaps within trials; between them nothing was recorded, and that is none."""
+    if record is not None:
+        begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
+        trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
+    else:
+        trial = values["trial"]
+    late = np.concatenate([[False], (np.diff(t) > gap) & (np.diff(trial) == 0) & (trial[1:] != 0)])
+    flags[late] |= np.uint16(Flag.GAP)
+
+
+def times(table: Table, rules: ImportMap) -> Array:
+    """Time stamps [s] of a table in memory; raises InvalidFile where a row has none."""
+    time = next(column for column in rules.columns if column.role == "time")
+    t = table.columns[time.column] * time.slope
+    if np.isnan(t).any() or np.abs(t).max() > 9e9:
+        row = int(np.argmax(~(np.abs(t) <= 9e9)))
+        raise invalid(table.path, "a row has no time, or one out of all range", table.line(row), 1)
+    return t
+
+
+def _coarse(table: Table, t: Array) -> None:
+    """Raises InvalidFile where most rows have the time of the row before: when they were taken nobody knows."""
+    steps = np.diff(t)
+    same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
+    if same <= SAME * len(t) or not len(forward):
+        return
+    told = (
+        f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
+        f"{np.median(forward):.3g} s: when each row was taken is not known. "
+        'Export the time with its fraction, or "ignore" it and say "period"'
+    )
+    raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
+
+
+def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
+    """The channels of a table in memory, raw and in SI."""
+    return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+
+
+def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
+    """Scale and check the rows of a table in memory."""
+    t, checked = times(table, rules), channels_of(table, rules)
+    _coarse(table, t)
+    others = {
+        c.role: c.slope * table.columns[c.column]
+        for c in rules.columns
+        if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
+    }
+    paused = rules.trials.by in PAUSED
+    flags, found = quality.inspect(
+        t,
+        checked,
+        rules.file.sampling.rate,
+        *((np.inf, np.inf) if paused else (rules.file.sampling.gap, rules.file.sampling.leap)),
+    )
+    if paused:
+        _gaps_within(t, flags, others, record, rules.file.sampling.gap)
+    if "flags" in others:
+        flags |= _flags_told(path, others["flags"])
+    if not paused:
+        flags, more = plausible.stopped(t, checked, flags, held=_held(rules))
+        found += more
+    if table.cut_end:
+        flags[-1] |= np.uint16(Flag.SUSPECT)
+        text = "the file ends within its last row or part: the last number may be cut"
+        found.append(Found("note", "cut-end", text, "", 1, len(t) - 1, float(t[-1])))
+    if table.cut_row:
+        found.append(Found("doubt", "cut-row", table.cut_row, "", 1, len(t) - 1, float(t[-1])))
+    found += [Found("doubt", "contradiction", text) for text in table.doubts]
+    if table.left_out:
+        text = f"columns that the map does not name are not taken: {', '.join(table.left_out)[:400]}"
+        found.append(Found("note", "left-out", text))
+    values = {**others, **{channel.rule.role: channel.si for channel in checked}}
+    if rules.test.follows in values and rules.trials.by != "gap":
+        doubt = quality.against_sign(flags, values, rules.test.follows)
+        found += [doubt] if doubt else []
+    declared = rules.column("pressure")
+    if rules.test.timed and declared is not None and (late := pressure_late(t, values, flags)):
+        found.append(replace(late, level="note") if any(declared.late_by) else late)
+    return Seen(t, checked, values, flags, found)
+
+
+def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tuple[float, float]]]:
+    """Channels of whole counts, and peaks of the samples that are neither dropouts nor out of range."""
+    good = (seen.flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP)) == 0
+    peaks = {
+        channel.rule.role: (float(channel.si[good].max()), float(table.columns[channel.rule.column][good].max()))
+        for channel in seen.checked
+        if good.any()
+    }
+    return frozenset(channel.rule.role for channel in seen.checked if _is_int(channel)), peaks
+
+
+def placed(found: Found, t: Array, rows: int) -> Found:
+    """What is about the whole file begins with its first row."""
+    return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
+
+
+def _is_channel(column: ColumnRule, table: Table) -> bool:
+    return column.is_channel and column.column in table.columns
+
+
+def _checked(table: Table, rule: ColumnRule) -> Checked:
+    raw = (
+        (table.columns[rule.column] - rule.back[1]) / rule.back[0]
+        if rule.back != (1.0, 0.0)
+        else table.columns[rule.column]
+    )
+    if rule.whole and bool(np.all(quality.whole_counts(raw))) and float(np.abs(raw).max()) < 2**31 - 1:
+        raw = np.round(raw)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Checked(rule, raw, raw * rule.slope + rule.offset)
+
+
+def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
+    """`started`: what the file says itself; the map and names come before it."""
+    point, test = dict(rules.point), 0
+    started = started.replace(tzinfo=UTC) if started is not None else None
+    if rules.file.recorded is not None:
+        started = datetime.combine(rules.file.recorded, time(), UTC)
+    rule = rules.name_rule
+    if rule is None:
+        return Named(point, test, started)
+    name = path.resolve().parent.name if rule.of == "folder" else path.stem
+    match = next((m for form in rule.forms if (m := form.fullmatch(name[:255])) is not None), None)
+    if match is None:
+        raise invalid(path, f'the name of its {rule.of}, "{name[:80]}", fits none of the forms in the map')
+    told = {key: text for key, text in match.groupdict().items() if text is not None}
+    point |= rule.otherwise
+    point |= _numbers_told(told, rule)
+    if "date" in told:
+        try:
+            started = datetime.strptime(told["date"] + told.get("clock", "000000"), "%Y-%m-%d%H%M%S").replace(
+                tzinfo=UTC
+            )
+        except ValueError as error:
+            raise invalid(path, f'the name of its {rule.of} tells no date: "{told["date"]}"') from error
+    return Named(point, int(told.get("test", "0")), started)
+
+
+def _numbers_told(told: Mapping[str, str], rule: NameRule) -> dict[str, float]:
+    return {key: float(text.replace(",", ".")) * rule.factors[key] for key, text in told.items() if key in rule.factors}
+
+
+def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
+    if pattern is None:
+        return None
+    found = sorted(p for p in path.resolve().parent.iterdir() if fnmatchcase(p.name, pattern) and p.is_file())
+    if len(found) > 1:
+        raise invalid(path, f'more than one file of notes fits "{pattern}": {found[0].name}, {found[1].name}')
+    if not found:
+        return None
+    if found[0].stat().st_size > NOTES_BYTES:
+        raise invalid(found[0], f"is larger than {NOTES_BYTES} bytes: no notes")
+    return found[0].name, found[0].read_bytes()
+
+
+def _is_int(channel: Checked) -> bool:
+    """Stored as int32: whole counts throughout."""
+    raw = channel.raw
+    return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1

@@ -1,0 +1,67 @@
+"""JSON files that a stranger may have written: of limited size and depth, with a known schema, checked by a model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from pmabench.base.errors import invalid
+
+DEEPEST = 20
+"""Levels of objects and lists; what reads a file goes down by recursion."""
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_json(path: Path, schema: str, what: str, most: int, missing: str = "there is no such file") -> dict[str, Any]:
+    """The object in a file whose entry `schema` is `schema`; numbers in it are finite.
+
+    `what`: how messages call such a file. `most`: bytes that it may have. `missing`: what is said where there is none.
+
+    Raises InvalidFile for a file that is none, too large, cut off, too deep, or of another schema or version.
+    """
+    try:
+        if not path.is_file():
+            raise invalid(path, missing)
+        if path.stat().st_size > most:
+            raise invalid(path, f"is larger than {most // 1_000_000} MB: no {what}")
+        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise invalid(path, f"is not JSON, or was cut off: {' '.join(str(error).split())[:120]}") from error
+    found = str(data.get("schema")) if isinstance(data, dict) else ""
+    if found != schema and found.startswith(schema.rpartition("/")[0] + "/"):
+        raise invalid(path, f"was written by another pmabench ({found[:40]}); this one reads {schema}")
+    if found != schema:
+        raise invalid(path, f"is no {what}: its schema is not {schema}")
+    if not _shallow(data, DEEPEST):
+        raise invalid(path, f"is damaged: it has more than {DEEPEST} levels")
+    return dict(data)
+
+
+def read_model(
+    model: type[Model], path: Path, schema: str, what: str, most: int, missing: str = "there is no such file"
+) -> Model:
+    """A file as `read_json` reads it, checked by a model; raises InvalidFile with the first place that is wrong."""
+    data = read_json(path, schema, what, most, missing)
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise invalid(path, f"is a damaged {what}, at {where or 'its end'}: {first['msg']}") from error
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def _shallow(value: Any, left: int) -> bool:
+    """Whether a value is nested no deeper than `left` levels."""
+    if isinstance(value, dict | list):
+        inner = value.values() if isinstance(value, dict) else value
+        return left > 0 and all(_shallow(item, left - 1) for item in inner)
+    return True

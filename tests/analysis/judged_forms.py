@@ -1,0 +1,187 @@
+"""Campaigns of the independent simulators as runs of the project: lengths without load, held lengths, steps, loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.analysis.results import Analysis
+from pmabench.engine.laws.gain_steps import GainSteps
+from pmabench.engine.laws.relay import Relay
+from pmabench.kinds.free_contraction import reduction as free_contraction
+from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.step_displacement import reduction as step_displacement
+from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
+from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
+from tests.judge import displaced, free, held, loop
+from tests.judge.record import Trial, Truth
+
+CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
+SPECIMEN = {"nominal_length": 0.25}
+
+
+def as_run(kind: str, trials: Sequence[TrialData], rate: float, settings: dict[str, object]) -> RunData:
+    """A run as `store` would load it."""
+    names = {name for trial in trials for name in trial.channels} & set(CHANNELS)
+    channels = {name: ChannelInfo(name, *CHANNELS[name], 1.0, 0.0, -np.inf, np.inf) for name in sorted(names)}
+    return RunData(
+        id="judged", path="", kind=kind, status="finished", simulated=True, manifest={"specimen": SPECIMEN},
+        plan={"settings": settings}, events=(), channels=channels, rate=rate, trials=tuple(trials),
+    )  # fmt: skip
+
+
+def as_trials(trials: Sequence[Trial]) -> list[TrialData]:
+    """The trials as `store` would load them."""
+    return [
+        TrialData(
+            "judged", number, trial.point, trial.repeat, False, "finished", trial.t, dict(trial.channels),
+            np.zeros(len(trial.t), dtype=np.uint16),
+            tuple(Command(c.t, c.output, "ramp", c.value, c.before, c.phase, {"rate": c.rate}) for c in trial.commands),
+            {},
+        )
+        for number, trial in enumerate(trials)
+    ]  # fmt: skip
+
+
+def free_contraction_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("free-contraction", as_trials(free.campaign(cause, size, seed)), free.RATE,
+                 {"nominal_length": free.LENGTH, "compare": "nothing"})  # fmt: skip
+    return free_contraction.reduce([run])
+
+
+def isometric_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("isometric-pressurisation", as_trials(held.campaign(cause, size, seed)), held.RATE, {})
+    return isometric_pressurisation.reduce([run])
+
+
+def steps_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("step-displacement", as_trials(displaced.campaign(cause, size, seed)), displaced.RATE, {"discard": 1})
+    return step_displacement.reduce([run])
+
+
+def _swung(law: GainSteps | Relay, plant: loop.Plant) -> Analysis:
+    rows = []
+    while not law.done and plant.time < 300.0:
+        t, values = plant.time, plant.read()
+        command = law.update(t, values)
+        rows.append((t, values["displacement"], values["pressure"], command))
+        plant.step(command)
+    t, x, P, u = np.array(rows).T
+    return _loop(t, {"displacement": x, "pressure": P, "pressure_command": u}, (), {"ultimate-gain": law.result()})
+
+
+def _loop(t: np.ndarray, channels: dict[str, np.ndarray], commands: tuple[Command, ...], found: dict) -> Analysis:
+    point = {"setpoint": loop.SETPOINT, "load": 0.0, "bias": loop.BIAS}
+    flags = np.zeros(len(t), dtype=np.uint16)
+    trial = TrialData("judged", 0, point, 0, False, "finished", t, channels, flags, commands, found)
+    return ultimate_gain.reduce([as_run("ultimate-gain", [trial], loop.RATE, {})])
+
+
+def gain_steps_of(cause: str, size: float, seed: int) -> Analysis:
+    K_u = loop.truth("clean", 0.0)[0]
+    law = GainSteps(
+        setpoint=loop.SETPOINT, bias=loop.BIAS, start=0.6 * K_u, low=50e3, high=450e3, noise=2e-6, factor=1.06
+    )
+    return _swung(law, loop.Plant(cause, size, seed))
+
+
+def relay_of(cause: str, size: float, seed: int) -> Analysis:
+    law = Relay(
+        setpoint=loop.SETPOINT, bias=loop.BIAS, low=50e3, high=450e3, amplitudes=[20e3, 40e3],
+        hysteresis=[0.1e-3, 0.2e-3], periods=12, level_time=20.0, settle=4.0, window=0.03,
+    )  # fmt: skip
+    return _swung(law, loop.Plant(cause, size, seed))
+
+
+def open_loop_of(cause: str, size: float, seed: int) -> Analysis:
+    plant, hold = loop.Plant(cause, size, seed), 2.5
+    values = (20e3, 0.0, -20e3, 0.0) * 6
+    at = 1.0 + hold * np.arange(len(values))
+    commands = tuple(
+        Command(t, "pressure", "set", loop.BIAS + value, loop.BIAS + before, "open-loop")
+        for t, value, before in zip(at.tolist(), values, (0.0, *values[:-1]), strict=True)
+    )
+    rows = []
+    for number in range(round((at[-1] + hold) * loop.RATE)):
+        t = number / loop.RATE
+        read = plant.read()
+        rows.append((t, read["displacement"], read["pressure"]))
+        step = int(np.searchsorted(at, t + 1e-9, side="right"))
+        plant.step(loop.BIAS + (values[step - 1] if step else 0.0))
+    t, x, P = np.array(rows).T
+    return _loop(t, {"displacement": x, "pressure": P}, commands, {})
+
+
+def _loop_truth(cause: str, size: float) -> Truth:
+    ends = [loop.truth(cause, size, at=at) for at in ((0.0, 120.0) if cause == "gain-drift" else (0.0,))]
+    return {
+        (symbol, "", 0.0): (min(values), max(values))
+        for symbol, values in zip(("K_u", "T_u"), zip(*ends, strict=True), strict=True)
+    }
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of test with its judge."""
+
+    reduced: Callable[[str, float, int], Analysis]
+    truth: Callable[[str, float], Truth]
+    full: dict[str, float]
+    key: str
+    """Name of the coordinate by which values are told apart."""
+    methods: tuple[str, ...] = ()
+    """Those that are judged; all where empty."""
+
+
+KINDS = {
+    "free-contraction": Kind(free_contraction_of, free.truth, free.FULL, "pressure"),
+    "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
+    "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
+    "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
+    "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
+    "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),
+}
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value against the truth; `score` is its distance from the nearest right one in half widths."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    half: float
+
+    @property
+    def score(self) -> float:
+        error = max(self.low - self.value, self.value - self.high, 0.0)
+        if error <= 1e-9 * abs(self.value):
+            return 0.0
+        return error / self.half if self.half else np.inf
+
+
+def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], list[str]]:
+    """Values with an interval that the truth knows, and those that are withheld with the reason."""
+    one = KINDS[kind]
+    right = one.truth(cause, size)
+    values, withheld = [], []
+    for e in one.reduced(cause, size, seed).estimates:
+        if one.methods and e.method not in one.methods:
+            continue
+        place = e.at.get(one.key) if one.key else next(iter(e.at.values()), 0.0)
+        coordinate = e.coordinate
+        if kind == "step-displacement":
+            coordinate = coordinate or (
+                {"step, relaxed": "relaxed", "step, peak": "peak"}.get(e.method, "") if e.symbol == "K" else ""
+            )
+        name = f"{e.symbol} {coordinate} {e.method} {place}"
+        if e.withheld:
+            withheld.append(f"{name}: {e.note}")
+        near = [span for (symbol, of, at), span in right.items()
+                if (symbol, of) == (e.symbol, coordinate) and abs(at - (place or 0.0)) < 1e-3 * max(1e-3, abs(at))]  # fmt: skip
+        if e.value is not None and e.parts.combined is not None and near:
+            values.append(Value(name, e.value, *near[0], e.parts.combined))
+    return values, withheld
