@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,10 @@ BY_HAND = {
     "docs/many-runs.md": 1,  # a cluster of one's own; tests/benchmarks/test_cluster.py has one
 }
 """How many commands of a page only a person can do; of all others none."""
+ALWAYS = ("README.md", "CONTRIBUTING.md", "docs/first-day.md", "docs/when-it-goes-wrong.md", "docs/old-runs.md")
+"""What a newcomer types first; of the other pages each commit takes some, and `make studies` all."""
+DEVICE = re.compile("docs/(devices|driver)")
+TURNS, TURNS_OF_DEVICES = 3, 6
 TRIES = 3
 KILLED = Command(
     "a run that is killed",
@@ -35,33 +40,45 @@ def name(page):
 
 
 def marked(page):
-    """A page that waits for processes is tested in real time, one after the other."""
+    """A page that waits for processes is tested in real time; some pages are typed at some commits only."""
     waits = any(in_real_time(command) for command in commands(page))
-    return pytest.param(page, id=name(page), marks=pytest.mark.realtime if waits else ())
+    turn = PAGES.index(page) - commit_number()
+    left_out = name(page) not in ALWAYS and turn % (TURNS_OF_DEVICES if DEVICE.match(name(page)) else TURNS)
+    marks = [pytest.mark.realtime] * waits + [pytest.mark.study] * bool(left_out)
+    return pytest.param(page, id=name(page), marks=marks)
 
 
-TO_RUN = [
-    marked(page) for page in pages() if any(not c.by_hand for c in commands(page)) and name(page) not in ELSEWHERE
-]
+PAGES = [page for page in pages() if any(not c.by_hand for c in commands(page)) and name(page) not in ELSEWHERE]
+TO_RUN = [marked(page) for page in PAGES]
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """The runs of `campaign demo` and their analyses, made once."""
-    folder = tmp_path_factory.mktemp("demo")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setenv("PMABENCH_STATE", str(folder / "state"))
-        execute(Command("the demo", "pmabench campaign demo --yes -q"))
-        execute(Command("the demo", "pmabench process runs/* -q"))
+    """The runs of `campaign demo` and their analyses, made once for all workers."""
+    shared = tmp_path_factory.getbasetemp()
+    folder = (shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared) / "demo"
+    with locked(folder.with_suffix(".lock")), pytest.MonkeyPatch.context() as patch:
+        if not folder.exists():
+            folder.mkdir()
+            patch.chdir(folder)
+            patch.setenv("PMABENCH_STATE", str(folder / "state"))
+            execute(Command("the demo", "pmabench campaign demo --yes -q"))
+            execute(Command("the demo", "pmabench process runs/* -q"))
     return folder
+
+
+@contextmanager
+def locked(path):
+    """Until others are done with it."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture
 def alone():
     """Nobody else emulates a shipped bench on this machine meanwhile: its addresses are those of its file."""
-    with (Path(tempfile.gettempdir()) / f"pmabench-pages-{os.getuid()}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with locked(Path(tempfile.gettempdir()) / f"pmabench-pages-{os.getuid()}.lock"):
         yield
 
 
