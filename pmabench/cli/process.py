@@ -111,7 +111,7 @@ def command(
             for note in run.notes
             if note.exclude is not None
         ],
-        "since": {run.id: run.since.told() for run in loaded if run.since.sentences},
+        "since": {run.id: run.since.as_data() for run in loaded if run.since.sentences},
     }
 
     def human() -> None:

@@ -111,8 +111,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
-        "notes": [note.told() for note in data.notes],
-        "since": data.since.told(),
+        "notes": [note.as_data() for note in data.notes],
+        "since": data.since.as_data(),
         **going_on,
     }
 

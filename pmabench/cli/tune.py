@@ -13,7 +13,7 @@ from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
-    from pmabench.analysis.tuning import AnyRule, Gains
+    from pmabench.analysis.tuning import Gains
     from pmabench.model.loop import Loop
 
 
@@ -53,8 +53,9 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, measured_loops, rules_named, tune
+    from pmabench.analysis.tuning import facts, measured_loops, rules_named, tune
     from pmabench.base.errors import UsageError
+    from pmabench.model.rules.registry import all_rules
 
     given = [value is not None for value in (ku, tu)]
     from_runs = steps or model
@@ -73,7 +74,7 @@ def command(
     if where.told and not model and contractions is None:
         raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
-        rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
+        rules = all_rules() if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
     notes: list[str] = []
