@@ -149,7 +149,9 @@ class Wiring:
                 means[here] = float(scales[here].to_si(scales[there].to_raw(stage.means[there])))
             if there in stage.halves:
                 halves[here] = stage.halves[there]
-        return replace(stage, means=means, halves=halves, drift=0.0 if PRESSURE in (one, other) else stage.drift)
+        drift = 0.0 if PRESSURE in (one, other) else stage.drift
+        tripped = "" if stage.settled and stage.tripped in (one, other) else stage.tripped  # by the other's plug then
+        return replace(stage, means=means, halves=halves, drift=drift, tripped=tripped)
 
     def _rest(self, stage: Stage) -> Iterator[Claim]:
         """Vented: gauge pressure and set-point are zero, an unloaded cell too, the free end is where muscles rest."""

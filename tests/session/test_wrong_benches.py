@@ -200,7 +200,7 @@ def test_a_limit_that_trips_before_anything_was_looked_at_names_the_wire(rig):
     test.ended(Outcome("tripped", "", 5, None, None, 0.1, 0, (), means, limit))
     failed, *_ = (check for check in test.checks if check.verdict == FAILED)
     wire = next(f"{c.device}.{c.input}" for c in right.bench.channels if c.name == "force")
-    assert failed.hint == f"look at the wire of the force ({wire}), at its range and at its calibration"
+    assert f"the force ({wire})" in failed.hint
 
 
 def test_a_channel_that_falls_silent_accuses_no_wire(rig):
