@@ -74,7 +74,7 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         else:
             c.fault((*at, *place), message)
     if not wrong and hasattr(driver, "lacks"):
-        c.told_by_drivers += driver.lacks(device)
+        c.driver_lacks += driver.lacks(device)
     fastest = getattr(driver, "fastest", None)
     if fastest is None or wrong:
         return device
@@ -130,7 +130,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     if not isinstance(name, str):
         c.fault(at, "the name of a plant, or a plant file beside this one, is expected")
         return None
-    path = _beside(c, name, at, "plants/my-muscle.yaml")
+    path = _yaml_path(c, name, at, "plants/my-muscle.yaml")
     if path is None:
         return None
     try:
@@ -145,7 +145,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     return {**plant.numbers, "file": name}
 
 
-def _beside(c: Compilation, name: str, at: Location, example: str) -> Path | None:
+def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
     """The path of a .yaml file beside the file that names it at `at`; None where it is a problem."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
@@ -164,7 +164,7 @@ def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
     """The map file, kept for the run's snapshot; None where it is a problem."""
-    path = _beside(c, name, at, "registers/regulator.yaml")
+    path = _yaml_path(c, name, at, "registers/regulator.yaml")
     if path is None:
         return None
     try:

@@ -116,8 +116,10 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
     """Where a contractor's formulas say nothing (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
-        told = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
-        yield document.problem(("highest_pressure",), f"{told}, not to {show(file.highest_pressure, 'pressure')}")
+        known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
+        yield document.problem(
+            ("highest_pressure",), f"{known_range}, not to {show(file.highest_pressure, 'pressure')}"
+        )
     a, b = 3 / tan(file.braid_angle) ** 2, 1 / sin(file.braid_angle) ** 2
     furthest = (1 - sqrt(b / a)) / (1 + exp(-file.highest_pressure / 1e5))
     if file.reach[1] > furthest:

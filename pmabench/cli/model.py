@@ -301,9 +301,9 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
 
     parameters = {p.name: p for p in model.parameters}
     for own, word in ((True, "given:"), (False, "at their reference values:")):
-        told = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
-        if told:
-            for line in wrap(f"{word} {', '.join(told)}", width, subsequent_indent="  ", break_on_hyphens=False):
+        settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
+        if settings:
+            for line in wrap(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False):
                 click.echo(line)
     click.echo()
 

@@ -165,8 +165,8 @@ def _columns(
         else:
             near = get_close_matches(column.name, names, n=1, cutoff=CLOSE)
             if near:
-                told = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
-                problems.append(table.problem(column.head, told))
+                problem = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
+                problems.append(table.problem(column.head, problem))
             unused.append(head)
             continue
         into = inputs if name in own else outputs
@@ -231,9 +231,9 @@ def _outside(known: dict[str, Parameter], names: list[str], place: int, value: f
         return ""
     ends = [show(end, p.quantity) if abs(end) < float("inf") else "" for end in (p.low, p.high)]
     start = f"above {ends[0]}" if p.above else f"from {ends[0]}" if ends[0] else ""
-    told = " ".join(part for part in (start, f"to {ends[1]}" if ends[1] else "") if part)
+    interval = " ".join(part for part in (start, f"to {ends[1]}" if ends[1] else "") if part)
     reason = f": {p.reason}" if p.reason else ""
-    return f"{show(value, p.quantity)} is outside the model's domain, {told}{reason}"
+    return f"{show(value, p.quantity)} is outside the model's domain, {interval}{reason}"
 
 
 def _example(name: str, quantity: str) -> str:

@@ -171,12 +171,12 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
 
     least = actuator.low if hasattr(setup.muscle, "reach") else 0.0
     if low < least - 1e-9 or high > actuator.high + 1e-9:
-        told = f"{show(low, 'length')} to {show(high, 'length')}"
+        lengths = f"{show(low, 'length')} to {show(high, 'length')}"
         ends = f"{show(least, 'length')} to {show(actuator.high, 'length')}"
         below = (
             "; its law says nothing of a muscle that is stretched beyond its nominal length" if low < least == 0 else ""
         )
-        raise ValueError(f"--drive goes from {told}, and it is driven from {ends}{below}")
+        raise ValueError(f"--drive goes from {lengths}, and it is driven from {ends}{below}")
 
 
 def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:

@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
-from pmabench.cli.next_steps import tell_next
+from pmabench.cli.next_steps import show_next
 from pmabench.cli.progress import progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -82,8 +82,8 @@ def command(
     outcome = execute(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
-    tell_outcome(ui, outcome)
-    tell_next(ui, outcome, prepared.mounted.bench, trials=True)
+    show_outcome(ui, outcome)
+    show_next(ui, outcome, prepared.mounted.bench, trials=True)
     return outcome.exit_code
 
 
@@ -133,7 +133,7 @@ def execute(
                     **(session or {}),
                 )
             except SessionFailed as error:
-                tell_next(ui, error.outcome, mounted.bench, trials=False)
+                show_next(ui, error.outcome, mounted.bench, trials=False)
                 raise
             finally:
                 for checks in tables if not (ui.quiet or ui.json) else ():
@@ -218,7 +218,7 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def tell_outcome(ui: Ui, outcome: Outcome) -> None:
+def show_outcome(ui: Ui, outcome: Outcome) -> None:
     """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
     if ui.quiet and not ui.json and outcome.status != "finished":
         say(f"{outcome.status}: {outcome.why}{_vented(outcome)}")

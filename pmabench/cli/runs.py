@@ -111,8 +111,8 @@ def show_run(ui: Ui, run: Path) -> int | None:
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
-        "notes": [note.told() for note in data.notes],
-        "since": data.since.told(),
+        "notes": [note.as_json() for note in data.notes],
+        "since": data.since.as_json(),
         **going_on,
     }
 
@@ -165,8 +165,8 @@ def _vented(data: RunData) -> str:
     events = [event.data for event in data.events if event.kind == "vent"]
     end = data.manifest.get("end")
     sealed = end.get("vent") if isinstance(end, Mapping) else None
-    told = events[-1] if events else sealed if isinstance(sealed, Mapping) else {}
-    return str(told.get("result") or "")
+    vent = events[-1] if events else sealed if isinstance(sealed, Mapping) else {}
+    return str(vent.get("result") or "")
 
 
 def _going_on(run: Path, data: RunData) -> dict[str, str]:
@@ -195,12 +195,14 @@ def _print_rest(data: RunData) -> None:
     if guard:
         vent = guard.get("vent")
         result = vent.get("result") if isinstance(vent, dict) else None
-        click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not told'}")
+        click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not reported'}")
         click.echo(f"  {'':12} {guard.get('cause', '')}".rstrip())
     for name, clock in data.clocks.items():
         if clock.how != "stated equal":
-            told = f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
-            click.echo(f"  {'clock':12} {name}: {told} ({clock.how})")
+            relation = (
+                f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
+            )
+            click.echo(f"  {'clock':12} {name}: {relation} ({clock.how})")
     for name, how in data.interpolated.items():
         click.echo(f"  {name:18} {how}")
     for note in data.notes:
@@ -234,10 +236,10 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
 
     def human() -> None:
         for run, findings in wrong.items():
-            told = [_counted(len(findings), "finding") if findings else "whole"]
-            told += [f"{len(added[run])} added"] if added[run] else []
-            told += [f"{len(late[run])} late"] if late[run] else []
-            click.echo(f"{run}: {', '.join(told)}")
+            state = [_counted(len(findings), "finding") if findings else "whole"]
+            state += [f"{len(added[run])} added"] if added[run] else []
+            state += [f"{len(late[run])} late"] if late[run] else []
+            click.echo(f"{run}: {', '.join(state)}")
             for finding in (*findings, *added[run]):
                 click.echo(f"  {finding}")
             for name in late[run]:

@@ -70,7 +70,7 @@ def command(
 
     where = Where.read(setpoints, load, period)
     contractions = analysis if analysis is not None and holds_model(analysis) else None
-    if where.told and not model and contractions is None:
+    if where.given and not model and contractions is None:
         raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
         rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
@@ -90,7 +90,7 @@ def command(
     else:
         pairs = [(_gain(ui, ku or ""), _time(ui, tu or ""), None)]
     if dead_time is not None or lags:
-        pairs, said = _beside(pairs, dead_time, lags)
+        pairs, said = _with_loop(pairs, dead_time, lags)
         notes += said
     found: list[tuple[Estimate, Estimate, tuple[Gains, ...]]] = []
     for gain, time, loop in pairs:
@@ -112,7 +112,7 @@ def command(
     def human() -> None:
         for gain, period, gains in found:
             if gain.at:
-                click.echo(_told(gain, period))
+                click.echo(_ultimate_text(gain, period))
             _print(ui, gains)
         for note in notes:
             click.echo(note)
@@ -143,7 +143,7 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     return reduced
 
 
-def _told(gain: Estimate, period: Estimate) -> str:
+def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.analysis.results import POINT_QUANTITIES
     from pmabench.base.quantities import show
@@ -220,7 +220,7 @@ def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
 Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
 
-def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
+def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
     from pmabench.analysis.tuning import loop_of
     from pmabench.base.errors import UsageError

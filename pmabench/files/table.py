@@ -107,8 +107,8 @@ def read_table(path: Path) -> Table:
             rows.append(cells)
             continue
         hint = "; a decimal comma? write a point" if mark == "," and len(cells) > len(heads) else ""
-        told = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
-        problems.append(Problem(str(path), number, 1, told))
+        problem = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
+        problems.append(Problem(str(path), number, 1, problem))
     names = [head.text for head in heads]
     for place, head in enumerate(heads):
         if head.text and head.text in names[:place]:

@@ -56,7 +56,7 @@ class Note:
         """The number, from 1, of the trial that is kept out of fits."""
         return None if self.exclude is None else self.exclude + 1
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """As plain data for people and programs, who count trials from 1."""
         return {**vars(self), "exclude": self.excluded}
 

@@ -71,7 +71,7 @@ class Since:
             told.append(f"the guard vented once more after the run was closed: {vent_of(self.guard)} ({cause})")
         return told
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """As plain data for programs."""
         added = [vars(entry) for entry in self.added]
         return {"added": added, "late": list(self.late), "guard": dict(self.guard), "altered": list(self.altered)}

@@ -110,8 +110,8 @@ def checklist(
     return [Item(clause, asked, there, said) for clause, asked, there, said in items]
 
 
-def _asked(clause: str, asked: str, told: str, option: str) -> tuple[str, str, bool, str]:
-    return clause, asked, bool(told), told or f"not told; give {option}, or write it by hand"
+def _asked(clause: str, asked: str, answer: str, option: str) -> tuple[str, str, bool, str]:
+    return clause, asked, bool(answer), answer or f"not told; give {option}, or write it by hand"
 
 
 def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> tuple[str, str, bool, str]:

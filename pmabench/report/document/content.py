@@ -137,7 +137,7 @@ def content_of(
     figures, parents = _Figures(), Parents(names)
     identity = _identity(analyses, runs, published)
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
-    analyses, theirs, compared = overlays.beside(distinct(analyses), published, overlays.length_of(runs))
+    analyses, theirs, compared = overlays.with_published(distinct(analyses), published, overlays.length_of(runs))
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = _together(analyses, figures)
@@ -155,8 +155,8 @@ def content_of(
         else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
     )
     when = provenance.when(runs)
-    told = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
-    remarks = [*dict.fromkeys(told), *deviations(runs, names)]
+    changed = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
+    remarks = [*dict.fromkeys(changed), *deviations(runs, names)]
     who = (issuer or Issuer()).cleaned()
     details = provenance.run_table(runs, names).to_dict("records")
     return Content(
@@ -246,8 +246,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(kind_title(analysis.kind), analysis.simulated, counts)
     values = [part for table in tables.other_tables(analysis) for part in narrow(table)]
-    told = (*values, *check_tables(analysis), *change_tables(analysis))
-    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]
+    shown = (*values, *check_tables(analysis), *change_tables(analysis))
+    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in shown]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
@@ -258,8 +258,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
 
 def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
     """The coefficients of the primary methods, in as many tables as a page needs."""
-    frame, told = tables.primary_table(analyses)
-    caption = "Primary methods, by pressure" + (f"; {told}" if told else "")
+    frame, methods = tables.primary_table(analyses)
+    caption = "Primary methods, by pressure" + (f"; {methods}" if methods else "")
     return [grid(part.frame, part.caption) for part in narrow(tables.Table(caption, frame)) if len(part.frame)]
 
 
@@ -294,9 +294,9 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
     """Names and descriptions; methods with one description stand together."""
     found: dict[str, list[str]] = {}
     for method in methods:
-        told = described(method) or "Not described here."
-        found.setdefault(told, []).append(wording.clean(method, 120))
-    return [("; ".join(names), told) for told, names in found.items()]
+        description = described(method) or "Not described here."
+        found.setdefault(description, []).append(wording.clean(method, 120))
+    return [("; ".join(names), description) for description, names in found.items()]
 
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:

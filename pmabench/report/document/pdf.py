@@ -49,8 +49,8 @@ def pdf_bytes(content: Content) -> bytes:
 
     with TemporaryDirectory(prefix="pmabench-pdf-") as place:
         folder = Path(place)
-        told = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
-        (folder / "content.json").write_text(told, encoding="utf-8")
+        content_json = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
+        (folder / "content.json").write_text(content_json, encoding="utf-8")
         source = files("pmabench.report").joinpath("templates", "report.typ").read_text(encoding="utf-8")
         (folder / "report.typ").write_text(source, encoding="utf-8")
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
@@ -62,7 +62,7 @@ def pdf_bytes(content: Content) -> bytes:
                         str(folder / "report.typ"),
                         root=str(folder),
                         font_paths=[str(fonts)],
-                        ignore_system_fonts=all(ord(sign) in known for sign in set(told)),
+                        ignore_system_fonts=all(ord(sign) in known for sign in set(content_json)),
                         format="pdf",
                         pdf_standards="ua-1",
                         timestamp=0,
@@ -150,9 +150,9 @@ class _Data:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
 
     def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
-        told = "; ".join(part for part in (caption, grid.caption) if part)
+        full_caption = "; ".join(part for part in (caption, grid.caption) if part)
         return {
-            "caption": symbol_parts(told),
+            "caption": symbol_parts(full_caption),
             "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
             "groups": [
                 {
@@ -174,8 +174,7 @@ class _Data:
             head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" '
             (self.folder / name).write_text(p.svg.replace("<svg ", head, 1), encoding="utf-8")
             title, caption = symbol_parts(p.title), symbol_parts(p.caption)
-            told = {"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide}
-            found.append(told)
+            found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide})
         return found
 
     def note(self, note: Said) -> dict[str, Any]:

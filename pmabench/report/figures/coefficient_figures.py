@@ -110,14 +110,14 @@ def _figure(
     points: list[Points] = []
     for key in keys:
         symbol, coordinate, method = key
-        told = symbol_text(symbol, coordinate)
+        name_text = symbol_text(symbol, coordinate)
         name = clean(method, 60)
         at = sorted(series[key], key=lambda member: member[1].at[over])
         reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
         x = np.array([e.at[over] for _, e in at])
         points.append(
             Points(
-                label=(told if len(methods) == 1 else f"{told}, {name}") if several else name,
+                label=(name_text if len(methods) == 1 else f"{name_text}, {name}") if several else name,
                 x=x / x_unit.scale,
                 y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
                 below=reach_of[:, 0],
@@ -175,8 +175,8 @@ def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
     if largest == 0 or 1e-3 <= largest < 1e5:
         return unit
     power = 3 * floor(log10(largest) / 3)
-    told = f"10{str(power).translate(RAISED)}"
-    return Shown(f"{told} {unit.unit}".rstrip(), unit.scale * 10.0**power)
+    power_text = f"10{str(power).translate(RAISED)}"
+    return Shown(f"{power_text} {unit.unit}".rstrip(), unit.scale * 10.0**power)
 
 
 def _and(words: Sequence[str]) -> str:
