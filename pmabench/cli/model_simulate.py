@@ -121,16 +121,14 @@ def simulate(
         "columns": columns,
     }
 
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        if not ui.quiet:
-            click.echo(f"SIMULATED: plant {plant}, {kind}; true values, no sensors\n")
-        print_table(ui, columns, keys=1)
-
-    ui.result(data, human)
+    ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
     return None
+
+
+def _print(ui: Ui, plant: str, columns: list[dict[str, Any]]) -> None:
+    if not ui.quiet:
+        click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
+    print_table(ui, columns, keys=1)
 
 
 def _simulated(

@@ -85,6 +85,13 @@ def command(
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
+    return _process_together(ui, runs, out, asked)
+
+
+def _process_together(
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]]
+) -> int | None:
+    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test."""
     from pmabench.kinds.reduce import verdicts
     from pmabench.plotting.wording import clean
 

@@ -102,10 +102,8 @@ def execute(
 
     With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
-    from pmabench.cli.devices import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
-    from pmabench.session.session import SessionFailed, ensure
 
     steps = prepared.plan.steps if continues is None else continues.steps
     if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
@@ -119,25 +117,7 @@ def execute(
         raise RecordError(lack)
     mounted = prepared.mounted
     if mounted.session is not None:
-        with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
-            tables: list[Sequence[Check]] = []
-            try:
-                mounted = ensure(
-                    mounted,
-                    operator,
-                    out,
-                    operator_name=operator_name,
-                    say=ui.note,
-                    report=tables.append,
-                    **shown,
-                    **(session or {}),
-                )
-            except SessionFailed as error:
-                show_next(ui, error.outcome, mounted.bench, trials=False)
-                raise
-            finally:
-                for checks in tables if not (ui.quiet or ui.json) else ():
-                    print_checks(ui, checks, err=True)
+        mounted = _in_session(ui, mounted, out, operator_name, session or {}, yes=yes)
     with _operated(ui, mounted, prepared.plan.kind, yes=yes) as (operator, shown):
         return run_plan(
             prepared.plan,
@@ -151,6 +131,34 @@ def execute(
             continues=continues,
             **shown,
         )
+
+
+def _in_session(
+    ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
+) -> Mounted:
+    """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
+    from pmabench.cli.devices import print_checks
+    from pmabench.session.session import SessionFailed, ensure
+
+    with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
+        tables: list[Sequence[Check]] = []
+        try:
+            return ensure(
+                mounted,
+                operator,
+                out,
+                operator_name=operator_name,
+                say=ui.note,
+                report=tables.append,
+                **shown,
+                **options,
+            )
+        except SessionFailed as error:
+            show_next(ui, error.outcome, mounted.bench, trials=False)
+            raise
+        finally:
+            for checks in tables if not (ui.quiet or ui.json) else ():
+                print_checks(ui, checks, err=True)
 
 
 @contextmanager

@@ -77,16 +77,21 @@ def _resume(run: Path, row: Mapping[str, Any]) -> str:
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
-    from pmabench.analysis.verdict.record import unresolved_of
-    from pmabench.display.wording import point_text
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
-    from pmabench.store.sampling import sampling
 
     data = open_run(run)
-    taken = sampling(data.trials)
     going_on = _going_on(run, data)
-    summary: dict[str, Any] = {
+    ui.result(plain(_summary(data, going_on)), lambda: _print_run(data, going_on))
+    return None
+
+
+def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
+    """The run as data for programs."""
+    from pmabench.store.sampling import sampling
+
+    taken = sampling(data.trials)
+    return {
         "schema": "pmabench.run-summary/1",
         "id": data.id,
         "kind": data.kind,
@@ -116,48 +121,52 @@ def show_run(ui: Ui, run: Path) -> int | None:
         **going_on,
     }
 
-    def human() -> None:
-        manifest = data.manifest
-        click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
-        for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
-            if manifest.get(name):
-                click.echo(printable(f"  {name:12} {manifest[name]}"))
-        if unproven := manifest.get("scales_not_proven"):
-            click.echo(
-                printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}")
-            )
-        rows = sum(len(t.t) for t in data.trials)
-        states = Counter(t.status for t in data.trials if not t.again)
-        finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
-        others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
-        click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
-        if taken is not None:
-            times = (taken.interval, taken.jitter, taken.longest)
-            every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in times)
-            counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
-            click.echo(
-                f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}"
-            )
-        for t in data.trials:
-            reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
-            click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
-        for channel in data.channels.values():
-            click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-        result = _vented(data)
-        if result:
-            click.echo(f"  {'vent':12} {result}")
-        _print_rest(data)
-        for entry in unresolved_of(data):
-            click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
-        for sentence in data.since.sentences:
-            click.echo(f"  {'since then':12} {sentence}")
-        if going_on["continued_by"]:
-            click.echo(f"  {'continued':12} by {going_on['continued_by']}")
-        elif going_on["resume"]:
-            click.echo(f"  {'to go on':12} {going_on['resume']}")
 
-    ui.result(plain(summary), human)
-    return None
+def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
+    from pmabench.analysis.verdict.record import unresolved_of
+    from pmabench.display.wording import point_text
+
+    manifest = data.manifest
+    click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
+    for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
+        if manifest.get(name):
+            click.echo(printable(f"  {name:12} {manifest[name]}"))
+    if unproven := manifest.get("scales_not_proven"):
+        click.echo(printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}"))
+    rows = sum(len(t.t) for t in data.trials)
+    states = Counter(t.status for t in data.trials if not t.again)
+    finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
+    others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
+    click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
+    _print_sampling(data)
+    for t in data.trials:
+        reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
+        click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
+    for channel in data.channels.values():
+        click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
+    result = _vented(data)
+    if result:
+        click.echo(f"  {'vent':12} {result}")
+    _print_rest(data)
+    for entry in unresolved_of(data):
+        click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
+    for sentence in data.since.sentences:
+        click.echo(f"  {'since then':12} {sentence}")
+    if going_on["continued_by"]:
+        click.echo(f"  {'continued':12} by {going_on['continued_by']}")
+    elif going_on["resume"]:
+        click.echo(f"  {'to go on':12} {going_on['resume']}")
+
+
+def _print_sampling(data: RunData) -> None:
+    from pmabench.store.sampling import sampling
+
+    taken = sampling(data.trials)
+    if taken is not None:
+        times = (taken.interval, taken.jitter, taken.longest)
+        every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in times)
+        counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
+        click.echo(f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}")
 
 
 def _vented(data: RunData) -> str:

@@ -171,13 +171,21 @@ class RunState:
             self.progress.take(event)
         if "phase" in data and kind in ("command", "prompt", "found"):
             self.phase = str(data["phase"])
-        if kind == "trial-begin" and isinstance(data.get("trial"), int):
-            point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
-            self._close_trial(event)
-            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0), bool(data.get("again")))
-        elif kind == "command":
+        if kind == "command":
             self._command(event)
-        elif kind == "prompt":
+        elif kind == "live" and isinstance(data.get("values"), dict):
+            self.live(data["values"], self.files.journal.written)
+        elif kind == "end":
+            self.end_event = dict(data)
+        self._take_of_operator(kind, data)
+        self._take_of_trial(event)
+        sentence = event_text(event)
+        if sentence is not None:
+            self.log(sentence[0], sentence[1], event.t)
+
+    def _take_of_operator(self, kind: str, data: Mapping[str, Any]) -> None:
+        """What is asked, which keys wait, and what holds or pauses the run."""
+        if kind == "prompt":
             self.prompt = str(data.get("text", ""))
         elif kind in ("answer", "trip", "ended-early", "end"):
             self.prompt = ""
@@ -188,20 +196,23 @@ class RunState:
         elif kind in ("pause", "goes-on"):
             self.paused = kind == "pause"
             self.wanted.discard("pause")
-        elif kind == "live" and isinstance(data.get("values"), dict):
-            self.live(data["values"], self.files.journal.written)
-        if kind == "limit-reached" and self.trial is not None:
-            self.trial.at_limit.append(str(data.get("reason", "limit reached")))
-        if kind == "end":
-            self.end_event = dict(data)
-        if self.trial is not None:
-            self.trial.events.append(event)
-        if kind == "trial-end":
-            self._close_trial(event)
+        elif kind == "trial-end":
             self.wanted.discard("repeat")
-        sentence = event_text(event)
-        if sentence is not None:
-            self.log(sentence[0], sentence[1], event.t)
+
+    def _take_of_trial(self, event: Event) -> None:
+        """The beginning and end of a trial, and what happens in it."""
+        data = event.data
+        if event.kind == "trial-begin" and isinstance(data.get("trial"), int):
+            point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
+            self._close_trial(event)
+            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0), bool(data.get("again")))
+        if self.trial is None:
+            return
+        if event.kind == "limit-reached":
+            self.trial.at_limit.append(str(data.get("reason", "limit reached")))
+        self.trial.events.append(event)
+        if event.kind == "trial-end":
+            self._close_trial(event)
 
     def _command(self, event: Event) -> None:
         output = str(event.data.get("output", ""))

@@ -173,15 +173,10 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
     (strip or axes).set_xlabel(x_label)
     if len(points) > 1:
         handles, labels = axes.get_legend_handles_labels()
-        place = [labels.index(p.label) for p in points]
-        figure.legend(
-            [handles[i] for i in place],
-            [labels[i] for i in place],
-            loc="upper left",
-            bbox_to_anchor=(0.03, 1 - 0.13 / height),
-            ncols=2,
-            handletextpad=0.3,
-        )
+        shown = [labels.index(p.label) for p in points]
+        named = [handles[i] for i in shown], [labels[i] for i in shown]
+        corner = (0.03, 1 - 0.13 / height)
+        figure.legend(*named, loc="upper left", bbox_to_anchor=corner, ncols=2, handletextpad=0.3)
     return figure
 
 

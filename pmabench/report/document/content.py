@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pmabench import __version__
 from pmabench.analysis.results import AGREEMENT, Analysis
@@ -142,77 +143,91 @@ def content_of(
     first_page = [figures.add(p) for p in front]
     sections = _together(analyses, figures)
     sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
-    limits = {run.id: limits_of(run) for run in runs}
-    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
-    findings = tables.findings_table(analyses)
-    findings["finding"] = [_named(text, names) for text in findings["finding"]]
-    shown, more = first_findings(findings)
-    specimens = provenance.specimens(runs)
+    judged = _judged(analyses, runs, names, failed)
+    about_runs = _about_runs(runs, names)
+    when = about_runs["when"]
+    specimen = next((specimen for specimen, _ in about_runs["specimens"]), "")
     kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
-    name = (
-        wording.clean(title, 200)
-        if title
-        else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
-    )
-    when = provenance.when(runs)
+    name = wording.clean(title, 200) if title else f"Characterisation of {specimen or 'a pneumatic muscle'}"
     changed = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
     remarks = [*dict.fromkeys(changed), *deviations(runs, names)]
     who = (issuer or Issuer()).cleaned()
-    details = provenance.run_table(runs, names).to_dict("records")
     return Content(
         title=name,
         version=__version__,
         report_id=identity,
         simulated=any(simulated),
         mixed=any(simulated) and not all(simulated),
-        specimens=specimens,
-        benches=provenance.benches(runs),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
-        when=when,
-        operators=provenance.operators(runs),
-        statuses=provenance.statuses(runs),
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
-        verdict=verdict_of(analyses, runs, failed, accepted=bool(accept)),
-        failed=failed,
-        accept=accept,
-        verdicts=shown,
-        more_findings=more,
-        findings=findings.to_numpy().tolist(),
-        tiles=tiles_of(analyses),
         front=first_page,
-        protocol=grid(provenance.protocol_table(runs, names)),
         deviations=remarks,
-        notes=notes_of(runs, names),
-        coefficients=_primary(analyses),
-        compared=[grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
-        curves=grid(tables.curves_table(analyses), group=True),
-        polynomials=grid(tables.polynomials_table(analyses), group=True),
         sections=sections,
         published=grid(overlays.comparison_table(compared)),
         publishers=[(wording.clean(p.label, 80), wording.clean(p.source, 600)) for p in published],
-        tuning=_tuning(analyses),
-        dropped=_dropped(analyses, names),
-        methods=_methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
-        run_details=[[(str(head), str(text)) for head, text in row.items()] for row in details],
         calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
-        versions=provenance.versions(runs),
-        parents=[
-            grid(parents.trials.table(), "Sets of trials that the values come from"),
-            grid(parents.notes.table(), "Notes"),
-        ],
         issuer=who,
         checklist=checklist(
-            analyses,
-            runs,
-            who,
-            specimen=specimens[0][0] if specimens else "",
-            when=when,
-            deviations=remarks,
-            accepted=bool(accept),
+            analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=bool(judged["accept"])
         ),
         paragraph=methods_paragraph(analyses, runs),
         cite=citation(name, identity, when, any(simulated)),
+        **judged,
+        **about_runs,
+        **_results(analyses, names, parents),
     )
+
+
+def _judged(
+    analyses: Sequence[Analysis], runs: Sequence[RunData], names: Mapping[str, str], failed: list[str]
+) -> dict[str, Any]:
+    """Fields of `Content` that say what the results are worth; `failed`: why they are not accepted."""
+    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits_of(run)))
+    findings = tables.findings_table(analyses)
+    findings["finding"] = [_named(text, names) for text in findings["finding"]]
+    shown, more = first_findings(findings)
+    return {
+        "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
+        "failed": failed,
+        "accept": accept,
+        "verdicts": shown,
+        "more_findings": more,
+        "findings": findings.to_numpy().tolist(),
+        "tiles": tiles_of(analyses),
+    }
+
+
+def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
+    """Fields of `Content` that the runs alone give."""
+    details = provenance.run_table(runs, names).to_dict("records")
+    return {
+        "specimens": provenance.specimens(runs),
+        "benches": provenance.benches(runs),
+        "when": provenance.when(runs),
+        "operators": provenance.operators(runs),
+        "statuses": provenance.statuses(runs),
+        "protocol": grid(provenance.protocol_table(runs, names)),
+        "notes": notes_of(runs, names),
+        "run_details": [[(str(head), str(text)) for head, text in row.items()] for row in details],
+        "versions": provenance.versions(runs),
+    }
+
+
+def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Parents) -> dict[str, Any]:
+    """Fields of `Content` with coefficients, curves and methods."""
+    return {
+        "coefficients": _primary(analyses),
+        "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
+        "curves": grid(tables.curves_table(analyses), group=True),
+        "polynomials": grid(tables.polynomials_table(analyses), group=True),
+        "tuning": _tuning(analyses),
+        "dropped": _dropped(analyses, names),
+        "methods": _methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
+        "parents": [
+            grid(parents.trials.table(), "Sets of trials that the values come from"),
+            grid(parents.notes.table(), "Notes"),
+        ],
+    }
 
 
 class _Figures:

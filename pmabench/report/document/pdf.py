@@ -87,12 +87,6 @@ class _Data:
         facts += [("Bench", "; ".join(name for name, _ in c.benches)), ("Tested", c.tested or "nothing")]
         facts += [("Date", c.when), ("Laboratory", c.issuer.laboratory), ("Customer", c.issuer.customer)]
         facts += [("Operator", c.operators), ("Record", c.statuses)]
-        front = [("fault", "Not accepted", text) for text in c.failed]
-        if c.accept and not c.failed:
-            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
-        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
-        if c.more_findings:
-            front.append(("note", "", f"{c.more_findings} more under Findings."))
         return {
             "title": c.title,
             "report_id": c.report_id,
@@ -101,7 +95,7 @@ class _Data:
             "banner": f"{banner} from a simulated bench, not from a real muscle.",
             "verdict": vars(c.verdict),
             "facts": self.pairs(facts),
-            "front_findings": [{"level": _level(level), "word": w, "text": symbol_parts(t)} for level, w, t in front],
+            "front_findings": self.front_findings(),
             "tiles": [
                 {**vars(tile), "symbol": symbol_parts(tile.symbol), "where": symbol_parts(tile.where)}
                 for tile in c.tiles
@@ -145,6 +139,17 @@ class _Data:
             "budgets": [self.grid(s.budget) for s in c.sections if s.budget],
             "parents": [self.grid(grid) for grid in c.parents],
         }
+
+    def front_findings(self) -> list[dict[str, Any]]:
+        """Level, word and text of what the first page says of the results."""
+        c = self.content
+        front = [("fault", "Not accepted", text) for text in c.failed]
+        if c.accept and not c.failed:
+            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
+        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
+        if c.more_findings:
+            front.append(("note", "", f"{c.more_findings} more under Findings."))
+        return [{"level": _level(level), "word": word, "text": symbol_parts(text)} for level, word, text in front]
 
     def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]

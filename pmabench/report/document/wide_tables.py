@@ -37,10 +37,8 @@ def narrow(table: Table) -> list[Table]:
         if len(groups) > 1:
             return [
                 part
-                for columns, methods in groups.items()
-                for part in narrow(
-                    _part(table, keys, columns, f"{table.caption}: {clean(', '.join(methods))}", methods)
-                )
+                for used, methods in groups.items()
+                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
             ]
     chunks: list[list[str]] = []
     for symbol in dict.fromkeys(_symbol(value) for value in values):
