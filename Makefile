@@ -30,7 +30,7 @@ lint: $(STAMP)
 
 # What is said of intervals and of the ways to K_u, over hundreds of simulated campaigns: some ten minutes.
 studies: $(STAMP)
-	$(BIN)/python -m pytest -q -s -n auto --timeout=3600 -m study tests
+	$(BIN)/python -m pytest -q -s -n auto --timeout=3600 -m study tests --ignore tests/benchmarks
 
 bench: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -s tests/benchmarks --benchmark-enable

@@ -1,4 +1,4 @@
-"""Controller settings from an ultimate gain and period: the table of rules, and whether the two can be true; no data.
+"""Controller settings from an ultimate gain and period: by the rules, and whether the two can be true; no data.
 
 Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its own table gives 3.195 and 7.5 s.
 """
@@ -8,64 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from math import inf, isfinite, sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
-from pmabench.model.simc import SOURCE as SIMC_PAPER
-from pmabench.model.simc import simc
-
-ZIEGLER_NICHOLS = "Ziegler and Nichols, Trans. ASME 64 (1942) 759, ultimate-gain (second, closed-loop) method"
-TYREUS_LUYBEN = "Tyreus and Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625"
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One tuning rule: K_p = gain K_u, T_i = integral T_u, T_d = derivative T_u."""
-
-    name: str
-    form: str
-    """`P`, `PI` or `PID`."""
-    gain: float
-    integral: float | None
-    derivative: float | None
-    source: str
-
-    @property
-    def title(self) -> str:
-        """Name and form, for instance `Ziegler-Nichols PI`."""
-        return f"{self.name} {self.form}"
-
-
-RULES: tuple[Rule, ...] = (
-    Rule("Ziegler-Nichols", "P", 0.5, None, None, ZIEGLER_NICHOLS),
-    Rule("Ziegler-Nichols", "PI", 0.45, 1 / 1.2, None, ZIEGLER_NICHOLS),
-    Rule("Ziegler-Nichols", "PID", 0.6, 1 / 2, 1 / 8, ZIEGLER_NICHOLS),
-    Rule("Tyreus-Luyben", "PI", 1 / 3.2, 2.2, None, TYREUS_LUYBEN),
-    Rule("Tyreus-Luyben", "PID", 1 / 2.2, 2.2, 1 / 6.3, TYREUS_LUYBEN),
-)
-
-
-@dataclass(frozen=True)
-class LoopRule:
-    """A rule that needs the loop itself, dead time, lags and gain, and no ultimate gain."""
-
-    name: str
-    form: str
-    """`PI` or `PID`."""
-    source: str
-
-    @property
-    def title(self) -> str:
-        """Name and form, for instance `SIMC PI`."""
-        return f"{self.name} {self.form}"
-
-
-LOOP_RULES: tuple[LoopRule, ...] = (LoopRule("SIMC", "PI", SIMC_PAPER), LoopRule("SIMC", "PID", SIMC_PAPER))
-AnyRule = Rule | LoopRule
+from pmabench.model.rules.record import Rule
+from pmabench.model.rules.registry import all_rules
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
     "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
@@ -77,7 +28,7 @@ FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
 class Gains:
     """What one rule says: the ideal form K_p, T_i, T_d, and the parallel form K_i = K_p/T_i, K_d = K_p T_d."""
 
-    rule: AnyRule
+    rule: Rule
     K_p: Estimate
     T_i: Estimate | None
     T_d: Estimate | None
@@ -112,9 +63,9 @@ class Gains:
         }
 
 
-def rules_named(text: str) -> tuple[AnyRule, ...]:
+def rules_named(text: str) -> tuple[Rule, ...]:
     """The rules whose name, form or title is `text`, in any case; raises ValueError with the nearest name."""
-    every: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES)
+    every = all_rules()
     wanted = text.casefold().replace("_", "-")
     chosen = tuple(r for r in every if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
     if not chosen:
@@ -125,7 +76,7 @@ def rules_named(text: str) -> tuple[AnyRule, ...]:
 
 
 def tune(
-    K_u: Estimate, T_u: Estimate, rules: Iterable[AnyRule] = (*RULES, *LOOP_RULES), loop: Loop | None = None
+    K_u: Estimate, T_u: Estimate, rules: Iterable[Rule] | None = None, loop: Loop | None = None
 ) -> tuple[Gains, ...]:
     """Settings of every rule from the ultimate gain `K_u` [Pa/m, or any unit] and period `T_u` [s], with intervals.
 
@@ -138,13 +89,14 @@ def tune(
     if not K_u.value or not T_u.value or K_u.value <= 0 or T_u.value <= 0:
         raise ValueError("no settings without an ultimate gain and a period above 0")
     made = []
-    for rule in rules:
-        if isinstance(rule, Rule):
-            made.append(_apply(rule, K_u, K_u.value, T_u, T_u.value, loop))
-            continue
-        if loop is not None:
-            with suppress(ValueError):
-                made.append(_by_loop(rule, K_u, simc(loop, rule.form), loop))
+    for rule in all_rules() if rules is None else rules:
+        with suppress(ValueError):
+            settings = rule.settings(K_u.value, T_u.value, loop)
+            made.append(
+                _of_loop(rule, K_u, settings) if rule.from_loop else _scaled(rule, K_u, K_u.value, T_u, T_u.value)
+            )
+            if loop is not None:
+                made[-1] = replace(made[-1], margins=margins(loop, settings), answer=set_point_step(loop, settings))
     return tuple(made)
 
 
@@ -154,7 +106,7 @@ def _units(K_u: Estimate) -> tuple[tuple[str, str], tuple[str, str]]:
     return FOLLOWING.get(K_u.unit, bare)
 
 
-def _apply(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float, loop: Loop | None) -> Gains:
+def _scaled(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float) -> Gains:
     (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
     common = replace(K_u, method=rule.title, bias=None, corrected=False, coordinate="")
 
@@ -173,17 +125,10 @@ def _apply(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float,
     if rule.derivative is not None:
         T_d = power("T_d", rule.derivative, 0, 1, "s", "time")
         K_d = power("K_d", rule.gain * rule.derivative, 1, 1, unit_d, quantity_d)
-    if loop is None:
-        return Gains(rule, K_p, T_i, T_d, K_i, K_d)
-    controller = Controller(
-        K_p=rule.gain * gain,
-        T_i=inf if rule.integral is None else rule.integral * period,
-        T_d=0.0 if rule.derivative is None else rule.derivative * period,
-    )
-    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, controller), set_point_step(loop, controller))
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d)
 
 
-def _by_loop(rule: LoopRule, K_u: Estimate, c: Controller, loop: Loop) -> Gains:
+def _of_loop(rule: Rule, K_u: Estimate, c: Controller) -> Gains:
     """Settings that a rule takes from the loop; units and operating point are those of K_u."""
     (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
     common = replace(
@@ -196,7 +141,7 @@ def _by_loop(rule: LoopRule, K_u: Estimate, c: Controller, loop: Loop) -> Gains:
     if c.T_d > 0:
         T_d = replace(common, symbol="T_d", value=c.T_d, unit="s", quantity="time")
         K_d = replace(common, symbol="K_d", value=c.K_p * c.T_d, unit=unit_d, quantity=quantity_d)
-    return Gains(rule, K_p, T_i, T_d, K_i, K_d, margins(loop, c), set_point_step(loop, c))
+    return Gains(rule, K_p, T_i, T_d, K_i, K_d)
 
 
 def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Parts:

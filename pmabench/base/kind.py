@@ -28,6 +28,8 @@ class Result:
     """Title of the plot that it shares with others of the same; where empty, it has a plot for itself."""
     unit: str = ""
     """SI unit where no quantity is declared."""
+    positive: bool = False
+    """Whether it cannot be below 0, so that its interval ends there; terms of its curves can be below."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,20 @@ class Kind:
     """Channel that changes in each of its trials, unless nothing moved."""
     compares: str = ""
     """Channel in which the repeats of an operating point are compared over time."""
+    repeated: str = ""
+    """`module:function`: (run, trial) -> the value that repeats are checked by; None or `NotUsable` without one."""
+    repeated_is: str = ""
+    """What that value is: `stiffness`."""
+    word: str = ""
+    """Its name in a comparison of tests, `sine`; two reductions of the same runs have the same."""
+    offers: str = ""
+    """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test measure, too."""
+    after: str = ""
+    """`module:options`: offers of the specimen's other tests -> options of this reduction, which is done after them."""
+    at_rest: bool = False
+    """Whether its F_ce is the one that limits against static load mean."""
+    instead: str = ""
+    """The advice to run it where other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)
     """Kind of trace -> `module:function` that draws traces of it: (traces, analysis) -> pictures."""
     front: dict[str, str] = field(default_factory=dict)

@@ -30,7 +30,7 @@ def command(
 
     index = None if exclude is None else exclude - 1
     note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or login_name())
-    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.as_json()}
+    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.as_data()}
 
     def human() -> None:
         click.echo(f"note {note.number} of {run}")

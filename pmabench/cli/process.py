@@ -118,7 +118,7 @@ def _process_together(
             for note in run.notes
             if note.exclude is not None
         ],
-        "since": {run.id: run.since.as_json() for run in loaded if run.since.sentences},
+        "since": {run.id: run.since.as_data() for run in loaded if run.since.sentences},
     }
 
     def human() -> None:

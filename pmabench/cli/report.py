@@ -76,6 +76,6 @@ def command(
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written}
-    data["since"] = {run.id: run.since.as_json() for run in runs if run.since.sentences}
+    data["since"] = {run.id: run.since.as_data() for run in runs if run.since.sentences}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
     return None

@@ -137,7 +137,7 @@ def _in_session(
     ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
 ) -> Mounted:
     """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
-    from pmabench.cli.devices import print_checks
+    from pmabench.cli.checks import print_checks
     from pmabench.session.session import SessionFailed, ensure
 
     with _operated(ui, mounted, "session", yes=yes) as (operator, shown):

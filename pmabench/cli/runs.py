@@ -116,8 +116,8 @@ def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "interpolated": dict(data.interpolated),
-        "notes": [note.as_json() for note in data.notes],
-        "since": data.since.as_json(),
+        "notes": [note.as_data() for note in data.notes],
+        "since": data.since.as_data(),
         **going_on,
     }
 

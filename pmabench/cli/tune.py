@@ -13,9 +13,10 @@ from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
-    from pmabench.analysis.tuning import AnyRule, Gains
+    from pmabench.analysis.tuning import Gains
     from pmabench.cli.tune_model import Where
     from pmabench.model.loop import Loop
+    from pmabench.model.rules.record import Rule
 
 
 @click.command(name="tune")
@@ -54,16 +55,17 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, rules_named
+    from pmabench.analysis.tuning import facts, rules_named
     from pmabench.base.errors import UsageError
     from pmabench.cli.tune_model import Where, holds_model
+    from pmabench.model.rules.registry import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
     where = Where.read(setpoints, load, period)
     if where.given and not model and (analysis is None or not holds_model(analysis)):
         raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
-        rules: tuple[AnyRule, ...] = (*RULES, *LOOP_RULES) if rule is None else rules_named(rule)
+        rules = all_rules() if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
     if analysis is not None or runs:
@@ -126,7 +128,7 @@ def _measured_pairs(
     return measured_loops(reduced), [f"{finding.level}: {finding.text}" for finding in reduced.findings]
 
 
-def _tuned(pairs: Pairs, rules: tuple[AnyRule, ...]) -> list[tuple[Estimate, Estimate, tuple[Gains, ...]]]:
+def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estimate, tuple[Gains, ...]]]:
     """Each K_u and T_u with its gains by rule. Raises UsageError."""
     from pmabench.analysis.tuning import tune
     from pmabench.base.errors import UsageError

@@ -342,6 +342,18 @@ def safe_state(rig: Rig) -> str:
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
 
 
+def _rescued(device: Any, name: str, value: float) -> float:
+    """Command a value over the second way; how long that took [s]."""
+    began = time.monotonic()
+    try:
+        given = device.rescue(name, value)
+    except DeviceError as error:
+        raise Late(f"rescue({name}) took {time.monotonic() - began:.2f} s and failed: {error}") from error
+    if given is not None:
+        raise Failed(f"rescue({name}) returned {given!r}; by the interface it returns None")
+    return time.monotonic() - began
+
+
 def second_way(rig: Rig) -> str:
     """`rescue` reaches every output and valve in the plant while the usual call hangs."""
     if not rig.record.outputs or not issubclass(rig.driver(), Rescue):
@@ -356,10 +368,7 @@ def second_way(rig: Rig) -> str:
         try:
             tried = [(o.output, at(o, 0.2)) for o in rig.record.outputs if o.quantity == "pressure"]
             for name, value in (*tried, *safe):
-                began = time.monotonic()
-                if (given := device.rescue(name, value)) is not None:
-                    raise Failed(f"rescue({name}) returned {given!r}; by the interface it returns None")
-                slowest = max(slowest, time.monotonic() - began)
+                slowest = max(slowest, _rescued(device, name, value))
                 for out in rig.record.outputs if (name, value) in tried else ():
                     if out.output == name and not reaches(rig, truth, out, value):
                         got = show(commanded(truth, out), out.quantity)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from statistics import fmean, median
 from time import monotonic
@@ -33,7 +33,7 @@ SHARE = 0.001
 """How far a value may be from the plant's, of the channel's range: converters, digits, calibrations rounded."""
 STATES = (
     State(0.0, 0.0, 5.0),
-    State(487.3e3, 0.0371, 211.0),
+    State(487.3e3, 0.0371, 611.0),
     State(123.7e3, 0.0083, 27.0),
     State(0.0, 0.0, 5.0, supply=False),
 )
@@ -373,7 +373,7 @@ def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: floa
             rig.feed()
             collect(rig, found)
             if not due:
-                _bring(rig, truth, State(0.0, 0.02, 0.0))
+                _bring(rig, truth, replace(_swept(since), position=0.02))
             due += 0.1
         rig.bench_clock.wait_until(rig.bench_clock.now() + 0.008)
     if not found.times:
@@ -385,7 +385,7 @@ def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: floa
 def _swept(since: float) -> State:
     """A triangle, to and fro: a steady change."""
     share = 2 * abs(since / 0.8 % 1.0 - 0.5)
-    return State(360e3 - 300e3 * share, 0.02 - 0.018 * share, 50.0 - 40.0 * share)
+    return State(360e3 - 300e3 * share, 0.02 - 0.018 * share, 210.0 - 200.0 * share)
 
 
 def _grid(rig: Rig, truth: Truth, found: Recording) -> list[tuple[float, Mapping[str, float]]]:
@@ -410,7 +410,8 @@ def _follows(
 
     shifts = [step * GRID for step in range(-round(WINDOW / GRID), round(WINDOW / GRID) + 1)]
     best = min(shifts, key=deviation)
-    per_period = fmean(abs(b - a) for a, b in pairwise(real)) * period / GRID
+    stride = round(period / GRID)
+    per_period = fmean(abs(b - a) for a, b in zip(real, real[stride:], strict=False))
     moving = sum(a != b for a, b in pairwise(real)) / len(real)
     if per_period < 2 * tolerance(channel) or moving < 0.03:
         return False

@@ -10,17 +10,16 @@ from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared import repeats
 from pmabench.analysis.shared.motion import with_motion
-from pmabench.analysis.verdict.acceptance import not_accepted
+from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import agreement
+from pmabench.analysis.verdict.agreement import against_static, agreement
 from pmabench.analysis.verdict.checks import with_checks
-from pmabench.analysis.verdict.offers import STATIC
+from pmabench.analysis.verdict.offers import Offer, offers_of
 from pmabench.analysis.verdict.record import with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.kinds import registry
-from pmabench.kinds.static_load.break_away import option_of
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
@@ -33,8 +32,10 @@ def results_of(kind: str) -> tuple[Result, ...]:
 
 def specimen_of(run: RunData) -> str:
     """Which specimen a run is of: type and serial as its manifest has them."""
-    told = run.manifest.get("specimen")
-    return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, Mapping) else str(told or "")
+    specimen = run.manifest.get("specimen")
+    if not isinstance(specimen, Mapping):
+        return str(specimen or "")
+    return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
 
 
 def reduction_of(run: RunData) -> str:
@@ -59,27 +60,40 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
     found: list[Analysis] = []
     for kinds in specimens.values():
         analyses = _of_specimen(kinds, options or {})
-        compared = agreement(analyses)
-        found += analyses if compared is None else [*analyses, compared]
+        difference = compared(analyses)
+        found += analyses if difference is None else [*analyses, difference]
     return found
 
 
 def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
-    """One analysis for each kind, in their order; static load comes last, for it needs K of another test."""
+    """One analysis for each kind, in their order; those that take something from other tests are made last."""
     analyses: dict[str, Analysis] = {}
-    for kind in sorted(kinds, key=lambda kind: kind == STATIC):
-        asked = options.get(kind)
-        if kind == STATIC:
-            asked = {**option_of(list(analyses.values())), **(asked or {})}
-        analyses[kind] = _reduced(kind, kinds[kind], asked)
-    return [analyses[kind] for kind in kinds]
+    for name in sorted(kinds, key=lambda name: bool(registry.kind_of(name).after)):
+        kind, asked = registry.kind_of(name), options.get(name)
+        if kind.after:
+            others = {other: _offers(analysis) for other, analysis in analyses.items()}
+            asked = {**kind.part("after")(others), **(asked or {})}
+        analyses[name] = _reduced(name, kinds[name], asked)
+    return [analyses[name] for name in kinds]
+
+
+def _offers(analysis: Analysis) -> list[Offer]:
+    return offers_of(analysis, registry.find(analysis.kind))
+
+
+def compared(analyses: Sequence[Analysis]) -> Analysis | None:
+    """What tests of one specimen say about each other; None where they share nothing."""
+    known = list(registry.all_kinds())
+    ordered = sorted(analyses, key=lambda one: known.index(one.kind) if one.kind in known else len(known))
+    instead = next((kind.instead for kind in registry.all_kinds().values() if kind.instead), "")
+    return agreement(analyses, [offer for analysis in ordered for offer in _offers(analysis)], instead)
 
 
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     record = registry.kind_of(kind)
     analysis = record.part("reduction")(runs, options)
-    analysis = with_motion(with_checks(analysis, runs), runs, record.moves)
+    analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
     checked = with_record(without_doubtful(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeats.traces(record.compares, runs)))
 
@@ -119,12 +133,13 @@ def _first(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_REASONS]) + more
 
 
-def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Analysis | None:
-    """The static-load test of the same specimen."""
+def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:
+    """F_ce of an analysis and of the static-load test of the same specimen; None without that."""
     mine = next((tested[run] for run in analysis.runs if run in tested), None)
     for other in analyses:
-        if other.kind == STATIC and mine in [tested.get(run) for run in other.runs]:
-            return other
+        kind = registry.find(other.kind)
+        if kind is not None and kind.at_rest and mine in [tested.get(run) for run in other.runs]:
+            return against_static(_offers(analysis), _offers(other))
     return None
 
 
@@ -142,5 +157,5 @@ def _why_nothing(analysis: Analysis) -> str:
     reasons = [f.text for f in analysis.findings if f.level == "fault"]
     reasons = reasons or [f"{d.trial}: {d.reason}" for d in analysis.dropped] or [e.note for e in analysis.estimates]
     more = len(dict.fromkeys(reasons)) - MOST_REASONS
-    told = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
-    return f"{told}; and {more} more reasons" if more > 0 else told
+    text = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
+    return f"{text}; and {more} more reasons" if more > 0 else text

@@ -123,7 +123,7 @@ def _row_groups(path: Path) -> Iterator[Any]:
 def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]]]:
     """The table of a Parquet stream (a buffer), what its schema says, and its arrivals; ValueError where it is damaged.
 
-    Arrivals: clock of the device and of the host [ns] for the last sample of each batch that tells it.
+    Arrivals: clock of the device and of the host [ns] for the last sample of each batch that has it.
     """
     try:
         with pq.ParquetFile(source, page_checksum_verification=True) as file:

@@ -95,7 +95,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
 
 
 def _chain(run: Path) -> tuple[Path, ...]:
-    """The run and those before it as their manifests name them; what is wrong with a link is told by who opens it."""
+    """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
     chain = [run]
     with suppress(InvalidFile, KeyError, TypeError):
         while b'"continues"' in read_file(chain[0], files.MANIFEST):
@@ -111,9 +111,9 @@ def _chain(run: Path) -> tuple[Path, ...]:
 
 
 def _renamed(run: Path, name: str) -> Path:
-    """The folder beside `run` that holds the run `name` under another name."""
+    """The folder next to `run` that holds the run `name` under another name."""
     for folder in sorted(run.resolve().parent.iterdir()):
         with suppress(InvalidFile):
             if (folder / files.MANIFEST).is_file() and read_manifest(folder).get("id") == name:
                 return folder
-    raise invalid(run, f"continues {name}, which does not lie beside it")
+    raise invalid(run, f"continues {name}, which is not next to it")

@@ -128,12 +128,12 @@ def _read(folder: Path) -> Row:
     except InvalidFile:
         manifest, seal, status = {}, {}, "damaged"
     if seal is None:
-        told = summary(manifest, decode(_events(folder)), [])
+        found = summary(manifest, decode(_events(folder)), [])
         size = 0
         with suppress(OSError):
             size = sum(path.stat().st_size for _name, path in files_of(folder) if is_regular(path))
     else:
-        told = seal
+        found = seal
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())
         with suppress(OSError):
             size += (folder / files.SEAL).stat().st_size
@@ -148,12 +148,12 @@ def _read(folder: Path) -> Row:
         specimen=_label(manifest.get("specimen")),
         bench=_label(manifest.get("bench")),
         status=status,
-        why=str(told.get("why") or ""),
+        why=str(found.get("why") or ""),
         simulated=bool(manifest.get("simulated")),
-        trials_finished=int(told.get("trials_finished") or 0),
+        trials_finished=int(found.get("trials_finished") or 0),
         trials_before=_before(manifest.get("continues")),
-        trials_planned=int(told.get("trials_planned") or 0),
-        duration=told.get("duration"),
+        trials_planned=int(found.get("trials_planned") or 0),
+        duration=found.get("duration"),
         size=size,
         continues=_continued(manifest.get("continues")),
         added=tuple(names),

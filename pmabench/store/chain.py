@@ -29,15 +29,11 @@ def continued(folder: Path) -> dict[str, Any]:
         if status_of(manifest, None) == "running":
             raise RecordError(f"{folder} is still being recorded; end it before another run continues it")
         close_interrupted(folder)
-    return {
-        "run": manifest["id"],
-        "sha256": sha256_of(folder / files.SEAL),
-        "trials_done": finished_trials(folder),
-    }
+    return {"run": manifest["id"], "sha256": sha256_of(folder / files.SEAL), "trials_done": finished_trials(folder)}
 
 
 def goes_on(folder: Path) -> Path | None:
-    """The newest run beside `folder` that continues it, or continues one that does; None where there is none."""
+    """The newest run next to `folder` that continues it, or continues one that does; None where there is none."""
     links: dict[str, Path] = {}
     for other in sorted(folder.resolve().parent.iterdir()):
         with suppress(InvalidFile, OSError):
@@ -67,9 +63,9 @@ def _finished(runs: Sequence[RunData]) -> list[int]:
 
 
 def open_chain(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
-    """The run and all runs that it continues, the first one first; a run that continues none stands alone.
+    """The run and all runs that it continues, the first one first; a run that continues none comes alone.
 
-    Of the attempts at one trial over all runs that came to an end the last stands, the others are `superseded`.
+    Of the attempts at one trial over all runs that came to an end the last counts, the others are `superseded`.
     Raises InvalidFile where a run of the chain is missing, was changed, or does not fit.
     """
     return tuple(
@@ -138,11 +134,11 @@ def _linked(path: Path, link: Any) -> Path:
         if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
         return folder
-    raise invalid(path, f"continues {name}, which does not lie beside it; put that run's folder there")
+    raise invalid(path, f"continues {name}, which is not next to it; put that run's folder there")
 
 
 def _beside(path: Path, name: str) -> Iterator[Path]:
-    """Folders beside `path` that hold the run `name`: the one of that name first, then one that was renamed."""
+    """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
     parent = path.resolve().parent
     named = [parent / name] if Path(name).name == name else []
     for folder in [*named, *sorted(parent.iterdir())]:
@@ -160,10 +156,10 @@ def _fits(before: Sequence[RunData], run: RunData) -> None:
     ):
         if then != now and (what != "rate" or (then and now)):
             raise invalid(path, f"does not fit the run that it continues: {what} is {now}, there {then}")
-    told = run.manifest["continues"].get("trials_done")
+    found = run.manifest["continues"].get("trials_done")
     done = sorted(_finished(_superseded(before)))
-    if told is not None and sorted(told) != done:
-        said, finished = (", ".join(str(index + 1) for index in indices) or "none" for indices in (sorted(told), done))
+    if found is not None and sorted(found) != done:
+        said, finished = (", ".join(str(index + 1) for index in indices) or "none" for indices in (sorted(found), done))
         what = f"says that these trials were done before: {said}; the runs that it continues finished {finished}"
         raise invalid(path, what)
     points = {trial.index: (trial.point, trial.repeat) for earlier in before for trial in earlier.trials}

@@ -10,7 +10,7 @@ import numpy as np
 from pmabench.store.records import Array, ClockInfo
 
 PRIOR_DRIFT = 100e-6
-"""A quartz clock is not farther off than this [1]: what holds where the arrivals cannot tell drift better."""
+"""A quartz clock is not farther off than this [1]: what holds where the arrivals do not show drift better."""
 WINDOWS = 10
 """Stretches of time whose shortest delays are held against the fit."""
 

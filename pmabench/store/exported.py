@@ -52,7 +52,7 @@ class Line(_Part):
         trial, point = self.data.get("trial"), self.data.get("point") or {}
         numbered = isinstance(trial, int) and not isinstance(trial, bool) and 0 <= trial < 10**6
         if {"kind", "t", "self"} & self.data.keys() or not (numbered or trial is None):
-            raise ValueError("the trial is no number, or an entry of the event stands twice")
+            raise ValueError("the trial is no number, or an entry of the event is there twice")
         if self.kind == "trial-begin" and not (
             numbered and isinstance(point, dict) and all(map(_finite, point.values()))
         ):
@@ -113,15 +113,15 @@ def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, An
             "sensor_lag": info.sensor_lag,
             "calibration": info.calibration,
         }
-    told = run.manifest
+    found = run.manifest
     record: dict[str, Any] = plain(
         {
             "schema": SCHEMA,
             "run": run.id,
             "kind": run.kind,
             "simulated": run.simulated,
-            "started_utc": told.get("started_utc", ""),
-            "about": {key: told.get(key) for key in ("specimen", "protocol", "source", "bench") if told.get(key)},
+            "started_utc": found.get("started_utc", ""),
+            "about": {key: found.get(key) for key in ("specimen", "protocol", "source", "bench") if found.get(key)},
             "plan": {key: run.plan[key] for key in ("settings", "accept") if run.plan.get(key)},
             "file": file,
             "rate": run.rate,

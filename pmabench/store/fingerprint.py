@@ -1,4 +1,4 @@
-"""What tells whether a run, what was said of it and the program are still the same, without reading any samples.
+"""Shows whether a run, what was said of it and the program are still the same, without reading any samples.
 
 The bytes of manifest, seal and head of the notes, which carry the hashes of all that was recorded and said; of every
 other file its size and time of change, so that a file changed in place is seen too. Standard library only.
@@ -33,12 +33,12 @@ def fingerprint(chain: Iterable[Path], about: str) -> str:
             names = set()
             for name, entry in _walk(run):
                 names.add(name)
-                told = entry.stat(follow_symlinks=False)
-                digest.update(f"{name}\0{told.st_size}\0".encode())
+                found = entry.stat(follow_symlinks=False)
+                digest.update(f"{name}\0{found.st_size}\0".encode())
                 if name in READ:
                     digest.update(read_file(run, name, files.LARGEST))
                 else:
-                    digest.update(f"{told.st_mtime_ns}\0".encode())
+                    digest.update(f"{found.st_mtime_ns}\0".encode())
             digest.update("\0".join(["late", *late_files(run)]).encode("utf-8", "surrogateescape"))
             if files.SEAL not in names:
                 return ""
@@ -52,8 +52,8 @@ def stamp(folder: Path) -> str:
     digest = hashlib.sha256()
     try:
         for name, entry in _walk(folder):
-            told = entry.stat(follow_symlinks=False)
-            digest.update(f"{name}\0{told.st_size}\0{told.st_mtime_ns}\0".encode())
+            found = entry.stat(follow_symlinks=False)
+            digest.update(f"{name}\0{found.st_size}\0{found.st_mtime_ns}\0".encode())
     except OSError:
         return ""
     return digest.hexdigest()

@@ -36,7 +36,7 @@ LATE = ".late"
 LARGEST = 1 << 26
 """Bytes of a manifest, a seal or a head of notes; a larger file is none."""
 NOTES, NOTES_HEAD = "notes", "notes.json"
-"""What is said of a run afterwards: beside the sealed part, with hashes of its own."""
+"""What is said of a run afterwards: next to the sealed part, with hashes of its own."""
 
 STATUSES = ("finished", "failed", "aborted", "tripped", "error")
 """How a run can end by its own account; `interrupted` is what readers say of one whose writer died."""
@@ -133,7 +133,7 @@ def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> st
 
 
 def this_process() -> dict[str, Any]:
-    """What tells this process from every other on this machine, before and after; empty where Linux does not say."""
+    """What no other process of this machine has, before and after; empty where Linux does not say."""
     fields = _process(os.getpid())
     return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
 

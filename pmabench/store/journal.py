@@ -1,4 +1,4 @@
-"""Lines of JSON that tell when one is torn, altered, missing or out of place; counts trials.
+"""Lines of JSON that show when one is torn, altered, missing or out of place; counts trials.
 
 A line is `{"seq":3,"t":1.5,"kind":"command","data":{...},"crc":"0a1b2c3d"}`. The crc32 covers the bytes before
 `,"crc"` and begins with the value of the line before (0 for the first), so that lines form a chain.

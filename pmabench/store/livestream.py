@@ -1,6 +1,6 @@
 """Samples on disk while they are taken: an Arrow stream whose batches carry seq, crc32 and an end mark; no run folder.
 
-A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", `host_ns` where it is told,
+A batch's crc32 covers the schema message (names, types, scales), the text "seq rows end", `host_ns` where it is given,
 and the bytes of each column in order. `rows` counts all rows up to and including the batch; the first batch is empty
 and the last has `end` 1. `host_ns` is when the last sample of the batch came in, on the clock of the host.
 """
@@ -239,7 +239,7 @@ class LiveReader:
         self.fault = ""
         self.torn = False
         self.arrivals: list[tuple[int, int]] = []
-        """Clock of the device and of the host [ns] for the last sample of each batch that tells it."""
+        """Clock of the device and of the host [ns] for the last sample of each batch that has it."""
         self._data = data
         try:
             self._source = pa.BufferReader(data)
@@ -251,7 +251,7 @@ class LiveReader:
             raise ValueError(f"has no whole schema ({error})") from error
 
     def __iter__(self) -> Iterator[Any]:
-        """Batches in order; afterwards `rows`, `ended`, `fault` tell how far it came and why it stopped.
+        """Batches in order; afterwards `rows`, `ended`, `fault` say how far it came and why it stopped.
 
         `torn`: bytes are left that belong to no whole batch; `position`: where the whole ones end in the data, `head`:
         where the first begins.

@@ -15,7 +15,7 @@ def run_name(utc: datetime, specimen: str, kind: str, simulated: bool) -> str:
     """A folder name that sorts as time does, of `[A-Za-z0-9._-]` only.
 
     For instance `20261121-1432_MAS20-A017_contraction-relaxation_7f3a`, with `SIMULATED` before the last part where
-    it is so. The last part tells runs of the same minute apart.
+    it is so. The last part distinguishes runs of the same minute.
     """
     parts = [utc.astimezone(UTC).strftime("%Y%m%d-%H%M"), _word(specimen, "specimen"), _word(kind, "run")]
     return "_".join([*parts, *(["SIMULATED"] if simulated else []), secrets.token_hex(2)])

@@ -1,4 +1,4 @@
-"""Notes beside a run: words, files and exclusions, appended one by one as a chain of hashes; the sealed part stays.
+"""Notes on a run: words, files and exclusions, appended one by one as a chain of hashes; the sealed part stays.
 
 A note is a folder `notes/0001` with `note.json` and copies of its files; it appears whole, by one rename. It carries
 the sha256 of the note before (the first: of the manifest) and of each file. `notes.json` says how many there are and
@@ -56,7 +56,7 @@ class Note:
         """The number, from 1, of the trial that is kept out of fits."""
         return None if self.exclude is None else self.exclude + 1
 
-    def as_json(self) -> dict[str, Any]:
+    def as_data(self) -> dict[str, Any]:
         """As plain data for people and programs, who count trials from 1."""
         return {**vars(self), "exclude": self.excluded}
 
@@ -148,8 +148,8 @@ def _check_trial(run: Path, trial: int) -> None:
     lines = decode(read_file(run, files.EVENTS)).lines if is_regular(run / files.EVENTS) else ()
     begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
     if trial not in begun:
-        told = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"
-        raise invalid(run, f"has no trial {trial + 1} to exclude; it has {told} (`pmabench runs show` lists them)")
+        text = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"
+        raise invalid(run, f"has no trial {trial + 1} to exclude; it has {text} (`pmabench runs show` lists them)")
 
 
 def _names(attach: Sequence[Path]) -> list[str]:
@@ -257,9 +257,9 @@ def _folders(run: Path) -> list[str]:
     return sorted(names, key=lambda name: (len(name), name))
 
 
-def _attached(folder: Path, place: str, told: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+def _attached(folder: Path, place: str, entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     faults = []
-    for entry in told:
+    for entry in entries:
         path = folder / str(entry["name"])
         if not is_regular(path):
             faults.append((f"{place}/{entry['name']}", "is missing"))

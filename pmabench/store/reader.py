@@ -1,6 +1,6 @@
 """Opens a run folder, closed or not, as plain records in SI; never writes into it.
 
-All streams stand on the time of the run, each by its own clock. Samples of a trial come at the times of the stream that
+All streams are on the time of the run, each by its own clock. Samples of a trial come at the times of the stream that
 has `displacement` (else `pressure`, else of the first); `timebase` puts the channels of other streams there.
 """
 
@@ -60,8 +60,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
         if other is not main and wanted:
             moved, flags, how = onto(main.t, flags, other.t, other.flags, wanted, other.rate)
             channels |= moved
-            told = f"{how} the stream {other.name} ({other.rate:g} Hz), on the times of {main.name} ({main.rate:g} Hz)"
-            interpolated |= dict.fromkeys(wanted, told) if how else {}
+            text = f"{how} the stream {other.name} ({other.rate:g} Hz), on the times of {main.name} ({main.rate:g} Hz)"
+            interpolated |= dict.fromkeys(wanted, text) if how else {}
     until = np.inf
     if folder.seal is None or not all(stream.whole for stream in streams):
         regular = [stream for stream in streams if stream is main or stream.rate > 0 or not len(stream.t)]
@@ -69,7 +69,7 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
     try:
         trials = cut_trials(folder.manifest["id"], events, main.t, channels, flags, until)
     except (TypeError, ValueError, KeyError, AttributeError) as error:
-        raise invalid(folder.path / files.EVENTS, f"tells trials in a way that cannot be read ({error})") from error
+        raise invalid(folder.path / files.EVENTS, f"describes trials in a way that cannot be read ({error})") from error
     if folder.lines:
         trials = refound(trials, folder.lines)
     notes = read_notes(folder.path)
@@ -121,7 +121,7 @@ def _base(streams: list[Samples]) -> Samples:
 def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataFrame:
     """A whole stream (the first, where no name is given): `t` [s], the channels [SI] and `flags`.
 
-    With `raw` the columns are `time_ns` and the values as the device gave them. Units stand in `frame.attrs["units"]`.
+    With `raw` the columns are `time_ns` and the values as the device gave them. Units are in `frame.attrs["units"]`.
     Raises InvalidFile as `open_run` does.
     """
     import pandas as pd
@@ -215,23 +215,23 @@ class RunFiles:
     def described(self, journal: Journal) -> dict[str, Any]:
         """The manifest with how the run ended."""
         guard = self.guard()
-        told = {**self.manifest, **({"guard": guard} if guard else {})}
+        data = {**self.manifest, **({"guard": guard} if guard else {})}
         if self.seal is None:
-            return {**told, "why": journal.fault or "it was never closed"}
+            return {**data, "why": journal.fault or "it was never closed"}
         kept = ("why", "end", "closed_utc", "trials_finished", "duration", "streams")
-        return {**told, **{key: self.seal.get(key) for key in kept}}
+        return {**data, **{key: self.seal.get(key) for key in kept}}
 
     def guard(self) -> dict[str, Any]:
         """How the guard process vented the bench after the program had died; empty where it had not to."""
         if not self.has(files.GUARD):
             return late_guard(self.path) if self.seal is None else {}
         try:
-            told = json.loads(self.read(files.GUARD))
+            found = json.loads(self.read(files.GUARD))
         except ValueError as error:
             if self.seal is None:  # it may be just being written
                 return {}
             raise invalid(self.path / files.GUARD, "is not JSON") from error
-        return told if isinstance(told, dict) else {}
+        return found if isinstance(found, dict) else {}
 
     def stream_names(self) -> list[str]:
         """Names of the streams, sorted."""
@@ -245,7 +245,7 @@ class RunFiles:
         """A stream in SI; of an unsealed run as far as its batches are whole."""
         parquet, live = (f"{files.STREAMS}/{name}{suffix}" for suffix in (".parquet", ".arrows"))
         sealed = self.seal is not None
-        told = (self.seal or {}).get("streams", {}).get(name, {})
+        found = (self.seal or {}).get("streams", {}).get(name, {})
         use_live = self.has(live) and not (sealed and self.has(parquet))
         raw = pa.py_buffer(self.read(live if use_live else parquet))
         try:
@@ -255,7 +255,7 @@ class RunFiles:
                 arrivals, whole = reader.arrivals, not reader.fault
             else:
                 table, about, arrivals = read_archive(pa.BufferReader(raw))
-                whole = sealed and not told.get("fault")
+                whole = sealed and not found.get("fault")
             device = self.manifest.get("devices", {}).get(name, {})
             clock = _clock(name, events, arrivals, own=device.get("clock", "own") == "own")
             if self.anew is None:
@@ -264,19 +264,19 @@ class RunFiles:
             self.lines |= lines
             return self.anew.moved(_in_si(table, changed, clock, whole))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if use_live and (not sealed or told.get("rows", 0) is None):
+            if use_live and (not sealed or found.get("rows", 0) is None):
                 return Samples.none(name)
             raise invalid(self.path / (live if use_live else parquet), str(error)) from error
 
 
 def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]], *, own: bool) -> ClockInfo:
-    """The last `clock` event of the stream holds, else what its arrivals tell; without both the clocks are equal.
+    """The last `clock` event of the stream holds, else what its arrivals show; without both the clocks are equal.
 
     `own`: the device has a clock; else the computer's is the stamp.
     """
-    told = [event.data for event in events if event.kind == "clock" and event.data.get("stream") == name]
-    if told:
-        offset, drift, uncertainty = (float(told[-1].get(key) or 0.0) for key in ("offset", "drift", "uncertainty"))
+    found = [event.data for event in events if event.kind == "clock" and event.data.get("stream") == name]
+    if found:
+        offset, drift, uncertainty = (float(found[-1].get(key) or 0.0) for key in ("offset", "drift", "uncertainty"))
         return ClockInfo(0, offset, drift, uncertainty, "clock event")
     return (fit_clock if own else stamped)(*zip(*arrivals, strict=True)) if arrivals else ClockInfo()
 

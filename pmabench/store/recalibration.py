@@ -61,8 +61,8 @@ class Recalibration:
                 ("gives readings in", column.get("raw_unit"), new.raw_unit),
             ):
                 if is_ != wanted:
-                    told = f"{column['name']} {what} {is_ or 'nothing that is told'}, the calibration is of {wanted}"
-                    raise invalid(path, told)
+                    text = f"{column['name']} {what} {is_ or 'nothing that is text'}, the calibration is of {wanted}"
+                    raise invalid(path, text)
             old = column.get("scale") or {}
             slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))
             factor = new.slope / slope
@@ -101,7 +101,7 @@ def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[Tri
         replace(
             trial,
             found={
-                phase: {name: one(name, value) for name, value in told.items()} for phase, told in trial.found.items()
+                phase: {name: one(name, value) for name, value in found.items()} for phase, found in trial.found.items()
             },
         )
         for trial in trials
@@ -121,11 +121,11 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
     }
     if name and any(name in run.channels for run in runs):
         return name
-    told = ", ".join(sorted(names)) or "none"
+    found = ", ".join(sorted(names)) or "none"
     if name:
-        raise UsageError(f"no run has a channel {name}; channels that measure {quantity}: {told}")
+        raise UsageError(f"no run has a channel {name}; channels that measure {quantity}: {found}")
     if len(names) != 1:
-        raise UsageError(f"say CHANNEL=FILE: channels that measure {quantity}: {told}")
+        raise UsageError(f"say CHANNEL=FILE: channels that measure {quantity}: {found}")
     return names.pop()
 
 

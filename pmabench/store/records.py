@@ -80,7 +80,7 @@ class TrialData:
 
     `channels` maps `pressure` [Pa], `displacement` [m, contraction positive], `force` [N], `pressure_command` [Pa],
     `displacement_command` [m] (those that the bench has) to arrays as long as `t` [s]. A value that another stream
-    has not told near a time is NaN there, and the sample is flagged GAP.
+    has no value of near a time is NaN there, and the sample is flagged GAP.
     """
 
     run: str

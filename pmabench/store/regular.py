@@ -29,7 +29,7 @@ for _flag in ("O_BINARY", "O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY"): 
 
 
 def kind_of(mode: int) -> str:
-    """What a mode of `lstat` stands for, in words."""
+    """What a mode of `lstat` means, in words."""
     return KINDS.get(stat.S_IFMT(mode), "something else than a file")
 
 

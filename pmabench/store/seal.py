@@ -41,9 +41,9 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     """
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
-        told = str(cannot_write(folder, streams.failure))
+        text = str(cannot_write(folder, streams.failure))
         known = status == "error" and reason_of(streams.failure) in why  # a full disk is named once
-        status, why = "error", why if known else f"{told}; before that: {status} {why}".rstrip()
+        status, why = "error", why if known else f"{text}; before that: {status} {why}".rstrip()
     _tidy(folder)
     manifest = read_manifest(folder)
     journal = decode(read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b"")

@@ -24,7 +24,7 @@ from pmabench.store.regular import is_regular, kind_of, open_inside, open_regula
 LONGEST = 1_000_000
 """Bytes of a guard's account; a longer one is none."""
 NAMED = 3
-"""So many names stand in a sentence."""
+"""So many names are in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +60,18 @@ class Since:
     @property
     def sentences(self) -> list[str]:
         """What people should know; empty for a run that is as it was sealed."""
-        told = list(self.altered)
+        found = list(self.altered)
         if self.added:
             names = _listed([entry.name for entry in self.added])
-            told.append(f"added to the folder after the run was closed, and not used: {names}")
+            found.append(f"added to the folder after the run was closed, and not used: {names}")
         if self.late:
-            told.append(f"written next to the run after it was closed: {_listed(list(self.late))}")
+            found.append(f"written next to the run after it was closed: {_listed(list(self.late))}")
         if self.guard:
             cause = self.guard.get("cause") or "no cause is given"
-            told.append(f"the guard vented once more after the run was closed: {vent_of(self.guard)} ({cause})")
-        return told
+            found.append(f"the guard vented once more after the run was closed: {vent_of(self.guard)} ({cause})")
+        return found
 
-    def as_json(self) -> dict[str, Any]:
+    def as_data(self) -> dict[str, Any]:
         """As plain data for programs."""
         added = [vars(entry) for entry in self.added]
         return {"added": added, "late": list(self.late), "guard": dict(self.guard), "altered": list(self.altered)}

@@ -47,8 +47,8 @@ def onto(
         rise, begin, end = given[right] - given[left], *(width * slope for slope in _slopes(joined, given, left, right))
         bent = share * (1 - share) * ((1 - share) * (begin - rise) - share * (end - rise))
         moved[name] = np.where(reached, given[left] + share * rise + bent, np.nan)
-    told = np.where(reached, kept_flags[left] | kept_flags[right], np.uint16(Flag.GAP)).astype(np.uint16)
-    return moved, flags | told, "interpolated from"
+    found = np.where(reached, kept_flags[left] | kept_flags[right], np.uint16(Flag.GAP)).astype(np.uint16)
+    return moved, flags | found, "interpolated from"
 
 
 def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -94,7 +94,7 @@ def exclude(trials: Sequence[TrialData], excluded: Collection[int]) -> tuple[Tri
 
 
 def trial_spans(events: Sequence[Event]) -> list[tuple[float, float]]:
-    """Begin and end of each trial [s]; the end is infinite where it is not told."""
+    """Begin and end of each trial [s]; the end is infinite where it is not known."""
     return [(cut.begin, np.inf if cut.end is None else cut.end) for cut in _cuts(events)]
 
 

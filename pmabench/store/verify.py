@@ -150,7 +150,7 @@ def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
 
 
 def _time(folder: Path) -> list[Finding]:
-    """Holes and steps back within a trial that no flag tells of."""
+    """Holes and steps back within a trial that no flag marks."""
     run = RunFiles(folder)
     events = events_of(run.journal())
     found = []

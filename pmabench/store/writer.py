@@ -77,7 +77,7 @@ class RunWriter:
         self._streams: dict[str, LiveStream] = {}
         self._lock = threading.Lock()
         self._failure: RecordError | None = None
-        self._told = False
+        self._reported = False
         self._closed = False
         self._stop = threading.Event()
         self._syncing: float | None = None
@@ -204,7 +204,7 @@ class RunWriter:
                 self._lines.clear()
 
     def _try(self, path: Path, act: Callable[[], None]) -> bool:
-        """Whether `act` could write `path`; the first failure of a run is the one that is told."""
+        """Whether `act` could write `path`; the first failure of a run is the one that is reported."""
         try:
             act()
         except OSError as error:
@@ -214,7 +214,7 @@ class RunWriter:
 
     def _check(self) -> None:
         if self._failure is not None:
-            self._told = True
+            self._reported = True
             raise self._failure
 
     def _pump(self) -> None:
@@ -263,7 +263,7 @@ class RunWriter:
         if status not in files.STATUSES:
             raise ValueError(f"status {status!r} is not one of {', '.join(files.STATUSES)}")
         self._halt()
-        failure = self._finish_streams() or (None if self._told else self._failure)
+        failure = self._finish_streams() or (None if self._reported else self._failure)
         if failure is not None:
             status, why = "error", _with(failure, status, why)
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
@@ -298,7 +298,7 @@ class RunWriter:
 
 
 def _with(failure: RecordError, status: str, why: str) -> str:
-    """Why a run ends that could not be written, with what it would have ended by; nothing is told twice."""
+    """Why a run ends that could not be written, with what it would have ended by; nothing is said twice."""
     return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 

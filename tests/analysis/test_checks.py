@@ -9,7 +9,6 @@ import pytest
 
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import (
-    VALUES,
     Check,
     Repeats,
     checks_of,
@@ -20,6 +19,7 @@ from pmabench.analysis.verdict.checks import (
     with_checks,
 )
 from pmabench.kinds.contraction_relaxation import reduction as contraction
+from pmabench.kinds.registry import all_kinds, kind_of
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.sine_rig import Muscle51
@@ -77,12 +77,14 @@ def test_a_drift_is_found_with_its_size_and_none_where_there_is_none():
 def test_reference_trials_tell_drift_and_are_no_first_repeats():
     run = contraction_run(rig(), CELLS[:2], repeats=4, seed=5)
     trials = [replace(trial, reference=trial.point["pressure"] == 3e5) for trial in run.trials]
-    names = {check.name for check in trial_checks("contraction-relaxation", [replace(run, trials=tuple(trials))])}
+    names = {
+        check.name for check in trial_checks(kind_of("contraction-relaxation"), [replace(run, trials=tuple(trials))])
+    }
     assert names == {"repeat_spread", "drift"}
-    assert trial_checks("ultimate-gain", [run]) == []
+    assert trial_checks(kind_of("ultimate-gain"), [run]) == []
 
 
-@pytest.mark.parametrize("kind", sorted(VALUES))
+@pytest.mark.parametrize("kind", [name for name, kind in all_kinds().items() if kind.repeated])
 def test_trials_that_lack_what_is_needed_are_no_repeats(kind):
     """Of every kind: without channels, without commands, without a usable sample, with nothing found."""
     run = contraction_run(rig(), CELLS[:1], repeats=2, seed=5)
@@ -95,20 +97,20 @@ def test_trials_that_lack_what_is_needed_are_no_repeats(kind):
     ]
     for change in bare:
         changed = replace(run, kind=kind, trials=tuple(change(trial) for trial in run.trials))
-        assert trial_checks(kind, [changed]) == []
+        assert trial_checks(kind_of(kind), [changed]) == []
 
 
 def test_sines_that_stiffen_from_repeat_to_repeat():
     """K 1 % below, at and above: s = 1 %, and 0.01 in 400 s is 0.0275 over the 1100 s of twelve trials."""
     trials = [Muscle51(K=K).trials(3)[i] for i, K in enumerate(np.repeat([0.99, 1.0, 1.01], 4) * 6773.0)]
     run = as_run("sinusoidal-displacement", trials)
-    found = {check.name: check for check in trial_checks("sinusoidal-displacement", [run])}
+    found = {check.name: check for check in trial_checks(kind_of("sinusoidal-displacement"), [run])}
     assert found["repeat_spread"].value == pytest.approx(0.01, rel=1e-3)
     assert found["drift"].value == pytest.approx(0.0275, rel=1e-3)
     assert found["first_repeat"].value == pytest.approx(0.99 / 1.005 - 1, rel=1e-3)
     assert {found[name].level for name in ("drift", "first_repeat")} == {"doubt"}
     once = as_run("sinusoidal-displacement", trials[:4])
-    assert trial_checks("sinusoidal-displacement", [once]) == []
+    assert trial_checks(kind_of("sinusoidal-displacement"), [once]) == []
 
 
 def fitted(change=lambda trial: trial, kind="bench"):
@@ -155,7 +157,8 @@ def test_a_muscle_that_is_softer_on_the_way_back_is_told():
 def test_checks_become_findings_and_survive_a_file_that_anybody_wrote():
     run = contraction_run(rig(), CELLS[:3], repeats=2, seed=5)
     told = {"name": "held_out", "value": 0.5, "quantity": "ratio", "level": "doubt", "text": "far"}
-    analysis = with_checks(Analysis("contraction-relaxation", ("r1",), True, facts={"checks": [told], "a": 1}), [run])
+    analysis = Analysis("contraction-relaxation", ("r1",), True, facts={"checks": [told], "a": 1})
+    analysis = with_checks(analysis, kind_of("contraction-relaxation"), [run])
     assert [check.name for check in checks_of(analysis)] == ["held_out", "repeat_spread", "first_repeat"]
     assert next(f.text for f in analysis.findings) == "far"
     assert analysis.facts["a"] == 1

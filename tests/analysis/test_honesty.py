@@ -13,11 +13,12 @@ import pytest
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.student import mean_over
-from pmabench.analysis.verdict import agreement
+from pmabench.base.kind import Result
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.isometric import reduction as isometric
 from pmabench.kinds.recorded_sine import reduction as recorded_sines
 from pmabench.kinds.recorded_step import reduction as recorded_steps
+from pmabench.kinds.reduce import compared
 from pmabench.kinds.sinusoidal_displacement import reduction as sine
 from pmabench.kinds.static_load import reduction as static_load
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
@@ -313,10 +314,16 @@ def _stiffness_by_cycle(trial: TrialData) -> list[float]:
 
 def test_an_interval_ends_at_0_only_for_what_cannot_be_below():
     time = Estimate("t_d", 0.02, "s", "time", "onset", parts=Parts(0.05), coordinate="command-to-motion")
-    assert time.ci95 == (0.0, 0.07)
     slope = Estimate("K", 1.0, "N/m/Pa", "stiffness per pressure", "m", parts=Parts(3.0), coordinate="slope")
-    assert slope.ci95 == (-2.0, 4.0)
     width = Estimate("H", 1.0, "N", "force", "m", parts=Parts(3.0))
+    declared = (
+        Result("t_d", "dead time", "time", positive=True),
+        Result("K", "stiffness", "stiffness", positive=True),
+        Result("H", "loop width", "force"),
+    )
+    time, slope, width = Analysis("new-kind", (), False, (time, slope, width), results=declared).estimates
+    assert time.ci95 == (0.0, 0.07)
+    assert slope.ci95 == (-2.0, 4.0)
     assert width.ci95 == (-2.0, 4.0)
 
 
@@ -337,6 +344,6 @@ def test_values_without_an_interval_are_not_called_alike():
     steps = replace(K, method="measured-pressure", parts=Parts(10.0, 1.0, 1.0))
     one = Analysis("sinusoidal-displacement", ("a",), True, (K,))
     two = Analysis("contraction-relaxation", ("b",), True, (steps,))
-    found = agreement.agreement([one, two])
+    found = compared([one, two])
     assert found.estimates == ()
     assert "not compared" in found.findings[0].text

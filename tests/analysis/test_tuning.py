@@ -8,9 +8,10 @@ from math import degrees
 import pytest
 
 from pmabench.analysis.results import Estimate, Parts
-from pmabench.analysis.tuning import LOOP_RULES, RULES, facts, plausibility, rules_named, tune
+from pmabench.analysis.tuning import facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
+from pmabench.model.rules.registry import all_rules
 
 
 def pair(
@@ -70,7 +71,7 @@ def test_margins_where_a_model_is_known() -> None:
     loop = Loop(1.466e-7, 0.041, (0.0955, 0.247))
     true = ultimate(loop)
     by_rule = {g.rule.title: g for g in tune(*pair(true.gain, true.period, "Pa/m"), loop=loop)}
-    assert len(by_rule) == len(RULES) + len(LOOP_RULES)
+    assert len(by_rule) == len(all_rules())
     proportional = by_rule["Ziegler-Nichols P"].margins
     assert proportional is not None
     assert proportional.gain_margin == pytest.approx(2.0, rel=1e-3)

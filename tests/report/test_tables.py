@@ -156,7 +156,8 @@ def test_the_terminal_tells_why_a_value_or_an_interval_is_missing():
 
 
 def test_an_interval_that_ends_at_0_is_written_by_its_ends():
-    time = Estimate("t_d", 0.022, "s", "time", "onset", {"pressure": 3e5}, Parts(0.049), coordinate="command-to-motion")
+    at, kind = {"pressure": 3e5}, "command-to-motion"
+    time = Estimate("t_d", 0.022, "s", "time", "onset", at, Parts(0.049), coordinate=kind, positive=True)
     assert tables.cell(time) == "0.022 (0 to 0.071)"
     assert tables.cell(replace(time, parts=Parts(0.004))) == "0.0220 ± 0.0040"
     assert tables.cell(replace(time, parts=Parts(None, 0.004))) == "0.02200"

@@ -151,7 +151,7 @@ def _resealed(runs):
 @pytest.mark.parametrize(
     ("harm", "says"),
     [
-        (_missing, "continues one, which does not lie beside it"),
+        (_missing, "continues one, which is not next to it"),
         (_unsealed, "was not closed as it was when three continued it"),
         (_resealed, "was not closed as it was when two continued it"),
     ],
@@ -172,7 +172,7 @@ def test_a_chain_with_a_missing_or_changed_link_is_refused(three, harm, says):
         ({"trials_done": []}, {}, "these trials were done before: none; .* finished 1$"),
         ({}, {"kind": "static-load"}, "kind is static-load, there contraction-relaxation"),
         ({}, {"simulated": False}, "simulated is False, there True"),
-        ({"run": "../one"}, {}, "does not lie beside it"),
+        ({"run": "../one"}, {}, "is not next to it"),
         ({"run": "two"}, {}, "its seal is another one"),
     ],
 )

@@ -78,7 +78,7 @@ def test_files_without_names_are_told_apart_by_their_numbers(tmp_path):
     assert guess.optional == ["phase"]
     assert guess.kind == "isometric"
     assert set(guess.forms) == {"10mm_13cm_Unkinked_Test{test}", "10mm_13cm_Kinked{contraction}mm_Test{test}"}
-    assert any("its numbers only" in doubt for doubt in guess.role("pressure").doubts)
+    assert any("only its numbers" in doubt for doubt in guess.role("pressure").doubts)
     path = written(tmp_path, guess)
     assert asked(path) == [
         "columns.force.unit",

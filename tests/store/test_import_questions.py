@@ -320,5 +320,5 @@ def test_questions_of_maps_that_people_wrote(tmp_path):
     with pytest.raises(InvalidFile) as caught:
         read_map(tmp_path / "map.yaml", unresolved=True)
     (problem,) = caught.value.problems
-    assert (problem.line, problem.message.split(";")[0]) == (7, "not answered: no file tells it")
+    assert (problem.line, problem.message.split(";")[0]) == (7, "not answered: no file gives it")
     assert Path(problem.path).name == "map.yaml"

@@ -168,7 +168,7 @@ def test_a_guard_that_reports_after_the_seal_changes_nothing(run):
     (late / "guard.json").write_text(json.dumps(GUARD))
     assert verify(run) == []
     read = open_run(run)
-    assert read.since.as_json() == {"added": [], "late": ["guard.json"], "guard": GUARD, "altered": []}
+    assert read.since.as_data() == {"added": [], "late": ["guard.json"], "guard": GUARD, "altered": []}
     assert "guard" not in read.manifest, "that would say that the program had died"
     assert any("confirmed (the engine has gone)" in sentence for sentence in read.since.sentences)
     assert fingerprint([run], "") != key, "what `process` says of it is not taken from before"

@@ -131,10 +131,10 @@ class CanBus(Driver):
         else:
             simulated = self._opened().serial == EMULATED_ADAPTER
             models = ["CAN adapter"]
-        told = ", ".join(model.removeprefix(begins) for model in models)
+        names = ", ".join(model.removeprefix(begins) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
         return Identity(
-            "CAN", f"{begins if simulated else ''}{told}", serial, firmware, simulated=simulated, clock=COMPUTER
+            "CAN", f"{begins if simulated else ''}{names}", serial, firmware, simulated=simulated, clock=COMPUTER
         )
 
     def _refuse_narrow_limits(self, deadline: float) -> None:

@@ -123,7 +123,7 @@ class SerialIndicator(Polled):
             self._take(lines[0], (asked + answered) / 2, answered)
 
     def _exchange(self, question: bytes, timeout: float) -> tuple[list[bytes], bytes]:
-        """Send, and collect until a line is whole: the lines, and what stands behind them."""
+        """Send, and collect until a line is whole: the lines, and what is behind them."""
         port, terminator = self._opened(), self._options.terminator
         port.send(question)
         data = port.receive(lambda got: terminator in got or len(got) > LONGEST_LINE, timeout)

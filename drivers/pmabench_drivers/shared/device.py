@@ -21,6 +21,9 @@ from pmabench_drivers.shared.options import Place, Reader, options_of
 from pmabench_drivers.shared.polling import Cycle, Samples
 from pmabench_drivers.shared.segments import refuse_nonsense, stepped
 
+STEPS = 100.0
+"""Ramps and sines are stepped so often where no polling sets the pace [Hz]."""
+
 
 class Driver(ABC):
     """One device of a bench with its options."""
@@ -167,6 +170,27 @@ class Stepped(Driver):
 
     def _follows(self, output: str, segment: Segment) -> bool:
         return self._following.get(output) is segment
+
+
+class Led(Stepped):
+    """A device that samples by itself; a thread of the driver steps ramps and sines, 100 times a second."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._steps = Cycle(f"leads {device.name}", self._lead, clock)
+
+    @abstractmethod
+    def _opened(self) -> object:
+        """The link; an error where the device is not open."""
+
+    def _begin_steps(self) -> None:
+        self._opened()
+        self._steps.note(None)
+        if not self._steps.running:
+            self._steps.start(STEPS)
+
+    def _lead(self) -> None:
+        self._steps.note(self._step())
 
 
 class Controlled(Stepped, Polled):

@@ -7,5 +7,6 @@
 - `sessions` (which tests are of one session)
 - `isometric_lines` (F over P at a contraction), `ramp_loop`, `turns`, `sine_loop` (loops of a driven end),
   `oscillation` (swings of a signal), `simulated`, `replay` (a model run next to a trial)
+- `rest` (values of trials at rest), `form` (whether trials follow the form of a value)
 - `calibration` (what the channels' uncertainties do to a result), `skew` (what clocks apart do)
 """

@@ -21,6 +21,8 @@ from pmabench.store.records import Array, Command, RunData, TrialData
 METHOD = "isometric-line"
 FEWEST = 50
 """Samples that a line needs."""
+PLACES = 9
+"""Pressures along a line at which its force is kept."""
 SAME = 4
 """Contractions that agree to so many decimals of a metre are one."""
 Mask = NDArray[np.bool_]
@@ -145,8 +147,8 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
 
     Without either, all samples are in the first wanted phase.
     """
-    told = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
-    begun = [(e.t, str(e.data.get("name"))) for e in told]
+    events = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
+    begun = [(e.t, str(e.data.get("name"))) for e in events]
     for command in () if begun else trial.commands:
         begun.append((command.t, command.phase))
         if command.kind == "ramp" and command.data.get("rate"):
@@ -256,3 +258,19 @@ def estimates_of(
         )  # fmt: skip
 
     return estimate("m", line.m, "N/Pa", "force per pressure", slope), estimate("c", line.c, "N", "force", start)
+
+
+def forces_of(pooled: Pooled, tests: Sequence[Test], others: Sequence[tuple[float, float]]) -> list[list[float | None]]:
+    """Rows of P [Pa], F [N] and the parts of F for repeats, method and calibration, along the line.
+
+    m and c err together, so F has a narrower interval than the two. `others` are those of `estimates_of`.
+    """
+    line, scales = pooled.line, Scales.of([test.run for test in tests])
+    rows: list[list[float | None]] = []
+    for P in np.linspace(line.low, line.high, PLACES).tolist():
+        F = line.m * P + line.c
+        half = mean_over_sessions([m * P + c for m, c in pooled.repeats], pooled.sessions)[1]
+        other = max((abs(m * P + c - F) for m, c in others), default=None)
+        part = scales.part({"force": F, "pressure": line.m * P}, {"force": 1.0, "pressure": line.m})
+        rows.append([P, F, half, other, part])
+    return rows

@@ -195,3 +195,9 @@ def on_grid(grid: Array, x: Array, F: Array) -> Array:
     mean_x = np.bincount(place, x, len(grid) + 2)[filled] / count[filled]
     mean_F = np.bincount(place, F, len(grid) + 2)[filled] / count[filled]
     return np.interp(grid, mean_x, mean_F, left=np.nan, right=np.nan)
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Slope of the mean curve of one trial with its sign changed [N/m]; raises `NotUsable`."""
+    loop = measure_as_planned(run, trial, {})
+    return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])

@@ -38,7 +38,7 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
     first: dict[tuple[object, ...], float] = {}
     found = []
     for run, trial in _references(runs):
-        stroke = stroke_of(trial)
+        stroke = stroke_of(run, trial)
         if stroke is None:
             continue
         point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
@@ -79,8 +79,10 @@ def _references(runs: Sequence[RunData]) -> Iterator[tuple[RunData, TrialData]]:
                 yield run, trial
 
 
-def stroke_of(trial: TrialData) -> float | None:
+def stroke_of(run: RunData, trial: TrialData) -> float | None:
     """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
+    if "displacement" not in trial.channels:
+        return None
     times = sorted(c.t for c in trial.commands if c.output == "pressure" and c.phase != "precondition")
     if len(times) < 2 or not len(trial.t):
         return None

@@ -251,3 +251,8 @@ def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
     """The trial measured again with the force of a fitted muscle: what the estimator itself adds."""
     x, F = along(sine, K, B, F_c)
     return evaluate(sine.t, x, F, sine.frequency)
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Stiffness of one trial [N/m], the first cycles left out as the plan says; raises `NotUsable`."""
+    return measure(run, trial, float((run.plan.get("settings") or {}).get("discard", 1))).stiffness

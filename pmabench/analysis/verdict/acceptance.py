@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.analysis.verdict.agreement import OF_STATIC, against_static
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
@@ -28,6 +27,8 @@ MEASURES = {
     "at_least": ("≥", "at least ", ""),
 }
 """How a limit is meant -> its sign in a list and in a sentence, and against what in a list."""
+Pairs = Mapping[float, tuple[Estimate, Estimate]]
+"""Pressure [Pa] -> F_ce of one test and of static load."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,14 @@ class Limit:
 
 def limits_of(run: RunData) -> list[Limit]:
     """The limits in a run's plan; of plans from before there were several kinds, the widest intervals."""
-    told = run.plan.get("accept")
-    if not isinstance(told, Mapping):
+    limits = run.plan.get("accept")
+    if not isinstance(limits, Mapping):
         return []
-    found = [limit for entry in _list(told.get("limits")) if (limit := _limit(entry)) is not None]
+    found = [limit for entry in _list(limits.get("limits")) if (limit := _limit(entry)) is not None]
     known = {limit.what for limit in found if limit.measure == "relative_interval"}
     found += [
         Limit(str(name), "relative_interval", float(widest), "")
-        for name, widest in told.items()
+        for name, widest in limits.items()
         if name not in known and _are_numbers(widest)
     ]
     return found
@@ -94,9 +95,9 @@ def _limit(entry: Any) -> Limit | None:
         return None
     if not _are_numbers(limit):
         return None
-    told = entry.get("expected")
-    everywhere = float(told) if isinstance(told, int | float) else None
-    pairs = [point for point in _list(told) if isinstance(point, list | tuple) and len(point) == 2]
+    expected = entry.get("expected")
+    everywhere = float(expected) if isinstance(expected, int | float) else None
+    pairs = [point for point in _list(expected) if isinstance(point, list | tuple) and len(point) == 2]
     points = tuple((float(P), float(value)) for P, value in pairs if _are_numbers(P, value))
     return Limit(what, measure, float(limit), str(place or ""), points, everywhere)
 
@@ -106,12 +107,12 @@ def _are_numbers(*values: Any) -> bool:
 
 
 def not_accepted(
-    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Analysis | None = None
+    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Pairs | None = None
 ) -> Iterator[str]:
     """One sentence for each limit of the analysis' runs that is not kept; `named` gives a coefficient's words.
 
     Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
-    is not judged by it. `static` is the static-load test of the same specimen, for limits against it.
+    is not judged by it. `static` has F_ce of this and of the specimen's static-load test; None without that.
     """
     limits = dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run))
     primary: dict[str, str] = {}
@@ -130,7 +131,7 @@ def not_accepted(
                 if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
                     yield f"{named(estimate)}: {why}"
         elif limit.measure in ("of_static", "of_static_by", "static_E_n"):
-            yield from _against_static(analysis, static, limit, named)
+            yield from _against_static(static, limit, named)
         elif limit.measure == "at_least":
             yield from _r2(analysis, limit, primary)
         elif why := _check(analysis, limit):
@@ -178,19 +179,14 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
     return float(np.interp(pressure, P, values))
 
 
-def _against_static(
-    analysis: Analysis, static: Analysis | None, limit: Limit, named: Callable[[Estimate], str]
-) -> Iterator[str]:
+def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
     """F_ce against that of static load, at every pressure that both cover."""
-    if analysis.kind not in OF_STATIC:
-        return
-    if static is None:
+    if pairs is None:
         yield (
             f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
             "process both runs together"
         )
         return
-    pairs = against_static(analysis, static)
     if not pairs:
         yield (
             f"F_ce against static load: the two tests tell F_ce at no pressure in common, {limit.asked}; "
@@ -204,21 +200,21 @@ def _against_static(
 def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
     value, reference = mine.value or 0.0, theirs.value or 0.0
     off, halves = value - reference, [e.parts.combined for e in (mine, theirs)]
-    told = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
+    compared = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
     if limit.measure == "static_E_n":
         if halves[0] is None or halves[1] is None:
             which = "neither has an" if halves == [None, None] else "one has no"
-            return f"{told}: {which} interval, E_n {limit.asked}"
+            return f"{compared}: {which} interval, E_n {limit.asked}"
         half = hypot(halves[0], halves[1])
         score = abs(off) / half if half else (0.0 if off == 0 else inf)
-        return "" if score <= limit.limit else f"{told}: E_n {score:.3g}, {limit.asked}"
+        return "" if score <= limit.limit else f"{compared}: E_n {score:.3g}, {limit.asked}"
     size = limit.limit * (abs(reference) if limit.measure == "of_static" else 1.0)
     if abs(off) <= size:
         return ""
     far = f"{show(abs(off), 'force', 3)}"
     if limit.measure == "of_static" and reference:
         far = f"{100 * abs(off / reference):.3g} %"
-    return f"{told}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
+    return f"{compared}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
 
 
 def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:

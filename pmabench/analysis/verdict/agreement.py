@@ -1,44 +1,27 @@
 """Whether independent tests of one specimen say the same: differences with combined intervals; fits nothing.
 
-What each kind of test offers is in `offers`; every pair of kinds is compared wherever both say something.
+What each kind of test says is in its own room (`offers`); every pair of kinds is compared wherever both say something.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
-from math import hypot, inf
+from math import hypot, inf, isnan
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
-from pmabench.analysis.verdict.offers import (
-    HELD,
-    ISOBARIC,
-    PRIMARY,
-    STATIC,
-    STEPS,
-    WORDS,
-    Offer,
-    Place,
-    at_pressures,
-    offers_of,
-    on_line,
-)
+from pmabench.analysis.verdict.offers import Offer, Place
 from pmabench.base.quantities import show
 
 KIND = "agreement"
-OF_STATIC = {
-    STEPS: f"{WORDS[STATIC]} against {WORDS[STEPS]}",
-    HELD: f"{WORDS[STATIC]} against {WORDS[HELD]}",
-}
-"""Kind of test whose F_ce a protocol can limit against that of static load -> what is compared."""
 FALSE_ALARM = 0.01
 """Probability that tests which agree are called contradictory, over all comparisons of one specimen together."""
 FEWEST = 3
 """Degrees of freedom of a scatter, at least: where there is one trial it is that of its cycles."""
-REST = "static-half-difference"
-"""Method of the friction of static load."""
+OF_FORM = ("F_ce", "F", "K")
+"""Quantities that a muscle whose force is no straight line over contraction may contradict, too."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +33,12 @@ class Comparison:
     one: Estimate
     two: Estimate
     title: str
-    kinds: tuple[str, str]
-    at_least: bool = False
-    """The first need not be equal, only not below the second."""
+    tests: tuple[str, str]
+    """`Offer.test` of both."""
+    side: int = 0
+    """1: the first need not be equal, only not below the second; -1: not above."""
+    why: str = ""
+    """Why it may differ to that side."""
 
     @property
     def known(self) -> bool:
@@ -71,8 +57,8 @@ class Comparison:
 
     @property
     def score(self) -> float:
-        """|E_n| (ISO/IEC 17043); of what need only not be below, how far it is."""
-        off = max(-self.value, 0.0) if self.at_least else abs(self.value)
+        """|E_n| (ISO/IEC 17043); of what need only not be below or above, how far it is."""
+        off = max(-self.side * self.value, 0.0) if self.side else abs(self.value)
         return off / self.half if self.half else (0.0 if off == 0 else inf)
 
     def limit(self, count: int) -> float:
@@ -90,15 +76,15 @@ class Comparison:
     def where(self) -> str:
         """The place in words."""
         P, x = self.place
-        told = [show(P, "pressure")] if P == P else []  # NaN: of the whole campaign
+        places = [] if isnan(P) else [show(P, "pressure")]
         if x is not None and self.symbol != "F_ce":
-            told.append(show(x, "length", 3))
-        return " at " + " and ".join(told) if told else ""
+            places.append(show(x, "length", 3))
+        return " at " + " and ".join(places) if places else ""
 
     def estimate(self) -> Estimate:
         """The difference as a row of a table."""
         P, x = self.place
-        at = {"pressure": P} if P == P else {}
+        at = {} if isnan(P) else {"pressure": P}
         if x is not None and self.symbol != "F_ce":
             at["contraction"] = x
         return Estimate(
@@ -107,18 +93,20 @@ class Comparison:
         )  # fmt: skip
 
 
-def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
+def agreement(analyses: Sequence[Analysis], offers: Sequence[Offer], instead: str = "") -> Analysis | None:
     """The differences between tests of one specimen at the same places; None where nothing can be compared.
 
-    A value without an interval is compared with nothing, and a finding says so.
+    `offers` are those of all `analyses`, in the order in which tests are named; `instead` is what to do about a muscle
+    whose force is no straight line. A value without an interval is compared with nothing, and a finding says so.
 
     Two values agree where their difference is smaller than the root of the sum of squares of their 95 % half widths
     (E_n number at most 1). Of many comparisons one in twenty is beyond that by chance: results are refused where a
     difference is larger than chance makes in one of a hundred campaigns. Calibration errors that both tests share are
     counted in both: the judgement is generous by that.
     """
-    found = [one for pair in combinations(_in_order(analyses), 2) for one in _compared(*pair)]
-    found += _of_rest(analyses)
+    tests = [[offer for offer in offers if offer.test == test] for test in dict.fromkeys(o.test for o in offers)]
+    friction = [e.value or 0.0 for o in offers if o.symbol == "F_c" and not o.side for e in o.points.values()]
+    found = [one for pair in combinations(tests, 2) for one in _compared(*pair, max(friction, default=0.0))]
     known = [one for one in found if one.known]
     findings, refusals = [], []
     for symbol, title in dict.fromkeys((one.symbol, one.title) for one in found):
@@ -126,7 +114,7 @@ def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
         mine = [one for one in group if one.known]
         if mine:
             findings.append(_sentence(mine, len(known)))
-            refusals += _refusal(mine, len(known))
+            refusals += _refusal(mine, len(known), instead)
         if without := [one.where.removeprefix(" at ") for one in group if not one.known]:
             text = f"{symbol}, {title}: not compared at {', '.join(dict.fromkeys(without))}, where one has no interval"
             findings.append(Finding("note", text))
@@ -136,68 +124,64 @@ def agreement(analyses: Sequence[Analysis]) -> Analysis | None:
         KIND,
         tuple(dict.fromkeys(run for analysis in analyses for run in analysis.runs)),
         any(analysis.simulated for analysis in analyses),
-        tuple(one.estimate() for one in known if not one.at_least),
+        tuple(one.estimate() for one in known if not one.side),
         findings=tuple(findings),
         refusals=tuple(refusals),
         facts={"comparisons": len(known), "beyond_intervals": sum(one.score > 1.0 for one in known)},
     )
 
 
-def _in_order(analyses: Sequence[Analysis]) -> list[list[Offer]]:
-    """What each kind of test offers, in the order of naming."""
-    offers = [offer for analysis in analyses for offer in offers_of(analysis)]
-    return [[offer for offer in offers if offer.kind == kind] for kind in WORDS]
-
-
-def _compared(left: Sequence[Offer], right: Sequence[Offer]) -> Iterator[Comparison]:
-    """Every place where two kinds of test both say something, once."""
+def _compared(left: Sequence[Offer], right: Sequence[Offer], rubs: float) -> Iterator[Comparison]:
+    """Every place where two kinds of test both say something, once; `rubs` is the friction [N] that may be in some."""
     seen: set[tuple[object, ...]] = set()
     for one in left:
         for two in right:
-            if one.symbol != two.symbol:
+            if not _are_one_quantity(one, two):
                 continue
-            title = f"{WORDS[one.kind]} against {WORDS[two.kind]}"
-            title = ", ".join([title, *(words for words in (one.words, two.words) if words)])
-            for place in sorted({*one.points, *two.points}, key=_order):
-                mine, theirs = one.at(place), two.at(place)
+            title = ", ".join(word for word in (f"{one.test} against {two.test}", one.words, two.words) if word)
+            side, why = (one.side, one.why) if one.side else (-two.side, two.why)
+            for place in sorted(_places(one, two), key=_order):
+                mine, theirs = (_with_friction(offer, offer.at(place), rubs) for offer in (one, two))
                 if mine is None or theirs is None or (key := (title, place[0], mine.value, theirs.value)) in seen:
                     continue
                 seen.add(key)
                 symbol = "F_ce" if one.symbol == "F" and place[1] == 0.0 else one.symbol
-                yield Comparison(symbol, place, mine, theirs, title, (one.kind, two.kind))
+                yield Comparison(symbol, place, mine, theirs, title, (one.test, two.test), side, why)
+
+
+def _with_friction(offer: Offer, known: Estimate | None, rubs: float) -> Estimate | None:
+    if known is None or not offer.rubs:
+        return known
+    return replace(known, parts=replace(known.parts, method=hypot(known.parts.method or 0.0, rubs)))
+
+
+def _are_one_quantity(one: Offer, two: Offer) -> bool:
+    """Whether two offers can be compared: two bounds cannot, nor a value along a bent curve and one for all of it."""
+    local = all(x is not None for offer in (one, two) for _, x in offer.points)
+    return one.symbol == two.symbol and not (one.side and two.side) and (local or not (one.bent or two.bent))
+
+
+def _places(one: Offer, two: Offer) -> set[Place]:
+    """The places of both, and those at the pressure of one and the contraction of the other."""
+    crossed = {(P, x) for a in one.points for b in two.points for P, x in ((a[0], b[1]), (b[0], a[1])) if x is not None}
+    return {*one.points, *two.points, *crossed}
 
 
 def _order(place: Place) -> tuple[float, bool, float]:
     """By pressure, then by contraction; what has none comes last, for it is what others are compared with anywhere."""
     P, x = place
-    return P, x is None, x or 0.0
+    return inf if isnan(P) else P, x is None, x or 0.0
 
 
-def _of_rest(analyses: Sequence[Analysis]) -> Iterator[Comparison]:
-    """The friction of static load, at which a muscle at rest begins to move, is not below F_c of one that moves."""
-    at_rest = [
-        e
-        for analysis in analyses
-        if analysis.kind == STATIC
-        for e in analysis.estimates
-        if e.method == REST and not e.at and e.value is not None
-    ]
-    moving = [(offer, e) for analysis in analyses for offer in offers_of(analysis) if offer.symbol == "F_c"
-              for e in (offer.points.values() or [offer.at((float("nan"), None))])]  # fmt: skip
-    for one in at_rest:
-        for offer, two in moving:
-            if two is not None:
-                title = f"friction at rest of {WORDS[STATIC]} against F_c of {WORDS[offer.kind]}"
-                place = (two.at.get("pressure", float("nan")), None)
-                yield Comparison("F_f", place, one, two, title, (STATIC, offer.kind), at_least=True)
-
-
-def against_static(analysis: Analysis, static: Analysis) -> dict[float, tuple[Estimate, Estimate]]:
-    """F_ce of a test of `OF_STATIC` by its primary method and of static load, by pressure [Pa] that both cover."""
-    theirs: Mapping[float, Estimate] = at_pressures(static, "F_ce", PRIMARY[STATIC])
-    mine = at_pressures(analysis, "F_ce", PRIMARY[analysis.kind])
-    pairs = {P: (one, on_line(theirs, P)) for P, one in sorted(mine.items())}
-    return {P: (one, two) for P, (one, two) in pairs.items() if two is not None}
+def against_static(mine: Sequence[Offer], static: Sequence[Offer]) -> dict[float, tuple[Estimate, Estimate]]:
+    """F_ce of a test by its primary method and of static load, by pressure [Pa] that both cover."""
+    points = {place: e for o in mine if o.symbol == "F" and not o.words for place, e in o.points.items()}
+    found = {}
+    for place, e in sorted(points.items(), key=lambda one: (one[0][0], one[0][1] or 0.0)):
+        other = next((known for o in static if o.symbol == "F" and (known := o.at(place)) is not None), None)
+        if place[1] == 0.0 and other is not None:
+            found[place[0]] = (e, other)
+    return found
 
 
 def _sentence(group: Sequence[Comparison], count: int) -> Finding:
@@ -208,30 +192,28 @@ def _sentence(group: Sequence[Comparison], count: int) -> Finding:
     begin = f"{worst.symbol}, {worst.title}{scope}: difference {difference}, combined interval {half}; "
     if worst.score > worst.limit(count):
         return Finding("doubt", f"{begin}they do not agree within their intervals")
-    if worst.at_least and worst.value > worst.half:
-        two = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
-        return Finding("note", f"{begin}they measure different things: {two}")
+    if worst.side and worst.side * worst.value > worst.half:
+        return Finding("note", f"{begin}they measure different things: {worst.why}")
     if worst.score <= 1.0:
         return Finding("note", f"{begin}they agree within their intervals")
     return Finding("note", f"{begin}beyond them, but no further than chance reaches in {count} comparisons")
 
 
-def _refusal(group: Sequence[Comparison], count: int) -> list[str]:
+def _refusal(group: Sequence[Comparison], count: int, instead: str) -> list[str]:
     """Why neither of two tests is accepted; nothing where they agree."""
     beyond = [one for one in group if one.score > one.limit(count)]
     if not beyond:
         return []
     worst = max(beyond, key=lambda one: one.score / one.limit(count))
     sides = [
-        f"{WORDS[kind]} {show(e.value or 0.0, e.quantity, 4)} +- {show(e.parts.combined or 0.0, e.quantity, 2)}"
-        for kind, e in zip(worst.kinds, (worst.one, worst.two), strict=True)
+        f"{test} {show(e.value or 0.0, e.quantity, 4)} +- {show(e.parts.combined or 0.0, e.quantity, 2)}"
+        for test, e in zip(worst.tests, (worst.one, worst.two), strict=True)
     ]
-    better = "the isobaric ramp measures the curve itself"
-    if ISOBARIC not in worst.kinds:
-        better = "an isobaric ramp (isobaric-ramp) measures the curve itself"
+    reason = "one of the two tests is wrong"
+    if worst.symbol in OF_FORM:
+        reason += ", or the muscle does not follow F = F_ce - K x" + (f": {instead}" if instead else "")
     more = f" ({len(beyond)} of {len(group)} places)" if len(group) > 1 else ""
     return [
         f"{worst.symbol}{worst.where}{more}: {' and '.join(sides)} disagree: the difference is {worst.score:.2g} times "
-        f"the combined interval, and chance makes at most {worst.limit(count):.2g} in {count} comparisons; one of the "
-        f"two tests is wrong, or the muscle does not follow F = F_ce - K x: {better}"
+        f"the combined interval, and chance makes at most {worst.limit(count):.2g} in {count} comparisons; {reason}"
     ]

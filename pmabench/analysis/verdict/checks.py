@@ -8,16 +8,16 @@ the pooled fit come from the kind of test.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Finding
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.reference import stroke_of
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -62,10 +62,10 @@ NAMES = {
 """Every check that a protocol can limit, and what it is."""
 
 
-def with_checks(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
+def with_checks(analysis: Analysis, kind: Kind, runs: Sequence[RunData]) -> Analysis:
     """The analysis with the checks of its trials, and a finding for every check."""
     known = checks_of(analysis)
-    own = trial_checks(analysis.kind, runs)
+    own = trial_checks(kind, runs)
     if not known and not own:
         return analysis
     every = (*known, *own)
@@ -78,9 +78,9 @@ def with_checks(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 def checks_of(analysis: Analysis) -> tuple[Check, ...]:
     """The checks in an analysis' facts, which may come from a file: what is none is left out."""
-    told = analysis.facts.get("checks")
+    entries = analysis.facts.get("checks")
     found = []
-    for entry in told if isinstance(told, list | tuple) else ():
+    for entry in entries if isinstance(entries, list | tuple) else ():
         if isinstance(entry, Mapping) and set(entry) == set(Check.__dataclass_fields__):
             value = entry["value"]
             texts = [entry[name] for name in ("name", "quantity", "level", "text")]
@@ -116,22 +116,25 @@ class Repeats:
         return len(self.value) - len(np.unique(self.cell))
 
 
-def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
-    """Spread of repeats, first-repeat effect and drift over the run, of the kinds in `VALUES`."""
-    if kind not in VALUES:
+def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
+    """Spread of repeats, first-repeat effect and drift over the run, of the kinds that have a value of each trial."""
+    if not kind.repeated:
         return []
-    what, value_of = VALUES[kind]
-    begun, told = 0.0, list[tuple[Point, RunData, TrialData, float]]()
+    value_of = kind.part("repeated")
+    begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:
             if trial.status == "finished" and not trial.again and len(trial.t):
                 point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-                told.append((point, run, trial, begun + float(trial.t[0])))
+                values.append((point, run, trial, begun + float(trial.t[0])))
         begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
-    times = Counter(point for point, *_ in told)
+    times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []
-    for point, run, trial, t in told:
-        value = value_of(run, trial) if times[point] > 1 else None
+    for point, run, trial, t in values:
+        try:
+            value = value_of(run, trial) if times[point] > 1 else None
+        except NotUsable:
+            continue
         if value is not None and np.isfinite(value) and value > 0:
             rows.append((point, -1 if trial.reference else trial.repeat, t, value))
     largest = max((row[3] for row in rows), default=0.0)
@@ -141,7 +144,7 @@ def trial_checks(kind: str, runs: Sequence[RunData]) -> list[Check]:
     numbers = {point: number for number, point in enumerate(dict.fromkeys(row[0] for row in rows))}
     cell = np.array([numbers[row[0]] for row in rows], dtype=np.float64)
     columns = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2, 3))
-    repeats = Repeats(what, cell, *columns)
+    repeats = Repeats(kind.repeated_is, cell, *columns)
     return [check for check in (spread(repeats), first_repeat(repeats), drift(repeats)) if check is not None]
 
 
@@ -177,8 +180,8 @@ def first_repeat(r: Repeats) -> Check | None:
     if differs and abs(mean) > FIRST:
         text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
         return Check("first_repeat", mean, "ratio", "doubt", text)
-    told = "differs a little from" if differs else "is like the"
-    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {told} later ones: {size}")
+    relation = "differs a little from" if differs else "is like the"
+    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {relation} later ones: {size}")
 
 
 def drift(r: Repeats) -> Check | None:
@@ -199,99 +202,6 @@ def drift(r: Repeats) -> Check | None:
     whole = slope * length
     drifts = abs(whole) > half
     size = f"{100 * whole:+.2g} ± {100 * half:.2g} % of the {r.what} from the first trial to the last"
-    told = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
+    cause = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
     level = "doubt" if drifts and abs(whole) > DRIFT else "note"
-    return Check("drift", whole, "ratio", level, f"{told}: {size}")
-
-
-def _stroke(run: RunData, trial: TrialData) -> float | None:
-    return stroke_of(trial) if "displacement" in trial.channels else None
-
-
-def _mean_pressure(run: RunData, trial: TrialData) -> float | None:
-    """Mean of the pressures at which a load lifts and sets down [Pa]."""
-    told = [(trial.found.get(phase) or {}).get("pressure") for phase in ("lift", "set-down")]
-    known = [float(value) for value in told if isinstance(value, int | float)]
-    return sum(known) / 2 if len(known) == 2 else None
-
-
-def _sine(run: RunData, trial: TrialData) -> float | None:
-    """Stiffness of a sine [N/m]."""
-    from pmabench.analysis.shared.samples import NotUsable
-    from pmabench.analysis.shared.sine_loop import measure
-
-    try:
-        return measure(run, trial, float(_settings(run).get("discard", 1))).stiffness
-    except NotUsable:
-        return None
-
-
-def _ramp(run: RunData, trial: TrialData) -> float | None:
-    """Slope of the mean curve of a slow ramp [N/m]."""
-    from pmabench.analysis.shared.ramp_loop import measure_as_planned
-    from pmabench.analysis.shared.samples import NotUsable
-
-    try:
-        loop = measure_as_planned(run, trial, {})
-    except NotUsable:
-        return None
-    return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])
-
-
-def _rest(run: RunData, trial: TrialData) -> float | None:
-    """Contraction at rest without load [m]."""
-    from pmabench.analysis.shared.samples import NotUsable
-    from pmabench.kinds.free_contraction.reduction import measure
-
-    try:
-        return measure(run, trial).x
-    except NotUsable:
-        return None
-
-
-def _step(run: RunData, trial: TrialData) -> float | None:
-    """Stiffness of the relaxed forces of steps away from the start [N/m]."""
-    from pmabench.analysis.shared.samples import NotUsable
-    from pmabench.kinds.step_displacement.relaxation import measure
-
-    try:
-        return float(np.mean([step.static for step in measure(run, trial, {}).there]))
-    except NotUsable:
-        return None
-
-
-def _top(run: RunData, trial: TrialData) -> float | None:
-    """Largest force of a muscle held at one length [N]."""
-    from pmabench.analysis.shared.isometric_lines import as_test
-    from pmabench.kinds.isometric_pressurisation.curve import PHASES
-
-    test, _ = as_test(run, trial, PHASES)
-    return float(test.F.max()) if test is not None and len(test.F) else None
-
-
-def _window(run: RunData, trial: TrialData) -> float | None:
-    """Mean contraction in the window of a validation [m]."""
-    from pmabench.kinds.validation.reduction import inside_window, unusable
-
-    if unusable(run, trial):
-        return None
-    x = trial.channels["displacement"][inside_window(run, trial)]
-    return float(x.mean()) if len(x) else None
-
-
-def _settings(run: RunData) -> Mapping[str, Any]:
-    told = run.plan.get("settings")
-    return told if isinstance(told, Mapping) else {}
-
-
-VALUES: dict[str, tuple[str, Callable[[RunData, TrialData], float | None]]] = {
-    "contraction-relaxation": ("stroke", _stroke),
-    "static-load": ("pressure at which the load is lifted", _mean_pressure),
-    "sinusoidal-displacement": ("stiffness", _sine),
-    "isobaric-ramp": ("stiffness", _ramp),
-    "free-contraction": ("contraction", _rest),
-    "isometric-pressurisation": ("largest force", _top),
-    "validation": ("contraction", _window),
-    "step-displacement": ("stiffness", _step),
-}
-"""Kind of test -> the value of a trial that tells repeats apart, in words, and where it comes from; None: unusable."""
+    return Check("drift", whole, "ratio", level, f"{cause}: {size}")

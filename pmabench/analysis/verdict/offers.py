@@ -1,73 +1,60 @@
-"""What each kind of test says of quantities that other kinds measure, too; compares nothing.
+"""What one test says of quantities that other kinds of tests measure, too, and what kinds make it of; compares nothing.
 
-A new kind that measures one of them gets an entry in `OFFERS`, and is compared with all others from then on.
+Each kind has a function `offers` in its own room, named in its record: a new kind that measures a quantity of another
+one is compared with all others from then on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot
+from math import hypot, nan
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
+from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.base.kind import Kind
 
-STEPS, STATIC, SINES, HELD, ISOBARIC = (
-    "contraction-relaxation", "static-load", "sinusoidal-displacement", "isometric-pressurisation", "isobaric-ramp",
-)  # fmt: skip
-PRIMARY = {
-    STEPS: "measured-pressure",
-    STATIC: "static-mean",
-    SINES: "sine-harmonic",
-    HELD: "isometric-sections",
-    ISOBARIC: "mean-curve",
-}
-"""Kind of test -> the method that is compared."""
-WORDS = {
-    STATIC: "static load",
-    SINES: "sine",
-    HELD: "isometric",
-    ISOBARIC: "isobaric",
-    STEPS: "contraction",
-}
-"""Kind of test -> its name in a comparison; the order is that of naming."""
-ASKED = {"joint": "joint fit", "output-error": "output-error fit"}
-"""Further methods of contraction tests, which are there only where somebody asked for them, in words."""
-PAPER = "contraction-relaxation-paper-1"
-"""Kind of contraction tests whose protocol asks for paper 1's way; its first method is the one that it names."""
-PAPER_WORDS = "paper 1's way"
 SAME = 1e-6
 """Contractions nearer to each other are one [m]."""
-STRAIGHT = 0.02
-"""Rms of a mean curve about a straight line, as a share of its range, up to which it counts as one."""
 Place = tuple[float, float | None]
-"""Pressure [Pa] and contraction [m]; None for what does not depend on it."""
+"""Pressure [Pa] and contraction [m]; None for what does not depend on it, NaN for what belongs to no pressure."""
+ANYWHERE: Place = (nan, None)
+"""Of what holds for the whole campaign."""
 At = Callable[[Place], Estimate | None]
 Points = Mapping[Place, Estimate]
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A quantity as one test knows it: at places of its own, and as a function wherever it has one."""
+    """A quantity as one test knows it: at its own places, and as a function wherever it has one."""
 
     symbol: str
-    """`F`: the mean pull of both directions at rest; K, B: the mean of both directions, F_c."""
-    kind: str
-    words: str
-    """Of the method, where it is not the primary one."""
+    """`F`: the mean pull of both directions at rest; `x`: contraction without load; K, B: of both directions; F_c."""
     points: Points
     at: At
     """The value there; None outside of what the test knows."""
+    words: str = ""
+    """Of the method, where it is not the primary one."""
+    side: int = 0
+    """1: what others measure is at most this, -1: at least this; 0: it is this."""
+    bent: bool = False
+    """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
+    rubs: bool = False
+    """Whether friction may be in it, to a side that nothing tells: a muscle that is held came there from somewhere."""
+    why: str = ""
+    """Why it may differ to that side: a sentence."""
+    test: str = ""
+    """`Kind.word` of the test, which `offers_of` adds."""
 
 
-def offers_of(analysis: Analysis) -> list[Offer]:
-    """All that one analysis offers."""
-    maker = OFFERS.get(analysis.kind)
-    return [] if maker is None else list(maker(analysis))
+def offers_of(analysis: Analysis, kind: Kind | None) -> list[Offer]:
+    """All that one analysis of a kind offers."""
+    found = kind.part("offers")(analysis) if kind is not None and kind.offers else ()
+    return [replace(offer, test=kind.word) for offer in found] if kind is not None else []
 
 
-def values(analysis: Analysis, symbol: str, method: str) -> list[Estimate]:
+def values_of(analysis: Analysis, symbol: str, method: str) -> list[Estimate]:
     """The values of a method at set pressures, without those of single frequencies or terms of curves."""
     return [
         e
@@ -78,33 +65,80 @@ def values(analysis: Analysis, symbol: str, method: str) -> list[Estimate]:
 
 
 def at_pressures(analysis: Analysis, symbol: str, method: str) -> dict[float, Estimate]:
-    """The same by pressure [Pa]; B of steps is the mean of both directions, which is what a closed motion sees."""
-    if symbol != "B" or analysis.kind != STEPS:
-        return {e.at["pressure"]: e for e in values(analysis, symbol, method)}
-    contracting, relaxing = (at_pressures(analysis, one, method) for one in ("B_c", "B_r"))
-    both = {P: (one, relaxing[P]) for P, one in contracting.items() if P in relaxing}
-    return {P: _combined([(one, 0.5), (two, 0.5)], "B") for P, (one, two) in both.items()}
+    """The same by pressure [Pa]."""
+    return {e.at["pressure"]: e for e in values_of(analysis, symbol, method)}
 
 
-def on_line(known: Mapping[float, Estimate], P: float) -> Estimate | None:
-    """F_ce of static load at P [Pa], a straight line there, so between its points too; None outside of them.
+def everywhere(symbol: str, known: Mapping[float, Estimate], words: str = "") -> Offer:
+    """An offer at pressures [Pa], at any contraction."""
+    return Offer(symbol, {(P, None): e for P, e in known.items()}, lambda place: known.get(place[0]), words)
 
-    The half width between two points is at most what those of the ends are there.
-    """
-    if P in known:
-        return known[P]
-    low, high = (max((p for p in known if p < P), default=None), min((p for p in known if p > P), default=None))
-    if low is None or high is None:
+
+def anywhere(symbol: str, known: Estimate, words: str = "") -> Offer:
+    """An offer of one value for the whole campaign."""
+    return Offer(symbol, {ANYWHERE: known}, lambda place: known, words)
+
+
+def exactly(symbol: str, points: Points, words: str = "") -> Offer:
+    """An offer at its places alone; one without a contraction is met at any."""
+
+    def at(place: Place) -> Estimate | None:
+        P, x = place
+        for (P_here, x_here), estimate in points.items():
+            if P_here == P and (x_here is None or x is None or abs(x_here - x) <= SAME):
+                return estimate
         return None
-    share = (P - low) / (high - low)
-    one, two = known[low], known[high]
-    halves = [half for half in (one.parts.combined, two.parts.combined) if half is not None]
-    half = (1 - share) * halves[0] + share * halves[1] if len(halves) == 2 else None
+
+    return Offer(symbol, points, at, words)
+
+
+def straight(
+    F_ce: Mapping[float, Estimate], K: Mapping[float, Estimate], furthest: Callable[[float], float], words: str = ""
+) -> Offer:
+    """F_ce - K x [N] at its pressures [Pa], from x = 0 to the `furthest` contraction [m] that was tested at each."""
+
+    def at(place: Place) -> Estimate | None:
+        P, x = place
+        force, stiffness = F_ce.get(P), K.get(P)
+        if x is None or force is None or (abs(x) > SAME and not 0 <= x <= furthest(P) + SAME):
+            return None
+        if abs(x) <= SAME:
+            return force
+        return None if stiffness is None else weighted([(force, 1.0), (stiffness, -x)], "F")
+
+    return Offer("F", {(P, 0.0): e for P, e in F_ce.items()}, at, words)
+
+
+def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = False) -> Estimate | None:
+    """A value on the straight line between the neighbours of `at` in `known`, which rises; None outside of them.
+
+    The half width there is at most what those of the neighbours are. Of what may be `bent` between them, even sharply
+    as at the end of a dead band, the method part is how far the next straight piece, continued, is from that line.
+    """
+    places = np.array([place for place, _ in known])
+    if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
+        return known[0][1] if len(known) and abs(places[0] - at) <= SAME else None
+    i = int(np.clip(np.searchsorted(places, at), 1, len(known) - 1))
+    (low, one), (high, two) = known[i - 1 : i + 1]
+    share = (at - low) / (high - low)
+    if not 0 < share < 1:
+        return one if share <= 0 else two
     value = (1 - share) * (one.value or 0.0) + share * (two.value or 0.0)
-    return replace(one, value=value, at={"pressure": P}, parts=Parts(repeats=half))
+    pieces = [pair for pair in (known[max(0, i - 2) : i], known[i : i + 2]) if bent and len(pair) == 2]
+    off = min((abs(_along(pair, at) - value) for pair in pieces), default=None if bent else 0.0)
+    halves = [e.parts.combined for e in (one, two)]
+    whole = None not in halves and off is not None
+    half = (1 - share) * (halves[0] or 0.0) + share * (halves[1] or 0.0) if whole else None
+    return replace(one, value=value, parts=Parts(repeats=half, method=off), n=min(one.n, two.n))
 
 
-def _combined(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
+def _along(pair: Sequence[tuple[float, Estimate]], at: float) -> float:
+    """The straight line through two points, at another place."""
+    (low, one), (high, two) = pair
+    return (one.value or 0.0) + ((two.value or 0.0) - (one.value or 0.0)) * (at - low) / (high - low)
+
+
+def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
     """A sum of estimates with weights, otherwise like the first; parts add as squares, as if independent."""
     parts: dict[str, float | None] = {}
     for name in vars(Parts()):
@@ -116,140 +150,3 @@ def _combined(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
     n = min(e.n for e, _ in pairs)
     found = Parts(**{name: half for name, half in parts.items() if half is not None})
     return replace(pairs[0][0], symbol=symbol, value=value, parts=found, n=n)
-
-
-def _exactly(points: Points) -> At:
-    """Only at the places themselves."""
-
-    def at(place: Place) -> Estimate | None:
-        P, x = place
-        for (P_here, x_here), estimate in points.items():
-            if P_here == P and (x_here is None or x is None or abs(x_here - x) <= SAME):
-                return estimate
-        return None
-
-    return at
-
-
-def _everywhere(known: Mapping[float, Estimate]) -> At:
-    """At its pressures, at any contraction."""
-    return lambda place: known.get(place[0])
-
-
-def _straight(F_ce: Mapping[float, Estimate], K: Mapping[float, Estimate], furthest: float = np.inf) -> At:
-    """F_ce - K x [N] at its pressures, as far as the muscle pulls and to `furthest` [m]."""
-
-    def at(place: Place) -> Estimate | None:
-        P, x = place
-        force, stiffness = F_ce.get(P), K.get(P)
-        if x is None or force is None or not -SAME <= x <= furthest + SAME:
-            return None
-        if abs(x) <= SAME:
-            return force
-        if stiffness is None or (force.value or 0.0) - (stiffness.value or 0.0) * x < 0:
-            return None
-        return _combined([(force, 1.0), (stiffness, -x)], "F")
-
-    return at
-
-
-def _of_steps(analysis: Analysis) -> Iterator[Offer]:
-    methods = {PRIMARY[STEPS]: ""} | {m: w for m, w in ASKED.items() if m in {e.method for e in analysis.estimates}}
-    for method, words in methods.items():
-        F_ce, K, B = (at_pressures(analysis, symbol, method) for symbol in ("F_ce", "K", "B"))
-        yield Offer("F", STEPS, words, {(P, 0.0): e for P, e in F_ce.items()}, _straight(F_ce, K))
-        for symbol, known in (("K", K), ("B", B)):
-            yield Offer(symbol, STEPS, words, {(P, None): e for P, e in known.items()}, _everywhere(known))
-        friction = next((e for e in analysis.estimates if (e.symbol, e.method) == ("F_c", method)), None)
-        if friction is not None and friction.value is not None and not friction.at:
-            yield Offer("F_c", STEPS, words, {}, lambda place, e=friction: e)  # type: ignore[misc]
-
-
-def _of_paper(analysis: Analysis) -> Iterator[Offer]:
-    first = next((e.method for e in analysis.estimates if e.symbol == "K"), "")
-    known = at_pressures(analysis, "K", first)
-    yield Offer("K", STEPS, PAPER_WORDS, {(P, None): e for P, e in known.items()}, _everywhere(known))
-
-
-def _of_static(analysis: Analysis) -> Iterator[Offer]:
-    known = at_pressures(analysis, "F_ce", PRIMARY[STATIC])
-
-    def at(place: Place) -> Estimate | None:
-        return on_line(known, place[0]) if place[1] is not None and abs(place[1]) <= SAME else None
-
-    yield Offer("F", STATIC, "", {(P, 0.0): e for P, e in known.items()}, at)
-
-
-def _of_sines(analysis: Analysis) -> Iterator[Offer]:
-    for symbol in ("K", "B", "F_c"):
-        for e in values(analysis, symbol, PRIMARY[SINES]):
-            points: Points = {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e}
-            yield Offer(symbol, SINES, "", points, _exactly(points))
-    for symbol in ("F_ce", "F"):
-        for e in values(analysis, symbol, "sine-mean"):
-            points = {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e}
-            yield Offer("F", SINES, "", points, _exactly(points))
-
-
-def _of_held(analysis: Analysis) -> Iterator[Offer]:
-    F_ce, K = (at_pressures(analysis, symbol, PRIMARY[HELD]) for symbol in ("F_ce", "K"))
-    furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
-    yield Offer("F", HELD, "", {(P, 0.0): e for P, e in F_ce.items()}, _straight(F_ce, K, furthest))
-    yield Offer("K", HELD, "", {(P, None): e for P, e in K.items()}, _everywhere(K))
-    blocked: Points = {(e.at["pressure"], 0.0): e for e in values(analysis, "F_b", "blocked")}
-    yield Offer("F", HELD, "blocked", blocked, _exactly(blocked))
-
-
-def _of_ramps(analysis: Analysis) -> Iterator[Offer]:
-    local = values(analysis, "F", "mean-curve, local")
-    for trace in analysis.traces:
-        if trace.figure == "mean-curve" and "pressure" in trace.marks:
-            mine = [e for e in local if e.at["pressure"] == trace.marks["pressure"]]
-            if mine:
-                yield _along(trace, sorted(mine, key=lambda e: e.at["contraction"]))
-            if _is_straight(trace):
-                every, P_here = at_pressures(analysis, "K", PRIMARY[ISOBARIC]), trace.marks["pressure"]
-                known = {P: e for P, e in every.items() if P == P_here}
-                yield Offer("K", ISOBARIC, "", {(P, None): e for P, e in known.items()}, _everywhere(known))
-    for symbol in ("B", "F_c"):
-        known = at_pressures(analysis, symbol, "loop-gap")
-        yield Offer(symbol, ISOBARIC, "", {(P, None): e for P, e in known.items()}, _everywhere(known))
-
-
-def _along(trace: Trace, local: list[Estimate]) -> Offer:
-    """The mean curve between the first and the last place where its force has an interval."""
-    P = trace.marks["pressure"]
-    places = np.array([e.at["contraction"] for e in local])
-    halves = np.array([e.parts.combined or np.nan for e in local])
-
-    def at(place: Place) -> Estimate | None:
-        if place[1] is None or place[0] != P or not places[0] - SAME <= place[1] <= places[-1] + SAME:
-            return None
-        value = float(np.interp(place[1], trace.columns["displacement"], trace.columns["force"]))
-        half = float(np.interp(place[1], places, halves))
-        near = local[int(np.argmin(np.abs(places - place[1])))]
-        return replace(near, value=value, parts=Parts() if np.isnan(half) else _scaled(near.parts, half))
-
-    return Offer("F", ISOBARIC, "", {(P, e.at["contraction"]): e for e in local}, at)
-
-
-def _scaled(parts: Parts, half: float) -> Parts:
-    """The parts with a combined half width of `half`."""
-    factor = half / (parts.combined or half)
-    return Parts(*(None if part is None else part * factor for part in vars(parts).values()))  # type: ignore[arg-type]
-
-
-def _is_straight(trace: Trace) -> bool:
-    x, F = trace.columns["displacement"], trace.columns["force"]
-    return len(x) > 2 and float(np.std(F - np.polyval(np.polyfit(x, F, 1), x))) <= STRAIGHT * float(np.ptp(F))
-
-
-OFFERS: Mapping[str, Callable[[Analysis], Iterator[Offer]]] = {
-    STEPS: _of_steps,
-    PAPER: _of_paper,
-    STATIC: _of_static,
-    SINES: _of_sines,
-    HELD: _of_held,
-    ISOBARIC: _of_ramps,
-}
-"""Kind of test -> what it offers."""

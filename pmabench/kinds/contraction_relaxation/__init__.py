@@ -7,6 +7,7 @@
   trials run freely: `free_run`; what speaks for the fit: `checks`
 - where asked for: chosen forms over pressure in `joint_forms`, `joint_fit`, `forms`; output error in `polish`,
   `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
+- what it says of quantities that other tests measure, too: `offers`
 - by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
@@ -16,25 +17,25 @@ from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
-    Result("t_d", "dead time", "time", plot="Dead times t_d"),
-    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency"),
-    Result("tau_P", "rise time of the pressure", "time"),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
+    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency", positive=True),
+    Result("tau_P", "rise time of the pressure", "time", positive=True),
 )
 PAPER_1_RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping"),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping"),
-    Result("F_c", "Coulomb friction", "force", headline=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants"),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants"),
-    Result("t_d", "dead time", "time", plot="Dead times t_d"),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
+    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
+    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
+    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
+    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
     Result("accuracy", "agreement of model and test at rest", "ratio", plot="Accuracy of the closed form at rest"),
     Result("misfit", "residual of the model over time", "length", plot="Residual of the closed form, rms over time"),
 )
@@ -108,6 +109,8 @@ PAPER_1 = Kind(
     papers=("paper 1, section 3",),
     moves="displacement",
     compares="displacement",
+    word="contraction",
+    offers="pmabench.kinds.contraction_relaxation.offers:by_paper_1",
     figures={
         "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
     },
@@ -126,6 +129,10 @@ KIND = Kind(
     live="pmabench.kinds.contraction_relaxation.live:measure",
     moves="displacement",
     compares="displacement",
+    repeated="pmabench.analysis.shared.reference:stroke_of",
+    repeated_is="stroke",
+    word="contraction",
+    offers="pmabench.kinds.contraction_relaxation.offers:offers",
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
     parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},

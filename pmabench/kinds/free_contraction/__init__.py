@@ -35,6 +35,10 @@ KIND = Kind(
     live="pmabench.kinds.free_contraction.live:measure",
     moves="displacement",
     compares="displacement",
+    repeated="pmabench.kinds.free_contraction.reduction:contraction_of",
+    repeated_is="contraction",
+    word="free contraction",
+    offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,
     figures={
         "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",

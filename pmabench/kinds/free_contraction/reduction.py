@@ -5,9 +5,10 @@ Knows the samples at rest of each trial; words and figure are in `view`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.rest import Held, Left, left
 from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.analysis.verdict.offers import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS, view
 from pmabench.model.library import MODELS
@@ -45,6 +47,8 @@ FURTHEST = 3.0
 """Errors by which a length may be off the sigmoid."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
+UNEQUAL = 0.25
+"""Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +152,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
+            "measured": [point.pressure for point in points],
             "trials": sum(len(point.rests) for point in points),
             "pressures": len(points),
             "residual_rms": None if fit is None else fit.residual_rms,
@@ -389,3 +394,36 @@ def _coefficients(fit: ModelFit | None, why: str, other: str, shifted: Mapping[s
 
 def _of(fit: ModelFit, name: str) -> float:
     return next(unknown.value for unknown in fit.unknowns if unknown.name == name)
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """x, the contraction without load, at the measured pressures and between them.
+
+    Where it was reached from both sides, friction drops out of their mean once both have moved: a muscle that has
+    contracted by no more than the friction is worth still rests where it began.
+    """
+    by = {symbol: [e for e in analysis.estimates if (e.symbol, e.method) == (symbol, FREE)] for symbol in ("L", "x_H")}
+    length, widths = analysis.facts.get("nominal_length"), [abs(e.value or 0.0) for e in by["x_H"]]
+    widest = max(widths, default=0.0)
+    known = [
+        (P, replace(e, symbol="x", value=length - e.value, parts=_wider(e.parts, UNEQUAL * widest / 2)))
+        for P, e in zip(analysis.facts.get("measured", ()), by["L"], strict=False)
+        if length and e.value is not None and length - e.value > 1.5 * widest
+    ]
+    if not (np.diff([P for P, _ in known]) > 0).all():
+        return
+
+    def at(place: Place) -> Estimate | None:
+        return between(known, place[0], bent=True)
+
+    why = "" if widths else "it was reached from one side only, and friction keeps it short of its rest"
+    yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if widths else -1, why=why)
+
+
+def _wider(parts: Parts, by: float) -> Parts:
+    return replace(parts, method=hypot(parts.method or 0.0, by))
+
+
+def contraction_of(run: RunData, trial: TrialData) -> float:
+    """Contraction of one trial at rest without load [m]; raises `NotUsable`."""
+    return measure(run, trial).x

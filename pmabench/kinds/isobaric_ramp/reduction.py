@@ -6,17 +6,22 @@ rubber's force is fitted in `rubber`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import hypot
 from typing import Any
+
+import numpy as np
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.ramp_loop import measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.verdict.offers import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, Cell, Member
+from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member
 from pmabench.kinds.isobaric_ramp.rubber import rubber
 from pmabench.store.records import RunData
 
@@ -24,6 +29,8 @@ KIND = "isobaric-ramp"
 CHANNELS = ("displacement", "force")
 UNPRESSED = 1.0
 """Set pressure up to which a loop is of the rubber alone [Pa]."""
+STRAIGHT = 0.02
+"""Rms of a mean curve about a straight line, as a share of its range, up to which it counts as one."""
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -124,8 +131,63 @@ def _sentences(cells: Sequence[Cell]) -> list[Finding]:
     if not cells:
         return []
     gaps = ", ".join(f"{show(cell.gap.start, 'force', 3)} at {show(cell.pressure, 'pressure')}" for cell in cells)
-    told = [Finding("note", f"the contracting branch is the lower one; gap at mid stroke {gaps}")]
+    found = [Finding("note", f"the contracting branch is the lower one; gap at mid stroke {gaps}")]
     if bent := [show(cell.pressure, "pressure") for cell in cells if cell.bent]:
         text = f"at {', '.join(bent)} the mean curve is bent: K by pressure alone is a mean over the stroke"
-        told.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
-    return told
+        found.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
+    return found
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F along the mean curves, K of those that are straight and along those that are bent, B, F_c."""
+    K = at_pressures(analysis, "K", CURVE)
+    for trace in analysis.traces:
+        P = trace.marks.get("pressure")
+        if trace.figure == "mean-curve" and P is not None:
+            F_here, K_here = (
+                sorted(((e.at["contraction"], e) for e in values_of(analysis, symbol, LOCAL) if e.at["pressure"] == P),
+                       key=lambda one: one[0]) for symbol in ("F", "K")
+            )  # fmt: skip
+            if F_here:
+                yield _along(P, F_here, trace)
+            if P in K and _is_straight(trace):
+                yield _of_stroke(P, K[P], trace)
+            elif K_here:
+                yield _along(P, K_here)
+    yield from (everywhere(symbol, at_pressures(analysis, symbol, GAP)) for symbol in ("B", "F_c"))
+
+
+def _along(P: float, known: Sequence[tuple[float, Estimate]], course: Trace | None = None) -> Offer:
+    """F along the mean curve of a pressure [Pa], `course`, with an interval between those of its places; K, of places.
+
+    Between the places K is taken as a bent curve.
+    """
+
+    def at(place: Place) -> Estimate | None:
+        x = place[1]
+        found = None if place[0] != P or x is None else between(known, x, bent=course is None)
+        if found is None or course is None or x is None:
+            return found
+        return replace(found, value=float(np.interp(x, course.columns["displacement"], course.columns["force"])))
+
+    return Offer(known[0][1].symbol, {(P, x): e for x, e in known}, at, bent=course is None)
+
+
+def _of_stroke(P: float, K: Estimate, course: Trace) -> Offer:
+    """K of a straight mean curve: that at its middle, and elsewhere as far off as a parabola through it says."""
+    x, F = course.columns["displacement"], course.columns["force"]
+    bend = 2 * abs(float(np.polyfit(x, F, 2)[0]))
+
+    def at(place: Place) -> Estimate | None:
+        there = place[1]
+        if place[0] != P or (there is not None and not x[0] <= there <= x[-1]):
+            return None
+        off = 0.0 if there is None else bend * abs(there - float(x.mean()))
+        return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, off)))
+
+    return Offer("K", {(P, None): K}, at)
+
+
+def _is_straight(trace: Trace) -> bool:
+    x, F = trace.columns["displacement"], trace.columns["force"]
+    return len(x) > 2 and float(np.std(F - np.polyval(np.polyfit(x, F, 1), x))) <= STRAIGHT * float(np.ptp(F))

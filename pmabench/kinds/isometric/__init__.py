@@ -17,6 +17,8 @@ PULL = Kind(
     order=131,
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
+    word="recorded pull",
+    offers="pmabench.kinds.isometric.reduction:offers",
     figures={
         "isometric": "pmabench.plotting.isometric:lines",
     },
@@ -35,6 +37,8 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
+    word="recorded isometric",
+    offers="pmabench.kinds.isometric.reduction:offers",
     also=(PULL,),
     figures={
         "isometric": "pmabench.plotting.isometric:lines",

@@ -5,14 +5,14 @@ Knows trials with pressure and force at a set contraction; not where they come f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.isometric_lines import (
     FEWEST,
@@ -23,10 +23,12 @@ from pmabench.analysis.shared.isometric_lines import (
     Used,
     branches,
     estimates_of,
+    forces_of,
     pool,
     tests_of,
 )
 from pmabench.analysis.shared.sessions import ONE_SESSION, session_of
+from pmabench.analysis.verdict.offers import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
 from pmabench.store.records import RunData
@@ -88,6 +90,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
                 "samples": line.n,
                 "r2": line.r2,
                 "residual_rms": line.rms,
+                "forces": forces_of(first, tests, [*lines, first.mean]),
                 "slopes_of_tests": {name: one.m for name, one in zip(first.names, first.each, strict=True)},
                 "slopes_of_phases": by_phase,
                 "slopes_above": {f"{threshold:g}": pooled.line.m for threshold, pooled in sorted(fits.items())},
@@ -138,13 +141,13 @@ def _sentences(
     slopes = {threshold: pooled.line.m for threshold, pooled in sorted(fits.items())}
     lines = []
     if len(slopes) > 1:
-        told = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
+        others = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
         change = (max(slopes.values()) - min(slopes.values())) / abs(slopes[above])
         level = "doubt" if change > SENSITIVE else "note"
-        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {told}"))
+        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {others}"))
     if len(by_phase) > 1:
-        told = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
-        text = f"{where}: slope of each branch alone {told}"
+        others = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
+        text = f"{where}: slope of each branch alone {others}"
         if not min(by_phase.values()) <= slopes[above] <= max(by_phase.values()):
             text += "; the line through both lies outside these, for they are apart and not evenly sampled"
         lines.append(Finding("note", text))
@@ -174,3 +177,25 @@ def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) 
             "high": line.high,
         },
     )
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F along each line, where both directions or what was not told apart are in it."""
+    if len((analysis.facts.get("rule") or {}).get("phases") or ()) == 1:
+        return
+    for cell in analysis.facts.get("cells", ()):
+        x = cell["contraction"]
+        like = next(e for e in analysis.estimates if e.symbol == "m" and e.at["contraction"] == x)
+        if like.value is not None:
+            yield _along(x, like, cell.get("forces", ()))
+
+
+def _along(x: float, like: Estimate, rows: Sequence[Sequence[float]]) -> Offer:
+    """F at one contraction [m], between the first and the last pressure of `rows`, as `forces_of` makes them."""
+    F = replace(like, symbol="F", unit="N", quantity="force", coordinate="")
+    known = [(P, replace(F, value=value, parts=Parts(*parts))) for P, value, *parts in rows]
+
+    def at(place: Place) -> Estimate | None:
+        return between(known, place[0]) if place[1] is not None and abs(place[1] - x) <= SAME else None
+
+    return Offer("F", {(P, x): e for P, e in known}, at, rubs=True)

@@ -1,7 +1,7 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
 - `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
-  `blocked_force`; words and figures: `view`
+  `blocked_force`; whether the tests have the form that is assumed: `form`; words and figures: `view`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
@@ -11,8 +11,8 @@ from pmabench.base.kind import Kind, Result
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
     Result("F_b", "blocked force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("F_f", "friction, half the difference of both directions", "force"),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("F_f", "friction, half the difference of both directions", "force", positive=True),
     Result("H", "loop width", "force"),
     Result("F", "force", "force"),
     Result("m", "slope of force over pressure", "force per pressure", headline=True),
@@ -66,6 +66,10 @@ KIND = Kind(
     live="pmabench.kinds.isometric_pressurisation.live:measure",
     moves="force",
     compares="force",
+    repeated="pmabench.kinds.isometric_pressurisation.curve:largest_force",
+    repeated_is="largest force",
+    word="isometric",
+    offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,
     figures={
         "isometric": "pmabench.plotting.isometric:lines",

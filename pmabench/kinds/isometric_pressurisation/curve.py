@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.shared.isometric_lines import Mask, Test, ends
+from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends
 from pmabench.analysis.shared.onset import onset
-from pmabench.store.records import Array, TrialData
+from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
 BINS = 50
@@ -149,3 +149,9 @@ def _at(t: Array, P: Array, moment: float | None) -> float | None:
     if np.count_nonzero(near) < 3:
         return float(np.interp(moment, t, P))
     return float(np.polyfit(t[near] - moment, P[near], 1)[1])
+
+
+def largest_force(run: RunData, trial: TrialData) -> float | None:
+    """Largest force of a muscle held at one length [N]; None where nothing is usable."""
+    test, _ = as_test(run, trial, PHASES)
+    return float(test.F.max()) if test is not None and len(test.F) else None

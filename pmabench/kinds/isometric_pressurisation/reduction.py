@@ -6,7 +6,7 @@ contractions say at one pressure from `sections`; words, figures in `view`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
@@ -27,6 +27,7 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
+from pmabench.analysis.verdict.offers import Offer, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, blocked_force, daerden, view
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
@@ -160,7 +161,7 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
     turned, scatter = _turned(found.cells), scatter_of(found.cells)
     largest = {cell.contraction: float(np.nanmax(np.abs(cell.mean.force))) for cell in found.cells}
-    told = []
+    judged = []
     for e in found.estimates:
         if e.symbol == "H" and np.isfinite(delay):
             doubts[_key(e)].append(_late(e, found.cells, delay, error))
@@ -170,8 +171,8 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
-        told.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
-    return told
+        judged.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
+    return judged
 
 
 def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
@@ -380,9 +381,9 @@ def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) 
             value = float(getattr(one, name))
             # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
             gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
-            told = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
+            text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
             why = "S(eps) has another form" if one.other_form else "not told apart from the others"
-            note = f"{why}: {told}" if is_open else ""
+            note = f"{why}: {text}" if is_open else ""
             parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
             n = len(one.slopes.S)
             found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
@@ -406,3 +407,25 @@ def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimat
     parts = Parts(repeats=spread(force.repeats), calibration=scale)
     note = "" if len(force.repeats) > 1 else "no repeats part: one repeat only"
     return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F between the contractions that were tested, K, the blocked force; where the force begins as x without load."""
+    F_ce, K = (at_pressures(analysis, symbol, SECTIONS) for symbol in ("F_ce", "K"))
+    furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
+    yield straight(F_ce, K, lambda P: furthest)
+    yield everywhere("K", K)
+    yield exactly(
+        "F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", blocked_force.METHOD)}, "blocked"
+    )
+    begun = [(e, e.value) for e in analysis.estimates if (e.symbol, e.method) == ("p_0", THRESHOLD) and e.value]
+    pressures = [P for _, P in begun]
+    if len(begun) > 1 and (np.diff(pressures) > 0).all():
+        over = np.gradient([e.at["contraction"] for e, _ in begun], pressures)
+        yield exactly("x", {(P, None): _without_load(e, slope) for (e, P), slope in zip(begun, over, strict=True)})
+
+
+def _without_load(p_0: Estimate, slope: float) -> Estimate:
+    """The contraction at which a muscle at the pressure p_0 has no force: that of the test [m]; `slope` in m/Pa."""
+    halves = {name: half and abs(slope) * half for name, half in vars(p_0.parts).items()}
+    return replace(p_0, symbol="x", value=p_0.at["contraction"], unit="m", quantity="length", parts=Parts(**halves))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
+from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Gain, Length, Pressure, Time
+from pmabench.model.rules import registry as rules
 from pmabench.protocol.common import Compilation
 from pmabench.protocol.reference_model import read_folder
 
@@ -69,6 +72,13 @@ GainsFile = Annotated[
 ]
 
 
+def _known_rule(name: str) -> str:
+    known = dict.fromkeys(rule.name for rule in rules.all_rules())
+    if name not in known:
+        raise ValueError(f'unknown tuning rule "{name}"{did_you_mean(name, known)}')
+    return name
+
+
 class Controller(Strict):
     """A P, PI or PID controller in ideal form.
 
@@ -79,8 +89,8 @@ class Controller(Strict):
 
     form: Literal["P", "PI", "PID"]
     gains: GainsFile
-    rule: Literal["Ziegler-Nichols", "Tyreus-Luyben", "SIMC"] = "Ziegler-Nichols"
-    """SIMC is for PI and PID; it needs the dead time and the lags of the loop."""
+    rule: Annotated[str, AfterValidator(_known_rule)] = "Ziegler-Nichols"
+    """A tuning rule as `pmabench tune` lists them; SIMC needs the dead time and the lags of the loop."""
     filter: Annotated[float, Field(ge=1, le=1000)] = 10.0
     """N, ratio of T_d to the lag of the derivative's filter."""
     anti_windup: Literal["back-calculation", "clamping"] = "back-calculation"
@@ -149,19 +159,19 @@ def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Loca
         if not c.problems:
             c.fault((*place, "gains"), 'the protocol has no "model"; give one, or other gains')
         return None
-    told = Described.of(model)
-    if told.air is not None:
+    known = Described.of(model)
+    if known.air is not None:
         c.fault(
             (*place, "gains"),
-            f"the model, {told.source}, has air that its regulator has to move, which makes no loop of lags alone; "
+            f"the model, {known.source}, has air that its regulator has to move, which makes no loop of lags alone; "
             'give a "model.regulator" in its place, or take an analysis of relays or steps',
         )
         return None
-    if told.regulator.dead_time or told.regulator.lag or told.regulator.natural_frequency:
-        return told
+    if known.regulator.dead_time or known.regulator.lag or known.regulator.natural_frequency:
+        return known
     c.fault(
         (*place, "gains"),
-        f"the model, {told.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
+        f"the model, {known.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
         '"model.regulator: {dead_time: 40 ms, lag: 95 ms}"',
     )
     return None
@@ -207,32 +217,25 @@ def _told_loop(c: Compilation, given: Ultimate, place: Location) -> Loop | None:
 def _by_rule(
     c: Compilation, controller: Controller, K_u: float, T_u: float, loop: Loop | None, place: Location
 ) -> Settings | None:
-    from pmabench.analysis.tuning import LOOP_RULES, RULES
-    from pmabench.model.simc import simc
-
-    named = (controller.rule, controller.form)
-    if named in {(r.name, r.form) for r in LOOP_RULES}:
-        if loop is None:
-            c.fault(
-                place,
-                f"{controller.rule} needs the dead time and the lags of the loop: give them beside K_u and T_u "
-                '("dead_time: 41 ms, lags: [95 ms, 0.27 s]"), or "gains: model" and a "model", or an analysis of '
-                "relays or steps",
-            )
-            return None
-        try:
-            found = simc(loop, controller.form)
-        except ValueError as error:
-            c.fault(place, str(error))
-            return None
-        return {"K_p": found.K_p, "T_i": found.T_i} | ({"T_d": found.T_d} if controller.form == "PID" else {})
-    rule = next((r for r in RULES if (r.name, r.form) == named), None)
+    rule = rules.find(controller.rule, controller.form)
     if rule is None:
         c.fault(place, f"{controller.rule} has no rule for a {controller.form} controller")
         return None
-    made = {"K_p": rule.gain * K_u}
-    made |= {"T_i": rule.integral * T_u} if rule.integral is not None else {}
-    return made | ({"T_d": rule.derivative * T_u} if rule.derivative is not None else {})
+    if rule.from_loop and loop is None:
+        c.fault(
+            place,
+            f"{controller.rule} needs the dead time and the lags of the loop: give them with K_u and T_u "
+            '("dead_time: 41 ms, lags: [95 ms, 0.27 s]"), or "gains: model" and a "model", or an analysis of '
+            "relays or steps",
+        )
+        return None
+    try:
+        found = rule.settings(K_u, T_u, loop)
+    except ValueError as error:
+        c.fault(place, str(error))
+        return None
+    integral = {"T_i": found.T_i} if isfinite(found.T_i) else {}
+    return {"K_p": found.K_p} | integral | ({"T_d": found.T_d} if controller.form == "PID" else {})
 
 
 def _measured(c: Compilation, controller: Controller, folder: str, place: Location) -> list[tuple[float, Settings]]:

@@ -14,7 +14,7 @@ RESULTS = (
     Result("H", "width of the loop of contraction over pressure", "length", headline=True),
     Result("P/P_set", "pressure per commanded pressure", "ratio", headline=True),
     Result("phi_P", "phase of pressure after its command", "angle"),
-    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency", headline=True),
+    Result("f_b", "bandwidth under commanded pressure, −3 dB", "frequency", headline=True, positive=True),
 )
 METHODS = {
     "bandwidth, by sines of command": (

@@ -7,10 +7,10 @@ from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K", "stiffness", "stiffness", headline=True),
-    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping"),
-    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d"),
-    Result("tau_P", "rise time of the pressure", "time", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d", positive=True),
+    Result("tau_P", "rise time of the pressure", "time", headline=True, positive=True),
     Result("X", "stroke", "length", headline=True),
     Result("dP/dx", "pressure per contraction", "gain", headline=True),
 )
@@ -27,6 +27,8 @@ KIND = Kind(
     order=140,
     results=RESULTS,
     reduction="pmabench.kinds.recorded_step.reduction:reduce",
+    word="recorded step",
+    offers="pmabench.kinds.recorded_step.reduction:offers",
     methods=METHODS,
     figures={
         "overlay": "pmabench.plotting.motion:motions",

@@ -5,7 +5,7 @@ Knows trials with one command each and measured pressure and displacement; not w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from pmabench.analysis.shared.motion import nothing_moved
 from pmabench.analysis.shared.onset import LEAST, onset
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.student import mean_over, mean_with_half
+from pmabench.analysis.verdict.offers import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, SHOWN, Motion, extremes, fit_motion, lagged_motions
@@ -112,7 +113,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     [[least, most] in s] instead of what the record says.
     """
     options = options or {}
-    steps, dropped, told = measured(runs, options, measure)
+    steps, dropped, read_off = measured(runs, options, measure)
     groups: dict[tuple[float, ...], list[tuple[RunData, Step]]] = {}
     loads = len({_load(step) for _, step in steps}) > 1
     for run, step in steps:
@@ -124,12 +125,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options, () if told else (-UNTOLD, UNTOLD))
+        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD))
         findings += _sentences(at, [step for _, step in group])
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
-    if steps and not told:
+    if steps and not read_off:
         findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
     if any(e.symbol == "K" and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
@@ -394,3 +395,9 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": after, "load": point.get("load", 0.0)},
     )
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and B where the motion rings, at the pressure that the step ends at; each step for itself."""
+    for symbol in ("K", "B"):
+        yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))

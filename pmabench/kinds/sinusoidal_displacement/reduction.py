@@ -6,7 +6,7 @@ lines through those of one cell are in `fit`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import nan
 from typing import Any
 
@@ -17,6 +17,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.sine_loop import measure
+from pmabench.analysis.verdict.offers import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force, work
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
@@ -66,8 +67,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += fitted.findings(dict(key))
         findings += form.findings(dict(key))
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
-        told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
-        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if told >= {"K", "B", "F_c"} else None)
+        symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
+        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
@@ -183,3 +184,13 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
                     )
                 )
     return even, findings
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and F at the mean contraction of each cell, F_ce at x = 0, and B and F_c, which do not depend on it."""
+    for symbol in ("K", "B", "F_c"):
+        for e in values_of(analysis, symbol, HARMONIC):
+            yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
+    for symbol in ("F_ce", "F"):
+        for e in values_of(analysis, symbol, mean_force.METHOD):
+            yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})

@@ -9,7 +9,7 @@ from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
-    Result("F_f", "friction, half the difference of both directions", "force"),
+    Result("F_f", "friction, half the difference of both directions", "force", positive=True),
 )
 METHODS = {
     "static-mean": (
@@ -32,6 +32,12 @@ KIND = Kind(
     protocol="pmabench.kinds.static_load.protocol:StaticLoad",
     live="pmabench.kinds.static_load.live:measure",
     moves="displacement",
+    repeated="pmabench.kinds.static_load.points:mean_pressure",
+    repeated_is="pressure at which the load is lifted",
+    word="static load",
+    offers="pmabench.kinds.static_load.reduction:offers",
+    after="pmabench.kinds.static_load.break_away:option_of",
+    at_rest=True,
     methods=METHODS,
     figures={
         "static": "pmabench.kinds.static_load.figures:points",

@@ -14,16 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.verdict.offers import Offer
 from pmabench.store.records import Array, TrialData
 
-SOURCES = {
-    "contraction-relaxation": "measured-pressure",
-    "isobaric-ramp": "mean-curve",
-    "sinusoidal-displacement": "sine-harmonic",
-    "isometric-pressurisation": "isometric-sections",
-}
-"""Kind of test that tells K over pressure -> its method; the first that is there is taken."""
 SMOOTH = 0.1
 """Pressure and displacement are means over this time [s]: the ramps are slow, and the pressure has noise."""
 
@@ -51,19 +44,20 @@ class Stiffness:
         return float(np.interp(P, self.P, self.K)), float(np.interp(P, self.P, self.half))
 
 
-def option_of(analyses: Sequence[Analysis]) -> dict[str, Any]:
-    """The option `stiffness` of a static-load test from the other tests of its specimen; empty where none tells K."""
-    for kind, method in SOURCES.items():
-        points = {
-            e.at["pressure"]: (e.value, e.parts.combined or 0.0)
-            for analysis in analyses
-            for e in analysis.estimates
-            if analysis.kind == kind and (e.symbol, e.method, e.coordinate) == ("K", method, "")
-            and e.value is not None and "pressure" in e.at and not {"frequency", "contraction"} & e.at.keys()
-        }  # fmt: skip
-        if points:
-            return {"stiffness": {"from": kind, "points": [[P, *values] for P, values in sorted(points.items())]}}
-    return {}
+def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
+    """The option `stiffness` of a static-load test from the offers of other kinds of test; empty where none has K.
+
+    K is the one at x = 0 where a test has it there; of several tests that with the narrowest interval counts.
+    """
+    known = []
+    for kind, offers in others.items():
+        mine = [offer for offer in offers if (offer.symbol, offer.words, offer.side) == ("K", "", 0)]
+        found = {P: offer.at((P, 0.0)) or e for offer in mine for (P, _), e in offer.points.items()}
+        rows = [[P, e.value or 0.0, e.parts.combined or 0.0] for P, e in sorted(found.items())]
+        if rows:
+            share = max(half / abs(K) if K and half else np.inf for _, K, half in rows)
+            known.append((share, {"stiffness": {"from": kind, "points": rows}}))
+    return min(known, key=lambda one: one[0])[1] if known else {}
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Dropped
-from pmabench.store.records import Array, RunData
+from pmabench.store.records import Array, RunData, TrialData
 
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"
 PHASES = ("lift", "set-down")
@@ -61,3 +61,9 @@ def pressure_of(result: Mapping[str, Any]) -> float:
     """Pressure of a search's result [Pa]; nan where it found nothing."""
     value = result.get("pressure")
     return float(value) if result.get("found", True) and isinstance(value, int | float) else float("nan")
+
+
+def mean_pressure(run: RunData, trial: TrialData) -> float | None:
+    """Mean of the pressures at which a load lifts and sets down [Pa]; None where one was not found."""
+    known = [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
+    return sum(known) / 2 if np.isfinite(known).all() else None

@@ -5,7 +5,7 @@ Knows what the searches found; not how they were made, and not how the bench is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.verdict.offers import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, view
 from pmabench.kinds.static_load.break_away import Stiffness, carried
@@ -299,3 +300,19 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
 def _means(group: Array, values: Array) -> Array:
     """Mean of the values of each group."""
     return np.array([values[group == name].mean() for name in np.unique(group)])
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """F at x = 0, a line over pressure and so known between its points, and friction at rest, which F_c is below."""
+    known = at_pressures(analysis, "F_ce", MEAN)
+    line = sorted(known.items())
+
+    def at(place: Place) -> Estimate | None:
+        P, x = place
+        return between(line, P) if x is not None and abs(x) <= SAME else None
+
+    yield Offer("F", {(P, 0.0): e for P, e in line}, at)
+    why = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
+    for e in analysis.estimates:
+        if e.method == HALF and not e.at and e.value is not None:
+            yield replace(anywhere("F_c", e, "friction at rest"), side=1, why=why)

@@ -8,7 +8,7 @@ from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K", "stiffness", "stiffness", headline=True),
+    Result("K", "stiffness", "stiffness", headline=True, positive=True),
     Result("F", "force", "force", headline=True),
     Result("tau_F", "time constant of the force after a step", "time"),
     Result("tau_p", "time constant of the pressure after a step", "time"),
@@ -36,6 +36,10 @@ KIND = Kind(
     live="pmabench.kinds.step_displacement.live:measure",
     moves="displacement",
     compares="force",
+    repeated="pmabench.kinds.step_displacement.relaxation:stiffness_of",
+    repeated_is="stiffness",
+    word="step of displacement",
+    offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
     figures={
         "displacement-step": "pmabench.kinds.step_displacement.figures:steps",

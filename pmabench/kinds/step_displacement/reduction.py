@@ -5,8 +5,9 @@ Knows the samples. One trial is measured in `step_relaxation`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import hypot
 from typing import Any
 
@@ -20,6 +21,7 @@ from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.rest import Held, left
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.verdict.offers import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, measure
@@ -41,6 +43,9 @@ SEVERAL = 0.25
 SURE = 0.9995
 """Probability of Student's t beyond which a change from cycle to cycle is seen."""
 LONGEST_TRACE = 1500
+UNTURNED = 0.05
+"""Share of the friction between two rests that a small step may not have turned round yet."""
+RUBS = "friction between the two rests is in it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,3 +223,30 @@ def _trace(at: Mapping[str, float], member: _Member) -> Trace:
         {"t": "time", "force": "force", "displacement": "length", "pressure": "pressure"},
         {"before": step.before, "peak": step.peak, "relaxed": step.relaxed},
     )
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """K and F from forces at rest, where friction only adds to one and has one sign in the other.
+
+    At rest the force is above the mean of both directions after stretching and below it after contracting, by a
+    friction f. A step s takes -K s - 2 f, so that two steps of different size from one start have K between them.
+    """
+    cells: dict[tuple[float, ...], list[Estimate]] = {}
+    for e in values_of(analysis, "K", RELAXED):
+        P, start, step = (e.at.get(name, 0.0) for name in ("pressure", "start", "step"))
+        if step > 0:
+            yield replace(exactly("K", {(P, start + step / 2): e}, "at rest"), side=1, why=RUBS)
+            cells.setdefault((P, start, e.at.get("speed", 0.0)), []).append(e)
+    for (P, start, _), steps in cells.items():
+        for one, two in pairwise(sorted(steps, key=lambda e: e.at["step"])):
+            s_1, s_2 = one.at["step"], two.at["step"]
+            found = weighted([(two, s_2 / (s_2 - s_1)), (one, -s_1 / (s_2 - s_1))], "K")
+            rubbed = abs((one.value or 0.0) - (found.value or 0.0)) * s_1 / (s_2 - s_1)
+            parts = replace(found.parts, method=hypot(found.parts.method or 0.0, UNTURNED * rubbed))
+            yield exactly("K", {(P, start + (s_1 + s_2) / 2): replace(found, parts=parts)}, "steps of two sizes")
+    for e in analysis.estimates:
+        if (e.symbol, e.method) == ("F", RELAXED) and e.value is not None and e.at.get("step", 0.0) > 0:
+            before = e.coordinate == "before"
+            x = e.at.get("start", 0.0) + (0.0 if before else e.at["step"])
+            words = f"after {'stretching' if before else 'contracting'}"
+            yield replace(exactly("F", {(e.at["pressure"], x): e}, words), side=1 if before else -1, why=RUBS)

@@ -203,3 +203,8 @@ def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
         options={"xatol": 1e-5},
     )  # fmt: skip
     return float(np.exp(found.x)), best not in (0, len(grid) - 1)
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Stiffness of one trial's steps away from the start, by relaxed forces [N/m]; raises `NotUsable`."""
+    return float(np.mean([step.static for step in measure(run, trial, {}).there]))

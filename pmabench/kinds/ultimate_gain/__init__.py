@@ -10,8 +10,8 @@ from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
-    Result("K_u", "ultimate gain", "gain", headline=True),
-    Result("T_u", "ultimate period", "time", headline=True),
+    Result("K_u", "ultimate gain", "gain", headline=True, positive=True),
+    Result("T_u", "ultimate period", "time", headline=True, positive=True),
 )
 METHODS = {
     "open-loop": (

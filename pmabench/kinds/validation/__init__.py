@@ -32,6 +32,8 @@ KIND = Kind(
     live="pmabench.kinds.validation.live:measure",
     moves="displacement",
     compares="displacement",
+    repeated="pmabench.kinds.validation.reduction:mean_in_window",
+    repeated_is="contraction",
     methods=METHODS,
     figures={
         "validation": "pmabench.kinds.validation.figures:validations",

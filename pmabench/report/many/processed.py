@@ -98,7 +98,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
                 for note in run.notes
                 if note.exclude is not None
             ],
-            "since": {run.id: run.since.as_json() for run in runs if run.since.sentences},
+            "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
         }
     )
     return entry

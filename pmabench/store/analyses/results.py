@@ -5,7 +5,7 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, field, replace
 from math import isfinite, nan, sqrt
 from typing import Any
@@ -19,10 +19,6 @@ from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.records import RunData
 
 SCHEMA = "pmabench.analysis/1"
-POSITIVE = frozenset(
-    ("K", "B", "B_c", "B_r", "F_c", "F_f", "W", "eta", "t_d", "tau_c", "tau_r", "tau_P", "f_b", "K_u", "T_u")
-)
-"""Symbols of what cannot be below 0; terms of their curves and differences of them can."""
 POINT_QUANTITIES = {
     "pressure": "pressure",
     "from": "pressure",
@@ -60,7 +56,7 @@ class Parts:
     skew: float = 0.0
     """What channels of different streams may be apart in time makes of it; 0 where they share a clock."""
     drift: float = 0.0
-    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing tells of a drift."""
+    """What the specimen and the zeros drifted meanwhile makes of it; 0 where nothing shows a drift."""
 
     @property
     def combined(self) -> float | None:
@@ -118,6 +114,8 @@ class Estimate:
     """Its uncertainty by source, largest first; empty where only the parts are known."""
     withheld: bool = False
     """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
+    positive: bool = False
+    """Whether it cannot be below 0; an analysis sets it as declared."""
 
     def __post_init__(self) -> None:
         """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
@@ -149,11 +147,6 @@ class Estimate:
         low, high = self.value - half, self.value + half
         return (max(0.0, low) if self.positive and high > 0 else low, high)
 
-    @property
-    def positive(self) -> bool:
-        """Whether the quantity cannot be below 0."""
-        return self.symbol in POSITIVE and (not self.coordinate or self.quantity == "time")
-
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON object of an estimate."""
         ci = self.ci95
@@ -182,6 +175,11 @@ def withhold(estimate: Estimate, reason: str) -> Estimate:
     return replace(
         estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=reason, withheld=True
     )
+
+
+def _ends_at_0(e: Estimate, positive: Set[str]) -> bool:
+    """Whether the interval of an estimate ends at 0: a term of a curve may be below, but one of several times not."""
+    return e.symbol in positive and (not e.coordinate or e.quantity == "time")
 
 
 @dataclass(frozen=True)
@@ -215,8 +213,8 @@ class Curve:
         if outside.any():
             quantity = POINT_QUANTITIES.get(self.against, "count")
             asked, *ends = (show(float(value), quantity) for value in (at[outside].flat[0], low, high))
-            told = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
-            raise UsageError(f"{told} and means nothing outside")
+            text = f"{self.symbol} is asked for at {self.against} {asked}; it was fitted from {ends[0]} to {ends[1]}"
+            raise UsageError(f"{text} and means nothing outside")
         z = (at - self.centre) / self.scale
         return np.asarray(np.polyval([nan if t.value is None else t.value for t in reversed(self.terms)], z))
 
@@ -293,6 +291,9 @@ class Analysis:
         """Raise ValueError where a result is not declared; without any declaration symbols are taken as they are."""
         if self.results:
             check_declared(self.kind, self.results, self.estimates, self.curves)
+            positive = {result.symbol for result in self.results if result.positive}
+            estimates = tuple(replace(e, positive=True) if _ends_at_0(e, positive) else e for e in self.estimates)
+            object.__setattr__(self, "estimates", estimates)
 
     @classmethod
     def of(
@@ -325,7 +326,7 @@ class Analysis:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The documented JSON object; traces by name only, their numbers lie beside it."""
+        """The documented JSON object; traces by name only, their numbers are in files next to it."""
         return {
             "schema": SCHEMA,
             "kind": self.kind,

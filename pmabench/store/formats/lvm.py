@@ -193,7 +193,7 @@ def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int
 
 
 def _numbers(file: _File, segment: _Segment) -> Array:
-    """Shape (rows, 1 + channels x step): X and channels as they stand; a comment at the end of a row is left out."""
+    """Shape (rows, 1 + channels x step): X and channels as they are; a comment at the end of a row is left out."""
     step = 2 if file.x == "Multi" else 1
     width = len(segment.names) * step + (0 if file.x == "Multi" else 1)
     table = np.full((len(segment.rows), width), np.nan)
@@ -234,7 +234,7 @@ def _number(text: str, comma: bool) -> float:
 
 
 def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array], recorded: Recorded) -> list[Column]:
-    """The column X_Value: as it stands, or from X0 and Delta_X; segments follow each other by their clock."""
+    """The column X_Value: as it is, or from X0 and Delta_X; segments follow each other by their clock."""
     times = [_started(segment, file.keys) for segment in segments]
     parts: list[Array] = []
     for segment, table, at in zip(segments, tables, times, strict=True):
@@ -267,7 +267,7 @@ def _floats(file: _File, segment: _Segment, key: str) -> list[float]:
 
 
 def _started(segment: _Segment, header: dict[str, str]) -> datetime | None:
-    """Date and time of a segment, else of the file, as they stand."""
+    """Date and time of a segment, else of the file, in no time zone."""
     date = (segment.keys.get("Date") or [header.get("Date", "")])[0]
     time = (segment.keys.get("Time") or [header.get("Time", "")])[0]
     whole, _, part = time.replace(",", ".").partition(".")

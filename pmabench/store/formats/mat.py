@@ -43,10 +43,7 @@ def read_mat(path: str, content: bytes, layout: MatLayout | None, only: Collecti
         with damaged(path, "MAT 5"):
             _read_5(recorded, path, content, only)
     else:
-        raise invalid(
-            path,
-            'is no MAT file of version 5 or 7.3: it begins with neither "MATLAB 5.0" nor "MATLAB 7.3"',
-        )
+        raise invalid(path, 'is no MAT file of version 5 or 7.3: it begins with neither "MATLAB 5.0" nor "MATLAB 7.3"')
     return recorded
 
 
@@ -85,7 +82,7 @@ def _read_5(recorded: Recorded, path: str, content: bytes, only: Collection[str]
 
 
 def _sums(path: str, content: bytes) -> None:
-    """Unpacks every compressed part to its end, where its checksum stands: scipy does not look at it."""
+    """Unpacks every compressed part to its end, where its checksum is: scipy does not check it."""
     mark = content[126:128]
     if mark not in {b"IM", b"MI"}:
         raise invalid(path, "is damaged: its header does not say the order of bytes")

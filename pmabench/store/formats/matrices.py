@@ -49,10 +49,10 @@ def _places(name: str) -> list[str]:
     return [*places, ""]
 
 
-def alike(columns: Mapping[str, Array], told: Mapping[str, str]) -> tuple[list[str], list[str]]:
+def alike(columns: Mapping[str, Array], owners: Mapping[str, str]) -> tuple[list[str], list[str]]:
     """Matrices of equally many columns that have clocks, as the tests of a file; and those that only hold zeros."""
     widths: dict[str, int] = {}
-    for name, owner in told.items():
+    for name, owner in owners.items():
         if owner and matrix_of(name) == owner:
             widths[owner] = widths.get(owner, 0) + 1
     if not widths:

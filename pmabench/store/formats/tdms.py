@@ -84,21 +84,21 @@ def _end(content: bytes) -> int | None:
 def _group(recorded: Recorded, group: Any, only: Collection[str] | None) -> None:
     times: set[tuple[float, float, int]] = set()
     for channel in group.channels():
-        name, told = f"{group.name}/{channel.name}", channel.properties
+        name, found = f"{group.name}/{channel.name}", channel.properties
         if len(channel) == 0:
             continue
-        step = told.get("wf_increment")
-        begin = told.get("wf_start_offset", 0.0)
+        step = found.get("wf_increment")
+        begin = found.get("wf_start_offset", 0.0)
         if isinstance(step, float) and isinstance(begin, float):
             times.add((step, begin, len(channel)))
-        stamp = told.get("wf_start_time")
+        stamp = found.get("wf_start_time")
         if recorded.started is None and isinstance(stamp, np.datetime64):
             recorded.started = stamp.astype("datetime64[us]").astype(datetime)
         if only is not None and name not in only:
             recorded.left_out.append(name)
             continue
         values = np.asarray(channel[:])
-        unit = told.get("unit_string") or told.get("NI_UnitDescription") or ""
+        unit = found.get("unit_string") or found.get("NI_UnitDescription") or ""
         if values.dtype.kind == "M":
             since = (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
             recorded.columns.append(Column(name, np.asarray(since, dtype=np.float64), "s"))

@@ -81,7 +81,7 @@ class TextReader:
         self._seen = False
         """A line was kept."""
         self._titles: list[tuple[int, str]] = []
-        """Lines that are no rows, which may stand above a repeated header only."""
+        """Lines that are no rows, which may be above a repeated header only."""
         self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
@@ -127,8 +127,8 @@ class TextReader:
         if last:
             parts.append(self._last(last))
         if self._zeros:
-            told = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
-            self.cut_row = f"{self.cut_row}; {told}" if self.cut_row else told
+            text = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
+            self.cut_row = f"{self.cut_row}; {text}" if self.cut_row else text
         if not self._seen:
             raise invalid(self.path, "holds no data: all lines are blank, skipped or comments")
         if not self._rows:
@@ -183,8 +183,8 @@ class TextReader:
             return self._decoder.decode(piece, last).replace(MINUS, "-")
         except UnicodeError as error:
             where = f" (byte {error.start})" if isinstance(error, UnicodeDecodeError) else ""
-            told = f"is not text in {self.layout.encoding}{where}; say the right encoding, or it is binary"
-            raise invalid(self.path, told) from error
+            sentence = f"is not text in {self.layout.encoding}{where}; say the right encoding, or it is binary"
+            raise invalid(self.path, sentence) from error
 
     def _none(self) -> Rows:
         return Rows({name: np.empty(0) for name in self.taken}, np.empty(0, np.int64))
@@ -242,8 +242,8 @@ class TextReader:
         if line.strip():
             return True
         if self.layout.blank_lines == "refuse":
-            told = 'the line is blank; if that is usual say "blank_lines: skip"'
-            raise invalid(self.path, told, number, 1)
+            text = 'the line is blank; if that is usual say "blank_lines: skip"'
+            raise invalid(self.path, text, number, 1)
         return False
 
     def _name(self, line: str, number: int) -> None:
@@ -359,8 +359,8 @@ class TextReader:
     def _again(self, starts: list[int], row: int) -> None:
         """The header line once more: another test begins, where the map says so."""
         if self.layout.repeated_header == "refuse":
-            told = 'the header is repeated: say "repeated_header: new test" or, where the test goes on below it, "page"'
-            raise invalid(self.path, told, self._line, 1)
+            text = 'the header is repeated: say "repeated_header: new test" or, where the test goes on below it, "page"'
+            raise invalid(self.path, text, self._line, 1)
         if self.layout.repeated_header == "new test":
             starts.append(row)
         self._titles.clear()
@@ -378,8 +378,8 @@ class TextReader:
         try:
             (fields,) = csv.reader([line], delimiter=MARKS[self.layout.delimiter], strict=True)
         except (csv.Error, ValueError) as error:
-            told = "the line ends within quotation marks, or they are set wrongly"
-            raise invalid(self.path, told, number, 1) from error
+            sentence = "the line ends within quotation marks, or they are set wrongly"
+            raise invalid(self.path, sentence, number, 1) from error
         if any("\t" in text for text in fields):
             raise invalid(self.path, "holds a tab within a field", number, 1)
         return fields
@@ -392,8 +392,8 @@ class TextReader:
             return
         if len(wrong) == len(rows) and {len(row) for row in rows} == {1} and not self._rows:
             delimiter = self.layout.delimiter
-            told = f"is not delimited by {delimiter}: the whole line is one column, {expected} are expected"
-            raise invalid(self.path, told, numbers[0], 1)
+            text = f"is not delimited by {delimiter}: the whole line is one column, {expected} are expected"
+            raise invalid(self.path, text, numbers[0], 1)
         raise InvalidFile(
             Problem(self.path, numbers[index], 1, f"has {len(rows[index])} columns, {expected} are expected")
             for index in wrong[:SHOWN]

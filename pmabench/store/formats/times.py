@@ -50,8 +50,8 @@ class Stamps:
     @property
     def texts(self) -> dict[str, str]:
         """Columns that hold texts, with their kind."""
-        told = {self.column: self.written} if self.written in TEXTS else {}
-        return {**told, self.date: "date"} if self.date else told
+        data = {self.column: self.written} if self.written in TEXTS else {}
+        return {**data, self.date: "date"} if self.date else data
 
 
 def seconds_of(texts: Sequence[str], kind: str, order: str) -> Array:

@@ -63,11 +63,11 @@ class Change:
 
 
 Named = tuple[list[dict[str, Any]], dict[str, float]]
-"""Commands of a trial, and what of its operating point they tell."""
+"""Commands of a trial, and what of its operating point they show."""
 
 
 def read(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
-    """The commands of one trial, and its operating point as far as they tell it.
+    """The commands of one trial, and its operating point as far as they show it.
 
     `t` [s] rises; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
     """
@@ -266,7 +266,7 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
         return []
     top = int(np.argmax(np.where(t >= t[rises[0]], x, -np.inf)))
     ways = [("lift", rises[rises <= top]), ("set-down", falls[falls >= top])]
-    told = []
+    found = []
     for phase, rows in ways:
         if not len(rows):
             continue
@@ -277,8 +277,8 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
             if name in channels and near.sum() >= 3:
                 result[name] = float(np.polyfit(t[near] - at, channels[name][near], 1)[1])
         if "pressure" in result:
-            told.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
-    return told
+            found.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
+    return found
 
 
 def cell_load(t: Array, force: Array, commands: list[dict[str, Any]]) -> float | None:

@@ -1,4 +1,4 @@
-"""Old files to runs: one run per file, the file itself kept inside it, what is wrong told and flagged.
+"""Old files to runs: one run per file, the file itself kept inside it, what is wrong reported and flagged.
 
 All files are read and checked before anything is written; what is written before a failure is taken away again.
 """
@@ -32,7 +32,7 @@ from pmabench.store.records import Flag
 from pmabench.store.writer import RunWriter
 
 MOST_FILES = 10_000
-UNTOLD = "not told"
+UNKNOWN = "not told"
 """What a proposed map says of a specimen that no file names."""
 
 
@@ -74,26 +74,7 @@ def import_files(
     rules = read_map(map_path, kinds, answers, unresolved=unresolved)
     if not files or len(files) > MOST_FILES:
         raise invalid(map_path, f"is for 1 to {MOST_FILES} files at a time, {len(files)} were given")
-    problems: list[Problem] = []
-    summaries: list[Summary] = []
-    hashes: list[str] = []
-    prepared: list[Prepared] = []
-    for path in files:
-        try:
-            prepared = prepare_all(path, rules)
-        except InvalidFile as error:
-            problems.extend(error.problems)
-            continue
-        summaries += [each.summary for each in prepared]
-        hashes.append(prepared[0].table.sha256)
-    if not problems:
-        problems = [
-            Problem(str(path), 0, 0, f"holds the same bytes as {files[hashes.index(digest)]}")
-            for number, (path, digest) in enumerate(zip(files, hashes, strict=True))
-            if hashes.index(digest) != number
-        ]
-    if problems:
-        raise InvalidFile(problems)
+    prepared, summaries, hashes = _read_all(files, rules)
     found = siblings.compare(summaries, {str(channel): share for channel, share in rules.file.siblings.items()})
     among = iter([plausible.answered(each, rules.file.confirmed) for each in found])
     made: list[ImportedRun] = []
@@ -114,6 +95,27 @@ def import_files(
                 out.rmdir()
         raise
     return made
+
+
+def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], list[Summary], list[str]]:
+    """The tests of the last file, a summary of every test, and the sha256 of each file; all problems at once."""
+    problems, summaries, hashes, prepared = list[Problem](), list[Summary](), list[str](), list[Prepared]()
+    first: dict[str, Path] = {}
+    for path in files:
+        try:
+            prepared = prepare_all(path, rules)
+        except InvalidFile as error:
+            problems.extend(error.problems)
+            continue
+        summaries += [each.summary for each in prepared]
+        digest = prepared[0].table.sha256
+        if digest in first:
+            problems.append(Problem(str(path), 0, 0, f"holds the same bytes as {first[digest]}"))
+        first.setdefault(digest, path)
+        hashes.append(digest)
+    if problems:
+        raise InvalidFile(problems)
+    return prepared, summaries, hashes
 
 
 def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
@@ -163,11 +165,11 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
 
 def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
     """As the record of an exported run says, unless the map names another one."""
-    told = prepared.record.about.get("specimen") if prepared.record is not None else None
-    if not isinstance(told, Mapping):
+    found = prepared.record.about.get("specimen") if prepared.record is not None else None
+    if not isinstance(found, Mapping):
         return rules.specimen
-    same = all(str(told.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
-    return told if same or rules.specimen["type"] == UNTOLD else rules.specimen
+    same = all(str(found.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
+    return found if same or rules.specimen["type"] == UNKNOWN else rules.specimen
 
 
 def _events(writer: RunWriter, prepared: Prepared) -> None:
@@ -176,8 +178,8 @@ def _events(writer: RunWriter, prepared: Prepared) -> None:
             writer.event(event.kind, event.t, **event.data)
         return
     for index, part in enumerate(prepared.parts):
-        told = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
-        writer.event("trial-begin", part.begin, trial=index, **told)
+        known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
+        writer.event("trial-begin", part.begin, trial=index, **known)
         lines = [(command["t"], "command", {k: v for k, v in command.items() if k != "t"}) for command in part.commands]
         lines += [(at, "phase", {"name": name}) for at, name in part.phases]
         lines += [(found["t"], "found", {k: v for k, v in found.items() if k != "t"}) for found in part.found]
@@ -211,8 +213,8 @@ def _manifest(
 ) -> dict[str, Any]:
     table = prepared.table
     notes = prepared.notes[1].decode("utf-8", "replace") if prepared.notes is not None else ""
-    told = [plain(found) for found in findings]
-    for found in told:
+    lines = [plain(found) for found in findings]
+    for found in lines:
         found["line"] = None if found["index"] is None else table.line(found["index"])
     return {
         "kind": rules.file.kind,
@@ -236,7 +238,7 @@ def _manifest(
             "map": Path(rules.path).name,
             "map_sha256": hashlib.sha256("".join(rules.texts.values()).encode()).hexdigest(),
             "notes": notes,
-            "findings": told,
+            "findings": lines,
             "flagged": dict(flagged),
             "late_by": {c.rule.role: list(c.rule.late_by) for c in prepared.checked if any(c.rule.late_by)},
             "analysis": rules.file.analysis.model_dump(mode="json"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pmabench.base.quantities import show
+from pmabench.store.importers import motion
 from pmabench.store.importers.effect import in_words, slope
 from pmabench.store.importers.found import Bools, Checked, Report
 from pmabench.store.records import Array
@@ -37,7 +38,7 @@ MATTERS = 0.01
 
 def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool:
     """Report where force lies later or earlier than pressure by more than 0.15 s, of what is `good`, shape (n,)."""
-    rows = np.flatnonzero(good & np.concatenate([[True], report.t[1:] > np.maximum.accumulate(report.t)[:-1]]))
+    rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < 200:
         return False
     t = report.t[rows]
@@ -100,9 +101,8 @@ def _goes_on(first: Array, second: Array, shift: int) -> float | None:
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))
     stops = large & (np.sign(before) * after < STOPS * np.abs(before))
     stops[-shift:] = False
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], stops, [False]]).astype(np.int8)))
     shares = []
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for begin, end in motion.runs(stops):
         full = np.abs(before[begin:end])
         at = begin + int(np.flatnonzero(full >= 0.95 * full.max())[-1])  # the stop: the full rate ends here
         if at < shift or at + shift >= len(second):

@@ -125,7 +125,7 @@ def inspected(
         thinned = _thinned(core, rules, max(2, (end - begin) * STRETCHES // rows))
         where.append(begin + thinned)
         kept.append(_slice(core, thinned))
-    seen = replace(_joined(kept), found=merged.told())
+    seen = replace(_joined(kept), found=merged.all())
     return Inspected(seen, flags, whole or frozenset(), peaks, float(np.median(periods)), np.concatenate(where))
 
 
@@ -207,7 +207,7 @@ class _Findings:
                 continue
             self._all.setdefault(key, []).append(replace(_moved(each, begin), count=left))
 
-    def told(self) -> list[Found]:
+    def all(self) -> list[Found]:
         """One finding of each kind and channel, the first, and how often it was found."""
         order = {"note": 0, "doubt": 1, "fault": 2}
         merged = []

@@ -78,7 +78,7 @@ class Muscle:
 
 
 def muscle_of(specimen: Mapping[str, Any], point: Mapping[str, float], *, held: bool) -> Muscle:
-    """What the specimen of a map and the point of a file tell of the muscle [SI]."""
+    """What the specimen of a map and the point of a file say of the muscle [SI]."""
     diameter, length = (specimen.get(key) for key in ("inner_diameter", "nominal_length"))
     return Muscle(
         None if diameter is None else float(diameter),
@@ -239,7 +239,7 @@ def _low(pressure: Checked, peak: float) -> list[Question]:
 def _fastest(t: Array, P: Array) -> float:
     """The shortest time [s] in which pressure goes through four fifths of a rise, of rises that the samples resolve."""
     stride = 1 + len(t) // 50_000
-    forward = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    forward = motion.later(t)
     times, values = t[forward][::stride], P[forward][::stride]
     shortest = inf
     for cycle in motion.cycles(times, values, 0.5 * float(np.ptp(values))):

@@ -71,7 +71,7 @@ class Line(Strict):
 
 
 class Contraction(Strict):
-    """How a displacement sensor tells contraction, which is positive when the muscle shortens."""
+    """How a displacement sensor shows contraction, which is positive when the muscle shortens."""
 
     reading: Literal["falls", "rises"]
     """What the reading does while the muscle shortens."""
@@ -101,7 +101,7 @@ class ColumnFile(Strict):
     """Nonsense where a single sample between two others reads so."""
     stale_after: Time | None = None
     spike: Reading | None = None
-    """How far a lone sample may stand from its neighbours; otherwise that is told from the scatter of the channel."""
+    """How far a lone sample may lie from its neighbours; otherwise that follows from the scatter of the channel."""
     late_by: tuple[Time, Time] = (0.0, 0.0)
     """How much older a value may be than its time stamp, least and most."""
     expanded_uncertainty: Reading | None = None
@@ -111,15 +111,7 @@ class ColumnFile(Strict):
     reference: Text = ""
     """Where the scale comes from."""
     written: Literal[
-        "number",
-        "index",
-        "header step",
-        "clock",
-        "date and time",
-        "epoch",
-        "serial days",
-        "matlab days",
-        "labview",
+        "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
     ] = "number"
     """How a column of time is written: `number` counts units from any zero; `index` counts samples, `period` apart;
     `header step` counts samples, whose Start and Increment the header gives; `clock` is HH:MM:SS, of one day or with a
@@ -154,7 +146,7 @@ class ColumnFile(Strict):
         if (self.written == "index") != (self.period is not None):
             raise ValueError('"written: index" and "period" belong together, for instance "period: 1 ms"')
         if self.contraction is not None and self.is_ != "displacement":
-            raise ValueError('"contraction" stands with "is: displacement" only')
+            raise ValueError('"contraction" is for "is: displacement" only')
         given = {
             "points",
             "line",
@@ -181,7 +173,7 @@ Column = Annotated[ColumnFile, BeforeValidator(_column, json_schema_input_type=C
 
 
 class NameFile(Strict):
-    """What the file's or the folder's name tells, as forms with {placeholders} for numbers; `*` is any text."""
+    """What the name of the file or folder contains, as forms with {placeholders} for numbers; `*` is any text."""
 
     of: Literal["file", "folder"] = "file"
     forms: Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(min_length=1, max_length=20)]
@@ -252,7 +244,7 @@ class AnalysisRule(Strict):
 
     force_above: Force = 0.0
     also_at: Annotated[list[Force], Field(max_length=20)] = []
-    """Other thresholds, shown beside it."""
+    """Other thresholds, shown next to it."""
     phases: Annotated[list[Short], Field(max_length=20)] = []
     """Empty: all."""
     why: Text = ""
@@ -273,7 +265,7 @@ class MapFile(Strict):
     """Settings of the reduction in SI, as the protocol of the kind has them: `discard`, `turn`, `nominal_length` ..."""
     bench: Text = ""
     recorded: datetime.date | None = None
-    """Day of the recording, where the name of the file does not tell."""
+    """Day of the recording, where the name of the file does not contain it."""
     file: AnyLayout
     columns: Annotated[dict[Short, Column], Field(max_length=200)]
     tests: Annotated[list[TestFile], Field(max_length=200)] = []
@@ -282,7 +274,7 @@ class MapFile(Strict):
     """
     name_tells: NameFile | None = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
-    """File beside it that holds notes, `*` is any text."""
+    """File next to it that holds notes, `*` is any text."""
     sampling: Sampling
     trials: Trials
     siblings: dict[Literal["pressure", "displacement", "force", "supply"], Ratio] = {}

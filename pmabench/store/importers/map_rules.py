@@ -21,14 +21,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.formats.record import TIME
 from pmabench.store.formats.times import Stamps
-from pmabench.store.importers.map_file import (
-    NUMBERS,
-    PLACE,
-    ColumnFile,
-    Line,
-    MapFile,
-    Trials,
-)
+from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Trials
 from pmabench.store.importers.questions import Question, settle
 
 _OF_POINT = {
@@ -412,7 +405,7 @@ def factor_of(unit: str, quantity: str) -> float:
 def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
     """`Kinked{contraction}mm_Test{test}` as a pattern; adds its placeholders to `used`. At most two `*`.
 
-    Between two placeholders some other text must stand, so that matching takes a time that is bounded.
+    Two placeholders are separated by some other text, so that matching takes a time that is bounded.
     """
     number = r"[+-]?\d{1,9}(?:[,.]\d{1,9})?" if comma else r"[+-]?\d{1,9}(?:\.\d{1,9})?"
     parts: list[str] = []
@@ -420,7 +413,7 @@ def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
     end, stars = 0, 0
     for match in _PLACEHOLDER.finditer(form):
         if match.start() == end and end > 0:
-            raise ValueError("between two placeholders some text must stand")
+            raise ValueError("two placeholders need some text between them")
         parts.append(re.escape(form[end : match.start()]))
         end = match.end()
         if match[2]:

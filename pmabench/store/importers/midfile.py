@@ -214,10 +214,10 @@ def _report_jump(
         )
         return
     slopes = [slope(p[part], y[part]) for part in (slice(None, row), slice(row, None))]
-    told = [in_words(s, role) for s in slopes if s is not None]
+    found = [in_words(s, role) for s in slopes if s is not None]
     text = f"against pressure {role} {text}"
-    if len(told) == 2:
-        text += f"; slope over pressure {told[0]} before, {told[1]} after"
+    if len(found) == 2:
+        text += f"; slope over pressure {found[0]} before, {found[1]} after"
     text += (
         f"; the gain or the zero of {jump[1]} changed, or something slipped: cut the file there and import the part "
         "that is right"
@@ -227,7 +227,7 @@ def _report_jump(
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
     """Report where the slope over pressure changes from one cycle to the next and stays; whether it does."""
-    rows = np.flatnonzero(good & np.concatenate([[True], report.t[1:] > np.maximum.accumulate(report.t)[:-1]]))
+    rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < CYCLES * SIDE:
         return False
     t, p, y = report.t[rows], pressure.si[rows], channel.si[rows]

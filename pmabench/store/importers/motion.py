@@ -70,6 +70,12 @@ def later(t: Array) -> NDArray[np.bool_]:
     return np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
 
 
+def runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def levels(t: Array, values: Array, smallest: float) -> list[Level]:
     """Changes between levels that are held; what drifts or is reached only slowly is none."""
     n = len(t)
@@ -84,10 +90,8 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
     flat = np.zeros(n, dtype=bool)
     for k in np.flatnonzero(quiet):
         flat[k : k + width] = True
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(int)))
-    runs = list(zip(edges[::2], edges[1::2], strict=True))
     found = []
-    for (begun, leave), (arrive, end) in pairwise(runs):
+    for (begun, leave), (arrive, end) in pairwise(runs(flat)):
         before = float(np.median(values[max(begun, leave - HELD * width) : leave]))
         after = float(np.median(values[max(arrive, end - HELD * width) : end]))
         size = after - before
@@ -97,12 +101,7 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
         moved = (values[near] - before) * np.sign(size)
         scatter = float(np.std(values[max(0, leave - 2 * width) : max(1, leave - width // 2)]))
         gone = near[moved > max(LEAVING * abs(size), 4 * scatter)]
-        first = int(gone[0]) if len(gone) else int(leave)
-        while (
-            first > near[0] and first - 1 in near and moved[first - 1 - near[0]] > max(LEAVING * abs(size), 4 * scatter)
-        ):
-            first -= 1
-        begin = max(first, 1)
+        begin = max(int(gone[0]) if len(gone) else leave, 1)
         found.append(Level(float(t[begin]), float(t[begin] - t[begin - 1]), before, after, float(t[arrive])))
     return found
 
@@ -188,7 +187,7 @@ def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> Wave 
     """The sine of a stretch: its frequency from its turns, then from the drift of its phase; None where none fits."""
     try:
         return _fit(t, values, begin, end, halves)
-    except np.linalg.LinAlgError:  # numbers of any size stand in damaged files
+    except np.linalg.LinAlgError:  # damaged files hold numbers of any size
         return None
 
 

@@ -1,4 +1,4 @@
-"""Which channel moves first at a step of pressure: a muscle that moves before its pressure tells of late stamps."""
+"""Which channel moves first at a step of pressure: a muscle that moves before its pressure has late stamps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pmabench.store.records import Array, Flag, Flags
 SHARE = 0.1
 """A step is at least so large a share of the pressure's span."""
 FAST = 0.5
-"""A step is over in this time [s]; at the turns of a slow wave nothing is told."""
+"""A step is over in this time [s]; at the turns of a slow wave nothing is reported."""
 BEFORE, AFTER = 0.5, 0.5
 """Looked at around a step [s]."""
 REST = 0.15
@@ -30,7 +30,7 @@ def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found 
     different times; then a delay comes out too short, or negative.
     """
     good = (flags & np.uint16(Flag.DROPOUT | Flag.TIME_JUMP | Flag.SUSPECT | Flag.OVERRANGE)) == 0
-    good &= np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    good &= motion.later(t)
     pressure = values["pressure"][good]
     if good.sum() < 50 or "displacement" not in values:
         return None

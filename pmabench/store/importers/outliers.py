@@ -12,6 +12,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag
 
 CODES = (
@@ -54,7 +55,7 @@ RARE = 6.5
 ENOUGH = 100_000
 """Samples that show in which steps a channel reads."""
 FEW = 50
-"""With fewer samples scatter cannot be told from spikes."""
+"""With fewer samples scatter cannot be distinguished from spikes."""
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
@@ -85,7 +86,7 @@ def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 
 
 def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
-    """Each code that the file holds, and where it stands apart from what else the channel reads."""
+    """Each code that the file holds, and where it lies apart from what else the channel reads."""
     back = channel.rule.back
     numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
     hits = _hits(numbers, looked_at)
@@ -121,16 +122,9 @@ def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
     return found
 
 
-def _runs(where: Bools) -> list[tuple[int, int]]:
-    """First and one past the last index of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
 def _longer(where: Bools, most: int) -> Bools:
     """The runs of True that are longer than so many samples."""
-    edges = np.diff(np.concatenate([[False], where, [False]]).astype(np.int8))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    begins, ends = np.array(runs(where), dtype=int).reshape(-1, 2).T
     longer = ends - begins > most
     steps = np.zeros(len(where) + 1, dtype=np.int8)
     steps[begins[longer]], steps[ends[longer]] = 1, -1
@@ -141,7 +135,7 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools
     """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
     out = np.zeros(len(here), dtype=bool)
     rows = np.flatnonzero(looked_at & ~here)
-    for begin, end in _runs(here):
+    for begin, end in runs(here):
         if begin and abs(numbers[begin] - numbers[begin - 1]) <= least:
             continue
         at = int(np.searchsorted(rows, begin))
@@ -177,7 +171,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
         if span <= 0 or span < MOVES * ordinary or gaps[widest] <= span:
             continue
         far = ~rest
-        for begin, end in _runs(far):
+        for begin, end in runs(far):
             equal = bool(np.all(values[begin:end] == values[begin]))
             if end - begin > (HELD if equal else BURST):
                 far[begin:end] = False
@@ -233,7 +227,7 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
     Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
     a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
     since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
-    stand on one side only, so much is taken off as these move.
+    are on one side only, so much is taken off as these move.
     """
     low, high = _extremes(values)
     beyond = np.fmax(values - high, low - values)

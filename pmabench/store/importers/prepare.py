@@ -91,8 +91,8 @@ def prepare_all(path: Path, rules: ImportMap) -> list[Prepared]:
     """Read, scale and check every test of one file."""
     found = [(each, table) for each in rules.each_test() for table in _read(path, each).tests()]
     if rules.tests and len(found) != len(rules.tests):
-        told = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
-        raise invalid(path, told)
+        text = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
+        raise invalid(path, text)
     prepared = []
     for number, (each, table) in enumerate(found):
         name = "" if len(found) == 1 else list(rules.tests)[number] if rules.tests else str(number + 1)
@@ -127,14 +127,14 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
             named = replace(named, started=datetime.fromisoformat(record.started_utc))
     if not parts:
         found.append(Found("fault", "no-trial", f"no trial was found: no {rules.trials.by} of the size in the map"))
-    told = tuple(placed(each, seen.t, len(table)) for each in found)
+    known = tuple(placed(each, seen.t, len(table)) for each in found)
     return Prepared(
         table=table,
         named=named,
         t=seen.t,
         checked=seen.checked,
         flags=looked.flags,
-        findings=told,
+        findings=known,
         parts=tuple(parts),
         notes=_notes(path, rules.file.notes),
         rules=rules,
@@ -145,7 +145,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
             tuple(sorted((key, round(value, 9)) for key, value in named.point.items())),
             {role: pair[0] for role, pair in looked.peaks.items()},
             {role: pair[1] for role, pair in looked.peaks.items()},
-            not any(each.level == "fault" for each in told),
+            not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
         ),
         questions=(*rules.unresolved, *questions),
@@ -174,7 +174,7 @@ def _record_of(path: Path, rules: ImportMap) -> Exported | None:
     return record
 
 
-def _flags_told(path: Path, values: Array) -> Flags:
+def _own_flags(path: Path, values: Array) -> Flags:
     """Flags that the file itself gives its samples, as `pmabench export` writes them."""
     most = sum(Flag)
     if not np.all((values >= 0) & (values <= most) & (values == np.round(values))):
@@ -209,12 +209,12 @@ def _coarse(table: Table, t: Array) -> None:
     same, forward = int(np.count_nonzero(steps == 0)), steps[steps > 0]
     if same <= SAME * len(t) or not len(forward):
         return
-    told = (
+    text = (
         f"{same} of {len(t)} time stamps equal the one before, for they are written in steps of "
         f"{np.median(forward):.3g} s: when each row was taken is not known. "
         'Export the time with its fraction, or "ignore" it and say "period"'
     )
-    raise invalid(table.path, told, table.line(int(np.argmax(steps == 0)) + 1), 1)
+    raise invalid(table.path, text, table.line(int(np.argmax(steps == 0)) + 1), 1)
 
 
 def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
@@ -241,7 +241,7 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
     if paused:
         _gaps_within(t, flags, others, record, rules.file.sampling.gap)
     if "flags" in others:
-        flags |= _flags_told(path, others["flags"])
+        flags |= _own_flags(path, others["flags"])
     if not paused:
         flags, more = plausible.stopped(t, checked, flags, held=_held(rules))
         found += more
@@ -310,21 +310,23 @@ def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
     match = next((m for form in rule.forms if (m := form.fullmatch(name[:255])) is not None), None)
     if match is None:
         raise invalid(path, f'the name of its {rule.of}, "{name[:80]}", fits none of the forms in the map')
-    told = {key: text for key, text in match.groupdict().items() if text is not None}
+    data = {key: text for key, text in match.groupdict().items() if text is not None}
     point |= rule.otherwise
-    point |= _numbers_told(told, rule)
-    if "date" in told:
+    point |= _numbers_in(data, rule)
+    if "date" in data:
         try:
-            started = datetime.strptime(told["date"] + told.get("clock", "000000"), "%Y-%m-%d%H%M%S").replace(
+            started = datetime.strptime(data["date"] + data.get("clock", "000000"), "%Y-%m-%d%H%M%S").replace(
                 tzinfo=UTC
             )
         except ValueError as error:
-            raise invalid(path, f'the name of its {rule.of} tells no date: "{told["date"]}"') from error
-    return Named(point, int(told.get("test", "0")), started)
+            raise invalid(path, f'the name of its {rule.of} is no date: "{data["date"]}"') from error
+    return Named(point, int(data.get("test", "0")), started)
 
 
-def _numbers_told(told: Mapping[str, str], rule: NameRule) -> dict[str, float]:
-    return {key: float(text.replace(",", ".")) * rule.factors[key] for key, text in told.items() if key in rule.factors}
+def _numbers_in(texts: Mapping[str, str], rule: NameRule) -> dict[str, float]:
+    return {
+        key: float(text.replace(",", ".")) * rule.factors[key] for key, text in texts.items() if key in rule.factors
+    }
 
 
 def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:

@@ -1,4 +1,4 @@
-"""What is wrong with samples: dropouts, gaps, time jumps, stale and impossible values; flags and tells, mends nothing.
+"""What is wrong with samples: dropouts, gaps, time jumps, stale and impossible values; flags and reports it.
 
 Pure functions of arrays; must not know files or runs.
 """
@@ -20,7 +20,7 @@ NOT_WHOLE = 0.05
 WHOLE_SHARE = 0.01
 """Share of such readings above which the file was not recorded with the scale that the map says."""
 SLOW = 4.0
-"""A channel that changes only every so many samples is told."""
+"""A channel that changes only every so many samples is reported."""
 OFTEN = 0.1
 """Share of samples out of range above which the scale or the column itself is doubtful."""
 LARGEST = 1e30
@@ -35,7 +35,7 @@ def inspect(
     """Flags of shape (n,) and findings for samples at `t` [s] as the file has them, not sorted.
 
     `rate` [Hz] is what is expected, `gap` and `leap` [s] are distances of neighbours that are a gap, or an error of
-    the clock. One flag stands for the whole row, for rows are what fits use.
+    the clock. One flag is for the whole row, for rows are what fits use.
     """
     report = Report(t, np.zeros(len(t), dtype=np.uint16))
     with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold infinite numbers

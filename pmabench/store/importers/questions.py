@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.files.document import Document, Location
 
 OPEN = "??"
-"""What a proposed map begins a value with that no file tells."""
+"""What a proposed map begins a value with that no file gives."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ def settle(
             document.put(location, _quoted(question.used), document.path)
             continue
         more = f"; --unresolved takes {question.used} until then" if question.used and not unresolved else ""
-        told = f"not answered: {question.question}; write the answer here, or give --set '{key}=...'{more}"
-        problems.append(document.problem(location, told))
+        sentence = f"not answered: {question.question}; write the answer here, or give --set '{key}=...'{more}"
+        problems.append(document.problem(location, sentence))
     if problems:
         raise InvalidFile(problems)
     return tuple(left)
@@ -91,7 +91,7 @@ def _question(document: Document, location: Location) -> str:
     while lines and (text := lines.pop().strip()).startswith("#"):
         if text.removeprefix("#").strip().startswith(OPEN):
             found.insert(0, text.removeprefix("#").strip()[len(OPEN) :].strip())
-    return " ".join(found) or "no file tells it"
+    return " ".join(found) or "no file gives it"
 
 
 def _at(data: Any, location: Location) -> Any:

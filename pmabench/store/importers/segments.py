@@ -162,7 +162,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
         rows = all_rows.rising & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
         mine = {name: column[rows] for name, column in channels.items()}
         how = rules.test.commanded
-        commands, told = commanded.read(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
+        commands, known = commanded.read(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
         columns: dict[str, float] = {}
         for name, column in values.items():
             if not name.startswith(POINT):
@@ -176,7 +176,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
                     f"trial {number + 1}: the column of {name.removeprefix(POINT)} goes from {low:.6g} to {high:.6g} "
                     "[SI] within it, so it is not taken: cut the file into trials in which it is the same"
                 )
-        point = {**told, **columns, **part.point}
+        point = {**known, **columns, **part.point}
         if rules.test.loaded and "load" in point and "mass" not in point:
             point["mass"] = point["load"] / G
             hanging += "force" not in mine

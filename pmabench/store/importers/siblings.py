@@ -19,7 +19,7 @@ class Summary:
     point: tuple[tuple[str, float], ...]
     peaks: Mapping[str, float]
     numbers: Mapping[str, float]
-    """The same peaks as the numbers that stand in the file."""
+    """The same peaks as the numbers in the file."""
     trusted: bool
     """False where the file was found wrong already."""
     slope: float | None = None
@@ -38,7 +38,7 @@ UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
 def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list[Found]]:
     """Findings per file: peaks that lie further than `allowed` [1] from those of its siblings.
 
-    With three or more the median tells which is wrong (`fault`); of two that nobody doubts either may be (`doubt`).
+    With three or more the median shows which is wrong (`fault`); of two that nobody doubts either may be (`doubt`).
     """
     found: list[list[Found]] = [[] for _ in files]
     for index, file in enumerate(files):
@@ -59,7 +59,7 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
                 f"{show(usual, quantity, 4)}: implausible{_hint(ratio, quantity)}"
             )
             if not sure:
-                text += "; which of the two is wrong cannot be told"
+                text += "; which of the two is wrong is not known"
             found[index].append(Found("fault" if sure else "doubt", "sibling", text, channel))
         found[index] += _steeper(file, [other for other in group if other is not file])
         found[index] += _swapped(file, [other for other in group if other is not file and other.trusted], allowed)

@@ -280,15 +280,15 @@ class _Rows:
         """The clock of the file; raises InvalidFile where the file itself contradicts the map."""
         step = step_in(head)
         if stamps.written == "header step" and step is None:
-            told = 'has no header that gives Start and Increment, which "written: header step" needs'
-            raise invalid(self.path, told)
+            text = 'has no header that gives Start and Increment, which "written: header step" needs'
+            raise invalid(self.path, text)
         sequence = len(t) > 2 and bool(np.all(np.diff(t) == 1.0))
         if stamps.written == "number" and step is not None and sequence:
-            told = (
+            text = (
                 f'"{stamps.column}" counts samples, and the header gives Start {step[0]:g} s and Increment '
                 f'{step[1]:g} s: say "written: header step"'
             )
-            raise invalid(self.path, told)
+            raise invalid(self.path, text)
         return Clock(stamps, step)
 
 

@@ -1,4 +1,4 @@
-"""Units as people write them beside names and in the properties of files, by the spelling that pmabench takes."""
+"""Units as people write them next to names and in the properties of files, by the spelling that pmabench takes."""
 
 from __future__ import annotations
 

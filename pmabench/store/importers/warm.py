@@ -42,7 +42,7 @@ class ReaderMissing(PmaError):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a child found: arrays by name, and what else it told."""
+    """What a child found: arrays by name, and what else it reported."""
 
     columns: dict[str, Array]
     lines: Array
@@ -69,11 +69,11 @@ class _Child:
         ask = self.process.stdin
         if ask is None:
             raise EOFError
-        told = json.dumps({**question, "bytes": len(content)}).encode() + b"\n"
+        found = json.dumps({**question, "bytes": len(content)}).encode() + b"\n"
         self.asked += 1
         with self._within(START + WALL * CPU):
             try:
-                ask.write(told + content)
+                ask.write(found + content)
                 ask.flush()
             except (BrokenPipeError, ValueError) as error:
                 raise EOFError from error
@@ -126,12 +126,12 @@ def _close(stream: IO[bytes] | None) -> None:
             stream.close()
 
 
-def _exactly(told: bytes, size: int | None = None) -> bytes:
-    if not told or (size is not None and len(told) != size):
+def _exactly(raw: bytes, size: int | None = None) -> bytes:
+    if not raw or (size is not None and len(raw) != size):
         if size == 0:
             return b""
         raise EOFError
-    return told
+    return raw
 
 
 def _count(head: Mapping[str, Any]) -> int:

@@ -1,4 +1,4 @@
-"""What no file tells and what changes results, as plain questions: each with its candidates and what they make of it.
+"""What no file gives and what changes results, as plain questions: each with its candidates and what they make of it.
 
 Pure functions of a guess; writes nothing. Where something may be taken until somebody answers, it is proposed.
 """
@@ -177,20 +177,21 @@ def gauge_of(column: Proposal) -> Asked | None:
     if not (AIR[0] <= low <= AIR[1] and top > 1.2 * low):
         return None
     head = f'"{column.name}" never falls below {show(low, "pressure", 4)}: is it absolute'
-    told = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
-    return Asked(_air(column.unit), f"{head}? {told}")
+    text = f"Then this offset is right; a gauge pressure has 0 {column.unit} here. It moves each pressure by 101 kPa"
+    return Asked(air(column.unit), f"{head}? {text}")
 
 
-def _air(unit: str) -> str:
+def air(unit: str) -> str:
+    """What turns an absolute pressure into one above the normal pressure of air."""
     return f"{-101325.0 / unit_factor(unit, 'pressure'):.6g} {unit}"
 
 
 def contraction_of(guess: Guess) -> Asked | str:
-    """At which contraction a file was held, where no name tells it; a text where the file does, empty: not needed."""
+    """At which contraction a file was held, where no name gives it; a text where the file does, empty: not needed."""
     if guess.lacks or guess.tests or not guess.open_point("contraction"):
         return ""
     column = guess.role("displacement")
-    head = "at which contraction was the muscle held? No name tells it"
+    head = "at which contraction was the muscle held? No name gives it"
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
@@ -225,11 +226,11 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
         return None
     known = force.unit if QUANTITY.get(force.unit) == "force" else ""
     at = [f"{low + share * (top - low):.2g} {known}".strip() for share in SHARES]
-    told = "; ".join(
+    sentence = "; ".join(
         f"{place}: {100 * (slope / slopes[-1] - 1):+.1f} %" for place, slope in zip(at, slopes, strict=True)
     )
     head = "from which force on do samples count? Below it the muscle hangs slack, and the slope moves by"
-    text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {told})"
+    text = f"{head} {100 * spread:.2g} % (against the slope above {at[-1]}: above {sentence})"
     if not known:
         return Asked("", f"{text}; in N"), []
     return Asked(at[2], text), [at[1], at[3]]
@@ -255,8 +256,8 @@ def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:
         ours, theirs = (_seconds(each) for each in (time, other))
         step = max(float(np.max(np.abs(np.diff(_in_seconds(each))), initial=0.0)) for each in (time, other))
         if abs(theirs - ours) > 0.001 * abs(ours) + step:
-            told = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
-            yield Asked("time", f"which clock is right? {told}; the other one then is to be: ignore")
+            text = f'"{time.name}" lasts {ours:.4g} s, "{other.name}" {theirs:.4g} s'
+            yield Asked("time", f"which clock is right? {text}; the other one then is to be: ignore")
 
 
 def _seconds(column: Proposal) -> float:

@@ -69,7 +69,7 @@ def written(texts: Sequence[str]) -> Written | None:
 
 
 def _order(texts: Sequence[str]) -> str:
-    """The order of day and month, where a number above 12 or a point tells it; empty where it is open."""
+    """The order of day and month, where a number above 12 or a point shows it; empty where it is open."""
     pairs = [(int(m[1]), int(m[2])) for text in texts if (m := _SLASHED.match(text))]
     if not pairs:
         return "year first"
@@ -109,7 +109,7 @@ def interval_in(lines: Sequence[str]) -> float:
 
 
 def clock_and_date(kinds: Mapping[str, Written]) -> tuple[str, str]:
-    """Of the columns of times by name the one that tells the time, and the one with its date; empty where none."""
+    """Of the columns of times by name the one that holds the time, and the one with its date; empty where none."""
     whole = next((name for name, each in kinds.items() if each.kind == "date and time"), "")
     if whole:
         return whole, ""

@@ -71,7 +71,7 @@ class Proposal:
     period: float = 0.0
     """Distance of the samples [s] that a time counts; 0 where the file does not give it."""
     bare: bool = False
-    """Nothing but its numbers tells what it is: the file gives no name, or one for all columns of a matrix."""
+    """Nothing but its numbers shows what it is: the file gives no name, or one for all columns of a matrix."""
     extra: list[str] = field(default_factory=list)
     """Further lines of the map that are known of it."""
 
@@ -146,24 +146,24 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
         if abs(together) > 0.8:
             proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
             if all(p.role != "force" for p in proposals):
-                told = (
+                text = (
                     f'"{proposal.name[:40]}" goes with the pressure (correlation {together:.2f}), and nothing names it'
                 )
-                proposal.question = f"{told}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
+                proposal.question = f"{text}: is it {{is: force, unit: N}}, {{is: displacement, unit: mm}}, or ignore?"
         else:
-            proposal.reasons.append("neither its name nor its unit nor its numbers tell what it is")
+            proposal.reasons.append("neither its name nor its unit nor its numbers show what it is")
 
 
 def _by_name(proposal: Proposal) -> None:
     own = words(proposal.name)
     quantity = QUANTITY.get(proposal.unit, "")
     hits = {role for role, known in WORDS.items() if own & known}
-    told = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
+    text = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
     role = "ignore"
     if quantity == "time" or (hits == {"time"} and quantity == ""):
         role = "time"
     elif "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}:
-        proposal.reasons.append(f"{told}: none of the channels of a muscle's test")
+        proposal.reasons.append(f"{text}: none of the channels of a muscle's test")
         return
     elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):
         role = "supply" if "supply" in hits else "pressure_command" if "command" in hits else "pressure"
@@ -172,14 +172,14 @@ def _by_name(proposal: Proposal) -> None:
     elif quantity == "force" or ("force" in hits and quantity in {"", "reading", "mass"}):
         role = "ignore" if hits & {"command", "not measured"} else "force"
         if role == "ignore":
-            proposal.reasons.append(f"{told}: a force that nobody measured")
+            proposal.reasons.append(f"{text}: a force that nobody measured")
     elif "command" in hits and quantity in {"", "reading"}:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
         role = "phase"
     proposal.role = role
     if role != "ignore":
-        proposal.reasons.append(told)
+        proposal.reasons.append(text)
 
 
 UNLIKE_TIME = "is named or measured like a time"
@@ -244,7 +244,7 @@ def _time_unit(time: Proposal) -> None:
             _which_time(time, step)
             return
     time.unit = "s"
-    time.doubts.append(f"steps of {step:.4g}: the unit of time is not told; s is taken")
+    time.doubts.append(f"steps of {step:.4g}: the unit of time is not given; s is taken")
     time.question = f'in which unit is "{time.name[:40]}"? Its steps of {step:.4g} are no usual sampling in s, ms or us'
 
 
@@ -270,16 +270,16 @@ def _which_time(time: Proposal, step: float) -> None:
     rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
-    told = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
+    text = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
     if bool(np.all(np.diff(time.values) == 1.0)):
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
-        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {told}"
+        time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {text}"
     elif len(possible) > 1:
-        time.question = f'in which unit is "{time.name[:40]}"? {told}'
+        time.question = f'in which unit is "{time.name[:40]}"? {text}'
 
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
-    """Of several that claim one role the one that moves most, told, keeps it."""
+    """Of several that claim one role the one that moves most keeps it, with a doubt."""
     for role in ("pressure", "force", "displacement", "pressure_command", "displacement_command", "supply", "phase"):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:
@@ -292,10 +292,10 @@ def _one_each(proposals: Sequence[Proposal]) -> None:
         best.doubts.append(f"{len(same)} columns look like {role.replace('_', ' ')}; this one was taken")
         if role in {"pressure", "force", "displacement"}:
             names = ", ".join(f'"{p.name[:40]}"' for p in same if p is not best)
-            told = (
+            text = (
                 f'is "{best.name[:40]}" the measured {role}? It moves most against its scatter, but {names} may be it'
             )
-            best.question = f"{told}; then write ignore here and {role} there"
+            best.question = f"{text}; then write ignore here and {role} there"
     pressure = [p for p in proposals if p.role == "pressure"]
     spare = [p for p in proposals if p.role in {"supply", "pressure_command"}]
     if not pressure and spare:
@@ -312,25 +312,14 @@ def _moves(values: Array) -> float:
 
 def _by_shape(proposals: Sequence[Proposal]) -> None:
     """Columns without names: phases are whole numbers in order, a command rests, the others go with the pressure."""
-    bare = [p for p in proposals if p.role == "ignore" and p.bare and not p.unit and len(p.good)]
-    for proposal in list(bare):
-        marks = np.unique(proposal.good)
-        if len(marks) <= 6 and np.array_equal(marks, np.round(marks)) and bool(np.all(np.diff(proposal.good) >= 0)):
-            bare.remove(proposal)
-            if len(marks) > 1:
-                proposal.role = "phase"
-                proposal.reasons.append(f"few whole numbers in order, {', '.join(f'{m:g}' for m in marks)}: phases")
+    bare = [p for p in proposals if p.role == "ignore" and p.bare and not p.unit and len(p.good) and not _phases(p)]
     taken = {p.role for p in proposals}
     command = None if "pressure_command" in taken else _command(bare)
-    if command is not None:
-        bare.remove(command)
-    if "pressure" in taken or not bare:
+    order = sorted((p for p in bare if p is not command), key=lambda p: _like_pressure(p.good), reverse=True)
+    scale = _pressure_unit(order[0].good) if order else None
+    if "pressure" in taken or scale is None:
         return
-    order = sorted(bare, key=lambda p: _like_pressure(p.good), reverse=True)
     pressure, others = order[0], order[1:]
-    scale = _pressure_unit(pressure.good)
-    if scale is None:
-        return
     pressure.role, pressure.unit = "pressure", scale
     top = float(np.quantile(pressure.good, 0.99))
     pressure.reasons.append(f"never far below zero, {top:.4g} at most: like a pressure in {scale}")
@@ -338,28 +327,39 @@ def _by_shape(proposals: Sequence[Proposal]) -> None:
         command.role, command.unit = "pressure_command", scale
         together = _together(command.values, pressure.values)
         command.reasons.append(f"rests at levels, and the pressure goes with it (correlation {together:.2f})")
-        command.doubts.append("that it is the command of the pressure is a guess: no name tells it")
+        command.doubts.append("that it is the command of the pressure is a guess: no name says it")
     follow = [p for p in others if abs(_together(p.values, pressure.values)) > 0.5]
     if len(follow) > 1 and not taken & {"force", "displacement"}:
         _displacement(follow, pressure)
-    others = [p for p in others if p.role == "ignore"]
-    if others and "force" not in taken:
-        force = max(others, key=lambda p: abs(_together(p.values, pressure.values)))
-        together = _together(force.values, pressure.values)
-        if abs(together) > 0.5:
-            force.role, force.unit = "force", "N"
-            force.reasons.append(f"goes with the pressure (correlation {together:.2f}), flat where the pressure is low")
-            force.doubts.append("that it is a force in N is a guess: no name tells it")
-            pressure.doubts.append(
-                "told from the other column by its numbers only: look whether it is not the other way round"
-            )
+    if "force" not in taken:
+        _force([p for p in others if p.role == "ignore"], pressure)
     for proposal in (pressure, *(p for p in others if p.role == "force")):
-        step = lattice(proposal.good)
-        if step:
-            proposal.doubts.append(
-                f"stands in steps of {step:.4g}: counts were turned into it; where you know the line say it with "
-                '"recorded_with"'
-            )
+        if step := lattice(proposal.good):
+            text = f"reads in steps of {step:.4g}: counts were turned into it; where you know the line say it with "
+            proposal.doubts.append(f'{text}"recorded_with"')
+
+
+def _phases(proposal: Proposal) -> bool:
+    """Whether a column without a name holds few whole numbers in order; where they differ they mark phases."""
+    marks = np.unique(proposal.good)
+    if len(marks) > 6 or not np.array_equal(marks, np.round(marks)) or not bool(np.all(np.diff(proposal.good) >= 0)):
+        return False
+    if len(marks) > 1:
+        proposal.role = "phase"
+        proposal.reasons.append(f"few whole numbers in order, {', '.join(f'{m:g}' for m in marks)}: phases")
+    return True
+
+
+def _force(others: Sequence[Proposal], pressure: Proposal) -> None:
+    """The column without a name that goes with the pressure best, where one does."""
+    force = max(others, key=lambda p: abs(_together(p.values, pressure.values)), default=None)
+    together = 0.0 if force is None else _together(force.values, pressure.values)
+    if force is None or abs(together) <= 0.5:
+        return
+    force.role, force.unit = "force", "N"
+    force.reasons.append(f"goes with the pressure (correlation {together:.2f}), flat where the pressure is low")
+    force.doubts.append("that it is a force in N is a guess: no name says it")
+    pressure.doubts.append("only its numbers distinguish it from the other column: is it the other way round?")
 
 
 def _command(bare: Sequence[Proposal]) -> Proposal | None:
@@ -392,7 +392,7 @@ def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
         f"goes with the pressure (correlation {together:.2f}), {top:.4g} at most: a length in {unit}?"
     )
     smallest.doubts.append(
-        "that it is a displacement is a guess by its size: no name tells it; look whether it is not the force"
+        "that it is a displacement is a guess by its size: no name says it; look whether it is not the force"
     )
 
 
@@ -445,7 +445,7 @@ def lone(values: Array) -> NDArray[np.bool_]:
 
 
 def lattice(values: Array) -> float:
-    """The step in which values stand, where they are those of a converter; 0 where they are not."""
+    """The step between values, where they are those of a converter; 0 where they are not."""
     marks = np.unique(np.round(values, 9))
     if not 20 < len(marks) < len(values) / 4:
         return 0.0

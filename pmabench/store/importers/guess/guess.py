@@ -14,13 +14,13 @@ from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess.columns import is_whole
 from pmabench.store.importers.guess.exported import as_exported
 from pmabench.store.importers.guess.look import LOOKED_AT, SECONDS, look
-from pmabench.store.importers.guess.names import frequency_of, told_by
+from pmabench.store.importers.guess.names import found_in, frequency_of
 from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_rules import read_map
 
 FILES = 20
-"""Files of one guess that are looked at; the columns are told by the first."""
+"""Files of one guess that are looked at; the columns are those of the first."""
 
 
 def guess_files(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
@@ -53,12 +53,12 @@ def _guess(files: Sequence[Path], kinds: Mapping[str, Imported]) -> Guess:
             guess.doubts.append(f"no column was found that is a {role}: say which it is, for the map needs one")
     if guess.role("time") is None and guess.role("pressure") is not None and isinstance(guess.layout, TextLayout):
         guess.doubts.append(
-            "a table of points without time is no recording: report --overlay draws it beside your own, and model fit "
+            "a table of points without time is no recording: report --overlay draws it next to your own, and model fit "
             "fits a model to it"
         )
     bare = [column.name for column in guess.columns if column.bare and column.role not in ("ignore", "time")]
     if bare:
-        guess.doubts.append(f"to be confirmed by who knows the bench, for numbers alone tell it: {', '.join(bare)}")
+        guess.doubts.append(f"to be confirmed by who knows the bench, for numbers alone show it: {', '.join(bare)}")
     return guess
 
 
@@ -85,9 +85,9 @@ def _alike(guess: Guess, path: Path) -> None:
             return
     names, others = {column.name for column in guess.columns}, {column.name for column in other.columns}
     if not same or names != others:
-        told = ", ".join(sorted(names ^ others)[:4])
+        text = ", ".join(sorted(names ^ others)[:4])
         raise invalid(
-            path, f"is laid out otherwise than {guess.files[0]}{f' ({told})' if told else ''}: guess them apart"
+            path, f"is laid out otherwise than {guess.files[0]}{f' ({text})' if text else ''}: guess them apart"
         )
 
 
@@ -117,18 +117,18 @@ def _sampling(guess: Guess) -> None:
     wide = float(np.quantile(forward, 0.995))
     guess.gap = max(guess.gap, 1.5 * wide if wide < 10 * usual else 0.0) * guess.slower[1]
     how = "evenly" if even else f"unevenly, {early:.3g} to {late:.3g} s apart"
-    told = [f"median {1 / usual:.4g} samples a second, {how}"]
+    found = [f"median {1 / usual:.4g} samples a second, {how}"]
     if (steps < 0).any():
-        told.append(f"the time jumps back {int((steps < 0).sum())} times: it is flagged, not mended")
+        found.append(f"the time jumps back {int((steps < 0).sum())} times: it is flagged, not mended")
     if (steps > guess.gap).any():
-        told.append(f"{int((steps > guess.gap).sum())} gaps, the longest {steps.max():.3g} s")
-    guess.reasons["sampling"] = told
+        found.append(f"{int((steps > guess.gap).sum())} gaps, the longest {steps.max():.3g} s")
+    guess.reasons["sampling"] = found
 
 
 def _names(guess: Guess) -> None:
-    """Dates, numbers of tests and points in the names of the files, or of their folders: whichever tell more."""
-    found = (told_by(guess.files, of) for of in ("file", "folder"))
-    best = max(found, key=lambda told: (len(told[0]), told[1] == "file"))
+    """Dates, numbers of tests and points in the names of the files, or of their folders: whichever contain more."""
+    found = (found_in(guess.files, of) for of in ("file", "folder"))
+    best = max(found, key=lambda names: (len(names[0]), names[1] == "file"))
     keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
     if keys and len(forms) <= 20:
         guess.forms = forms
@@ -136,14 +136,16 @@ def _names(guess: Guess) -> None:
 
 
 def _frequency(guess: Guess) -> None:
-    """A sine whose frequency no name tells, or tells wrong, is fitted in each file, where that can be done."""
+    """A sine whose frequency no name gives, or gives wrong, is fitted in each file, where that can be done."""
     if not guess.frequency:
         return
-    told = frequency_of(guess.files[0], guess.form_of, guess.form_units)
+    found = frequency_of(guess.files[0], guess.form_of, guess.form_units)
     slowest = 1.0 / float(guess.seconds[-1] - guess.seconds[0]) if guess.seconds is not None else 0.0
-    if (told is None or abs(told - guess.frequency) > 0.1 * told + 2 * slowest) and count(guess, "sine") > 0:
+    if (found is None or abs(found - guess.frequency) > 0.1 * found + 2 * slowest) and count(guess, "sine") > 0:
         why = (
-            "no name tells its frequency" if told is None else f"its name tells {told:.4g} Hz, and its command does not"
+            "no name gives its frequency"
+            if found is None
+            else f"its name gives {found:.4g} Hz, and its command does not"
         )
         guess.smallest_of = "pressure_command"
         guess.trials = {"by": "sine", "smallest": f"{share(guess, 'pressure_command'):.3g}"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -14,6 +14,7 @@ from pmabench.store.formats.fields import MINUS
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.formats.times import Stamps, step_in
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
+from pmabench.store.importers.units import spelled
 
 TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
@@ -29,6 +30,8 @@ NO_VALUE = {
     *("missing", "---", "----", "-.-", "--.-", "--.--", "#div/0!", "#value!", "#num!", "#ref!", "no data", "bad"),
 }
 MOST_MISSING = 12
+MOST_BELOW = 20
+"""Lines between the names and the first row that a map can give."""
 FAULTS = 0.05
 """Share of texts that are neither numbers nor known for "no value", up to which a column holds numbers, and faults."""
 _QUOTED = re.compile(r'"\s*[+-]?[\d.,]+(?:[eE][+-]?\d{1,3})?\s*"')
@@ -49,9 +52,9 @@ ENCODINGS = {
     "big5": ("時間", "壓力", "位移", "拉力"),
     "euc_kr": ("시간", "압력", "변위", "하중"),
 }
-"""Encodings that cannot be told by their bytes, each with words of its language that a header of a test holds."""
+"""Encodings that cannot be recognised by their bytes, each with words of its language that a header of a test holds."""
 STATISTICS = {"mean", "average", "avg", "max", "min", "rms", "std", "value", "raw", "float", "double", "mittelwert"}
-"""What stands below the names where a program says how it made its numbers."""
+"""What is below the names where a program says how it made its numbers."""
 
 
 @dataclass
@@ -80,91 +83,114 @@ class TextGuess:
     """A number whose comma may be the decimal sign or group digits, as all others; empty where one shows which."""
 
 
+@dataclass(frozen=True)
+class _Body:
+    """The first lines of a text, and how its rows of numbers are written."""
+
+    path: str
+    lines: list[str]
+    further: list[str]
+    """Some lines further down."""
+    above: int
+    """Lines above the first row, where the header of an oscilloscope shows how many; else 0."""
+    quoted: bool
+    delimiter: str
+    decimal: str
+    thousands: str
+    rows: list[tuple[int, int]]
+    """Line from 0, and fields, of each row."""
+
+    @property
+    def width(self) -> int:
+        """Fields of a row."""
+        return self.rows[-1][1]
+
+    @property
+    def first(self) -> int:
+        """Line of the first row, from 0."""
+        return next(number for number, count in self.rows if count == self.width)
+
+    def cut(self, line: str) -> list[str]:
+        """Fields of a line."""
+        return split(line, self.delimiter, quoted=self.quoted)
+
+    def below(self) -> list[list[str]]:
+        """Fields of the lines from the first row on that are as wide as that."""
+        return [row for row in map(self.cut, self.lines[self.first :]) if len(row) == self.width]
+
+
 def guess_layout(path: str, content: bytes) -> TextGuess:
     """The layout that makes most cells of the first lines numbers; raises InvalidFile where none does."""
     text, encoding, why = _decoded(path, content.rstrip(b"\0") or content)
     text = text.replace(MINUS, "-").replace("\r\n", "\n").replace("\r", "\n")
+    body = _body(path, text)
+    lines, first = body.lines, body.first
+    comment = _comment(lines, first)
+    shown = f"{body.width} columns parted by {body.delimiter}, decimal {body.decimal}"
+    reasons = [why, f"{shown}: so {len(body.rows)} of the first lines are rows of numbers"]
+    reasons += ["numbers are in quotation marks"] if body.quoted else []
+    reasons += [f"digits are grouped by {body.thousands}"] if body.thousands else []
+    names, units, skip = _step_header(body, reasons) if body.above else _header(body, comment, reasons)
+    blank = any(not line.strip() for line in lines[:-1])
+    reasons += ["it has blank lines, which are skipped"] if blank else []
+    texts, missing = _words(body, names, reasons)
+    called = names or [f"column {k + 1}" for k in range(body.width)]
+    again = _again(text, lines, first, called) if names and not _twice(called) else 0
+    under = sum(bool(line.strip()) for line in lines[again:first]) if again else 0
+    again = again if under <= MOST_BELOW else 0
+    header_line = bool(again) or (bool(names) and not units and skip is not None and not _twice(called))
+    called = _apart(called)
+    layout = TextLayout.model_validate(
+        {
+            "delimiter": body.delimiter,
+            "quoted": body.quoted,
+            "decimal": body.decimal,
+            "thousands": body.thousands or None,
+            "encoding": encoding,
+            "header": "first line" if header_line else "none",
+            "names": [] if header_line else called,
+            "skip_lines": again - 1 if again else (skip or 0) if header_line else _before(lines, first, comment),
+            "lines_below_header": under if again else 0,
+            "repeated_header": "new test" if again else "refuse",
+            "blank_lines": "skip" if blank or again else "refuse",
+            "comment": comment,
+            "missing": missing,
+        }
+    )
+    guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
+    guess.interval = interval_in(lines[:first])
+    if body.decimal == "comma" and not body.thousands:
+        guess.either = _may_be_thousands([body.cut(lines[row]) for row, _ in body.rows])
+    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
+    _stamps(guess, body.below())
+    if body.above and guess.stamps is None:
+        guess.stamps = Stamps(called[0], "header step")
+    return guess
+
+
+def _body(path: str, text: str) -> _Body:
+    """The rows of a text; raises InvalidFile where it has none, or a comma that parts columns and decimals at once."""
     lines = text.split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
     quoted = sum(_QUOTED.search(line) is not None for line in lines) > TABLE * sum(map(bool, lines))
     above = next((k + 2 for k in range(min(len(lines), 60)) if step_in(lines[k : k + 2])), 0)
     delimiter, decimal, rows, thousands = _cells(path, lines, above, quoted=quoted)
-    width = rows[-1][1]
-    first = next(number for number, count in rows if count == width)
-    comment = _comment(lines, first)
-    reasons = [why, _told(delimiter, decimal, width, len(rows))]
-    if quoted:
-        reasons.append("numbers stand in quotation marks")
     further = text.split("\n")[LOOKED_AT:-1]
     further = further[:: 1 + len(further) // FURTHER]
     thousands = thousands or _thousands([split(line, delimiter, quoted=quoted) for line in further], decimal)
-    if thousands:
-        reasons.append(f"digits are grouped by {thousands}")
-
-    def cut(line: str) -> list[str]:
-        return split(line, delimiter, quoted=quoted)
-
+    body = _Body(path, lines, further, above, quoted, delimiter, decimal, thousands, rows)
     if delimiter == "comma" and decimal == "point" and not quoted:
-        _two_commas(path, [cut(line) for line in lines[first:] if line.strip()], lines[:first], width)
-    if above:
-        names, units, skip = [*map(str.strip, cut(lines[above - 2]))], dict[str, str](), None
-        names = [name or f"column {k + 1}" for k, name in enumerate((names + [""] * width)[:width])]
-        reasons.append("the header gives Start and Increment: the first column counts samples")
-    else:
-        names, units, skip = _header(lines, first, cut, width, comment, reasons)
-    blank = any(not line.strip() for line in lines[:-1])
-    if blank:
-        reasons.append("blank lines stand in it, and are skipped")
-    texts, missing, other = _words(lines[first:], cut, decimal, width, grouped=bool(thousands))
-    later = {row[k].strip() for row in map(cut, further) if len(row) == width for k in range(width) if k not in texts}
-    missing = sorted({*missing, *(word for word in later if word.lower() in NO_VALUE)})[:MOST_MISSING]
-    if missing:
-        reasons.append(f"texts that stand for no value: {', '.join(repr(text) for text in missing)}")
-    if other:
-        told = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
-        one, two = ("comma", "point") if decimal == "comma" else ("point", "comma")
-        problem = (
-            f"two decimal signs in one file: {told} have the {two}, the others the {one}; export it with one of them"
-        )
-        raise invalid(path, problem, first + 1, 1)
-    called = names or [f"column {k + 1}" for k in range(width)]
-    header_line = bool(names) and not units and skip is not None and not _twice(called)
-    again = _again(text, lines, first, called) if names and not _twice(called) else 0
-    called = _apart(called)
-    if again:
-        header_line = True
-    layout = TextLayout.model_validate(
-        {
-            "delimiter": delimiter,
-            "quoted": quoted,
-            "decimal": decimal,
-            "thousands": thousands or None,
-            "encoding": encoding,
-            "header": "first line" if header_line else "none",
-            "names": [] if header_line else called,
-            "skip_lines": (skip or 0) if header_line and not again else _before(lines, first, comment),
-            "blank_lines": "skip" if blank or again else "refuse",
-            "comment": comment,
-            "missing": missing,
-        }
-    )
-    if again:
-        more = {
-            "repeated_header": "new test",
-            "skip_lines": again - 1,
-            "lines_below_header": sum(bool(line.strip()) for line in lines[again:first]),
-        }
-        layout = layout.model_copy(update=more)
-    guess = TextGuess(layout, called, bool(names), [called[k] for k in texts], units, reasons)
-    guess.interval = interval_in(lines[:first])
-    if decimal == "comma" and not thousands:
-        guess.either = _may_be_thousands([cut(lines[row]) for row, _ in rows])
-    guess.tests = f"\n{text}".count(f"\n{lines[again - 1]}\n") if again else 0
-    _stamps(guess, [row for row in map(cut, lines[first:]) if len(row) == width])
-    if above and guess.stamps is None:
-        guess.stamps = Stamps(called[0], "header step")
-    return guess
+        fields = [body.cut(line) for line in lines[body.first :] if line.strip()]
+        _two_commas(path, fields, lines[: body.first], body.width)
+    return body
+
+
+def _step_header(body: _Body, reasons: list[str]) -> tuple[list[str], dict[str, str], None]:
+    """Names above the Start and the Increment of an oscilloscope."""
+    names = [*map(str.strip, body.cut(body.lines[body.above - 2])), *[""] * body.width][: body.width]
+    reasons.append("the header gives Start and Increment: the first column counts samples")
+    return [name or f"column {k + 1}" for k, name in enumerate(names)], {}, None
 
 
 def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
@@ -176,8 +202,8 @@ def _stamps(guess: TextGuess, rows: Sequence[Sequence[str]]) -> None:
     dated = kinds[date or time]
     guess.open_order = dated.kind != "clock" and not dated.order
     guess.stamps = Stamps(time, kinds[time].kind, date=date, order=dated.order or "day first")
-    told = f'"{time}" is written as {kinds[time].kind}' + (f', its date is in "{date}"' if date else "")
-    guess.reasons.append(told)
+    text = f'"{time}" is written as {kinds[time].kind}' + (f', its date is in "{date}"' if date else "")
+    guess.reasons.append(text)
     guess.texts = [name for name in guess.texts if name not in (time, date)]
 
 
@@ -201,13 +227,13 @@ def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], 
         return
     zeros = any(re.fullmatch(r"\s*0\d+\s*", text) for row in rows for text in row)
     if (names > 1 and width == 2 * names) or zeros or (names > 1 and max(widths) > names):
-        told = (
+        sentence = (
             f"rows have {width} fields between commas"
             + (f" under {names} names" if names else "")
             + ", none with a decimal point: the comma seems to part columns and decimals at once, which nothing can "
             "tell apart; export it with semicolons or tabs, or with decimal points"
         )
-        raise invalid(path, told, len(above) + 1, 1)
+        raise invalid(path, sentence, len(above) + 1, 1)
 
 
 def _decoded(path: str, content: bytes) -> tuple[str, str, str]:
@@ -262,7 +288,7 @@ def split(line: str, delimiter: str, *, quoted: bool = False) -> list[str]:
 def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tuple[str, str, list[tuple[int, int]], str]:
     """Delimiter, decimal sign, (line from 0, fields) of all rows of numbers, and the sign of thousands.
 
-    The pair with most numbers wins. A field that is a date or a clock may stand in a row. `above`: lines before the
+    The pair with most numbers wins. A field that is a date or a clock may be in a row. `above`: lines before the
     first row that are none.
     """
     best: tuple[tuple[int, bool, bool], str, str, list[tuple[int, int]], str] | None = None
@@ -295,13 +321,13 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
     first, count = best[3][0][0], len(best[3])
     below = sum(bool(line.strip()) for line in lines[first:])
     if count < TABLE * below:
-        told = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
-        raise invalid(path, f"is no table of numbers ({told}): nothing can be guessed")
+        sentence = f"{count} of {below} lines from line {first + 1} on are rows of {best[3][0][1]} fields with numbers"
+        raise invalid(path, f"is no table of numbers ({sentence}): nothing can be guessed")
     return best[1], best[2], best[3], best[4]
 
 
 def _in_each(lines: Sequence[str], mark: str) -> bool:
-    """Whether a sign stands equally often in nearly all lines: it parts columns, rather than digits."""
+    """Whether a sign is equally often in nearly all lines: it parts columns, rather than digits."""
     counts = Counter(line.count(mark) for line in lines if line.strip())
     usual, many = counts.most_common(1)[0] if counts else (0, 0)
     return usual > 0 and many > 0.9 * sum(counts.values())
@@ -323,14 +349,10 @@ def _thousands(rows: Sequence[Sequence[str]], decimal: str) -> str:
 
 
 def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
-    """A number of a file in which every comma stands before three digits and none after a zero; else an empty text."""
+    """A number of a file in which every comma comes before three digits and none after a zero; else an empty text."""
     with_comma = [text.strip() for row in rows for text in row if "," in text]
     either = with_comma and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", text) for text in with_comma)
     return with_comma[0] if either else ""
-
-
-def _told(delimiter: str, decimal: str, width: int, rows: int) -> str:
-    return f"{width} columns parted by {delimiter}, decimal {decimal}: so {rows} of the first lines are rows of numbers"
 
 
 def _comment(lines: Sequence[str], first: int) -> str | None:
@@ -340,30 +362,22 @@ def _comment(lines: Sequence[str], first: int) -> str | None:
     return None
 
 
-def _header(
-    lines: Sequence[str],
-    first: int,
-    cut: Callable[[str], list[str]],
-    width: int,
-    comment: str | None,
-    reasons: list[str],
-) -> tuple[list[str], dict[str, str], int | None]:
+def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[str], dict[str, str], int | None]:
     """Names, units by name from a second line, and lines before the header (None: it is a comment)."""
-    from pmabench.store.importers.units import spelled
-
-    above = [(k, lines[k]) for k in range(first) if lines[k].strip()]
+    lines, width = body.lines, body.width
+    above = [(k, lines[k]) for k in range(body.first) if lines[k].strip()]
     candidates: list[tuple[int, list[str], bool]] = []
     for k, line in above[-5:]:
         commented = comment is not None and line.lstrip().startswith(comment)
-        told = line.lstrip()[len(comment or "") :] if commented else line
-        fields = [text.strip().strip('"').strip() for text in cut(told)]
+        found = line.lstrip()[len(comment or "") :] if commented else line
+        fields = [text.strip().strip('"').strip() for text in body.cut(found)]
         if len(fields) == width and any(re.search(r"[^\W\d_]", text) for text in fields):
             candidates.append((k, fields, commented))
     left = [each for each in candidates if not {text.lower() for text in each[1] if text} <= STATISTICS]
     of_units = [each for each in left if sum(bool(spelled(text)) for text in each[1]) * 2 > width]
     named = [each for each in left if each not in of_units] or of_units
     if not named:
-        reasons.append("no line of names: the columns are told apart by what they hold")
+        reasons.append("no line of names: the columns are distinguished by what they hold")
         return [], {}, None
     k, fields, commented = named[-1]
     if of_units and named is not of_units:
@@ -386,31 +400,35 @@ def _before(lines: Sequence[str], first: int, comment: str | None) -> int:
     return strange[-1] + 1 if strange else 0
 
 
-def _words(
-    lines: Sequence[str], cut: Callable[[str], list[str]], decimal: str, width: int, *, grouped: bool
-) -> tuple[list[int], list[str], list[int]]:
-    """Columns of words, texts that stand for no value in the others, and which of the words are numbers otherwise."""
-    number, otherwise = (_COMMA, _POINT) if decimal == "comma" else (_POINT, _COMMA)
-    cells = [row for row in map(cut, lines) if len(row) == width]
-    texts: list[int] = []
-    missing: set[str] = set()
-    other: list[int] = []
-    for column in range(width):
-        strange = [
-            row[column].strip()
-            for row in cells
-            if not _is_number(row[column], number, decimal, "any" if grouped else "")
-        ]
-        if not strange:
-            continue
-        known = sum(text.lower() in NO_VALUE for text in strange)
-        if len(strange) > len(cells) / 2 or len(strange) - known > max(1.0, FAULTS * len(cells)):
+def _words(body: _Body, names: Sequence[str], reasons: list[str]) -> tuple[list[int], list[str]]:
+    """Columns of words, and texts that mean no value in the others; InvalidFile where words are numbers otherwise."""
+    number, otherwise = (_COMMA, _POINT) if body.decimal == "comma" else (_POINT, _COMMA)
+    cells, texts, missing, other = body.below(), list[int](), set[str](), list[int]()
+    for column in range(body.width):
+        every = (row[column] for row in cells)
+        grouped = "any" if body.thousands else ""
+        strange = [text.strip() for text in every if not _is_number(text, number, body.decimal, grouped)]
+        known = {text for text in strange if text.lower() in NO_VALUE}
+        faults = sum(text not in known for text in strange)
+        if len(strange) > len(cells) / 2 or faults > max(1.0, FAULTS * len(cells)):
             texts.append(column)
             if all(otherwise.fullmatch(text) for text in strange):
                 other.append(column)
         else:
-            missing |= {text for text in strange if text.lower() in NO_VALUE}
-    return texts, sorted(missing)[:MOST_MISSING], other
+            missing |= known
+    if other:
+        named = ", ".join(f'"{names[k]}"' if names else f"column {k + 1}" for k in other)[:200]
+        one, two = ("comma", "point") if body.decimal == "comma" else ("point", "comma")
+        text = (
+            f"two decimal signs in one file: {named} have the {two}, the others the {one}; export it with one of them"
+        )
+        raise invalid(body.path, text, body.first + 1, 1)
+    wide = [row for row in map(body.cut, body.further) if len(row) == body.width]
+    later = {row[k].strip() for row in wide for k in range(body.width) if k not in texts}
+    found = sorted({*sorted(missing)[:MOST_MISSING], *(word for word in later if word.lower() in NO_VALUE)})
+    if found := found[:MOST_MISSING]:
+        reasons.append(f"texts that mean no value: {', '.join(repr(text) for text in found)}")
+    return texts, found
 
 
 def _twice(names: Sequence[str]) -> bool:
@@ -420,9 +438,9 @@ def _twice(names: Sequence[str]) -> bool:
 def _apart(names: Sequence[str]) -> list[str]:
     """Names that differ, none of them empty."""
     seen: Counter[str] = Counter()
-    told = []
+    found = []
     for k, name in enumerate(names):
         text = name[:100] or f"column {k + 1}"
         seen[text] += 1
-        told.append(text if seen[text] == 1 else f"{text} ({seen[text]})")
-    return told
+        found.append(text if seen[text] == 1 else f"{text} ({seen[text]})")
+    return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,11 +17,10 @@ from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.map_file import PLACE
-from pmabench.store.importers.table import content_of, read_table
+from pmabench.store.importers.table import Table, content_of, read_table
 from pmabench.store.importers.units import spelled
 from pmabench.store.records import Array
 
-_MATRIX = re.compile(r"(.+)\(:,\d+\)")
 LOOKED_AT = 20_000_000
 """Bytes of a text file that are looked at."""
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
@@ -39,9 +37,9 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
         return _look_at_text(path, guess_layout(str(path), content), kinds)
     layout = form.layout.model_validate({"format": form.name})
     table = read_table(path, layout, None)
-    groups: dict[tuple[str, int], list[str]] = {}
     owner = form.together(table.columns)
     tests, zeros = alike(table.columns, owner)
+    groups: dict[tuple[str, int], list[str]] = {}
     for name, values in table.columns.items():
         groups.setdefault((owner[name], len(values)), []).append(name)
     if not groups:
@@ -53,33 +51,39 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
     if zeros:
         reasons.append(f"nothing moves in {', '.join(zeros)[:200]}: records of the zeros, left out")
     if len(tests) > 1:
-        reasons.append(f"{len(tests)} matrices with a clock each: every one is a test, and told apart by {group[0]}")
+        reasons.append(f"{len(tests)} matrices with a clock each: each is a test; {group[0]} is shown")
         others = [name for name in others if matrix_of(name) not in tests]
     if others:
         reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
-    columns = [
-        Proposal(name, table.columns[name], unit=spelled(table.units.get(name, "")) or unit_in(name))
-        for name in groups[group]
-    ]
-    for column in columns:
-        matrix = _MATRIX.fullmatch(column.name)
-        column.bare = matrix is not None and sum(name.startswith(f"{matrix[1]}(:,") for name in groups[group]) > 1
-        if spelled(table.units.get(column.name, "")):
-            column.reasons.append(f"the file says its unit, {column.unit}")
+    columns = [_proposal(name, table, groups[group]) for name in groups[group]]
     if any(column.bare for column in columns):
-        reasons.append("columns of a matrix have no names of their own: they are told apart by what they hold")
+        reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
     choose(columns)
     guess = Guess([path], layout, columns, [], [*others, *table.left_out], kinds, reasons={"file": reasons})
     if len(tests) > 1:
-        guess.tests = tests
-        for column in columns:
-            column.name = column.name.replace(group[0], PLACE, 1)
-        own = _usual_step(table.columns, group[0])
-        steps = [_usual_step(table.columns, test) / own for test in tests] if own else []
-        guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
+        _several(guess, tests, group[0], table.columns)
     if guess.role("time") is None:
-        guess.doubts.append('nothing in the file tells the time: say "period" if the samples are evenly apart')
+        guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
     return guess
+
+
+def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
+    """A column of a file with units; those of a matrix of several columns have no names of their own."""
+    matrix, said = matrix_of(name), spelled(table.units.get(name, ""))
+    column = Proposal(name, table.columns[name], unit=said or unit_in(name))
+    column.bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
+    column.reasons += [f"the file says its unit, {column.unit}"] if said else []
+    return column
+
+
+def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, Array]) -> None:
+    """Matrices that are a test each, of which one is shown."""
+    guess.tests = tests
+    for column in guess.columns:
+        column.name = column.name.replace(shown, PLACE, 1)
+    own = _usual_step(columns, shown)
+    steps = [_usual_step(columns, test) / own for test in tests] if own else []
+    guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
 
 
 def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
@@ -88,54 +92,54 @@ def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
     return 0.0 if clock is None else float(np.median(np.diff(clock)))
 
 
-def _look_at_text(path: Path, told: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
-    numbers = [name for name in told.names if name not in told.texts]
-    stamps = told.stamps
-    if told.tests and _goes_on(path, told, numbers):
-        told.tests, told.layout = 0, told.layout.model_copy(update={"repeated_header": "page"})
-        told.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
-    elif told.tests:
-        told.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
-    asked = [name for name in told.names if name in numbers]
-    table = read_table(path, told.layout, asked, (), told.texts, stamps, LOOKED_AT)
+def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
+    numbers = [name for name in guessed.names if name not in guessed.texts]
+    stamps = guessed.stamps
+    if guessed.tests and _goes_on(path, guessed, numbers):
+        guessed.tests, guessed.layout = 0, guessed.layout.model_copy(update={"repeated_header": "page"})
+        guessed.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
+    elif guessed.tests:
+        guessed.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
+    asked = [name for name in guessed.names if name in numbers]
+    table = read_table(path, guessed.layout, asked, (), guessed.texts, stamps, LOOKED_AT)
     if table.starts:
         table = table.tests()[0]
     columns = [
-        Proposal(name, table.columns[name], unit=told.units.get(name) or unit_in(name), bare=not told.named)
+        Proposal(name, table.columns[name], unit=guessed.units.get(name) or unit_in(name), bare=not guessed.named)
         for name in numbers
         if stamps is None or name != stamps.date
     ]
     for column in columns:
         if stamps is not None and column.name == stamps.column:
             column.unit, column.written, column.bare = "s", stamps.written, False
-            column.order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
+            column.order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
     choose(columns)
-    words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in told.texts]
+    words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in guessed.texts]
     if stamps is not None and stamps.date:
-        order = "??" if told.open_order else stamps.order if stamps.order != "year first" else ""
+        order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
     falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
     if falls and all(column.role != "time" for column in columns):
         backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
         raise invalid(path, backward)
     every = {column.name: column for column in [*columns, *words]}
-    reasons = {"file": told.reasons}
-    guess = Guess([path], told.layout, [every[name] for name in told.names], [], [], kinds, reasons=reasons)
+    reasons = {"file": guessed.reasons}
+    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], [], kinds, reasons=reasons)
     time = guess.role("time")
     if time is not None and time.written == "index":
-        time.period = told.interval
-    guess.period, guess.either = told.interval, told.either
-    guess.tests = [str(number) for number in range(1, told.tests + 1)]
-    if not told.named:
+        time.period = guessed.interval
+    guess.period, guess.either = guessed.interval, guessed.either
+    guess.tests = [str(number) for number in range(1, guessed.tests + 1)]
+    if not guessed.named:
         _call_by_role(guess)
     return guess
 
 
-def _goes_on(path: Path, told: TextGuess, numbers: Sequence[str]) -> bool:
+def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
     """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
-    layout = told.layout.model_copy(update={"repeated_header": "page"})
-    starts = read_table(path, told.layout, numbers, (), told.texts, told.stamps, LOOKED_AT).starts
-    table = read_table(path, layout, numbers, (), told.texts, told.stamps, LOOKED_AT)
+    layout = guessed.layout.model_copy(update={"repeated_header": "page"})
+    starts = read_table(path, guessed.layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT).starts
+    table = read_table(path, layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT)
     over = np.array(starts, dtype=int) - 1
     return len(over) > 0 and any(
         is_clock(values) and float(np.diff(values)[over].max()) < 2.0 * float(np.median(np.diff(values)))

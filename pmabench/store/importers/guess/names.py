@@ -1,4 +1,4 @@
-"""What the names of files and folders tell: dates, numbers of tests, operating points; reads no file."""
+"""What the names of files and folders contain: dates, numbers of tests, operating points; reads no file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _PARTS = (
 CONTRACTED = re.compile(
     r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
 )
-"""What stands before a length that is a contraction, and no diameter."""
+"""What comes before a length that is a contraction, and no diameter."""
 
 
-def told_by(
+def found_in(
     files: Sequence[Path], of: str, *, lengths: bool = True
 ) -> tuple[set[str], str, list[str], dict[str, str], bool]:
-    """Keys that the names tell, from files or folders, their forms, units, and whether they have a decimal comma.
+    """Keys in the names, from files or folders, their forms, units, and whether they have a decimal comma.
 
     A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
     """
@@ -52,7 +52,7 @@ def told_by(
                 units[key] = unit
         forms[form] = None
     if len(sizes) == 1:
-        return told_by(files, of, lengths=False)
+        return found_in(files, of, lengths=False)
     keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
     if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
         keys = set()

@@ -58,7 +58,7 @@ class Guess:
     """The record of an exported run answers what else would be asked."""
     simulated: bool = False
     specimen: dict[str, str] = field(default_factory=dict)
-    """Where a file tells it."""
+    """Where a file gives it."""
 
     @property
     def test(self) -> Imported:

@@ -102,7 +102,7 @@ def count(guess: Guess, what: str) -> int:
     column, t = command or guess.role("pressure"), guess.seconds
     if column is None or t is None or len(t) < 50:
         return 0
-    good = np.isfinite(column.values) & np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+    good = np.isfinite(column.values) & motion.later(t)
     good &= (column.values != 0) | (column.unit != "mA")
     smallest = share(guess, column.role)
     if smallest <= 0 or good.sum() < 50:

@@ -1,4 +1,4 @@
-"""Writes a guess as a map, its reasons as comments; what no file can tell is left as `??`, which `import` refuses."""
+"""Writes a guess as a map, its reasons as comments; what no file can give is left as `??`, which `import` refuses."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from pmabench.store.importers.guess.columns import Proposal
 from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.guess.spell import comment, question, scalar
 from pmabench.store.importers.guess.written_time import date_lines, period_lines, test_lines, time_lines
+from pmabench.store.importers.map_file import NUMBERS
 from pmabench.store.importers.questions import OPEN
 from pmabench.store.importers.units import QUANTITY
 
-EDGE = {"pressure": "bar", "length": "mm", "force": "N"}
+EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N", "1000 N")}
+"""Quantity -> unit of its scale, and what a sensor may span."""
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual ranges of sensors: unit, ends, and beyond which it is another."""
 LEAST_STEP = "10 kPa"
-GRAM, KILOGRAM = 0.00980665, 9.80665
+WEIGHT = {"g": 0.00980665, "kg": 9.80665}
+"""Newtons in one unit of a weight."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,8 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines += _trials(guess, spans)
     lines += _siblings(guess) + _analysis(guess)
     specimen = {"type": "not told", "serial": "unknown"} | guess.specimen
-    told = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
-    lines.append(f"specimen: {{{told}}}  # make, type, serial, nominal_length, inner_diameter")
+    sentence = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
+    lines.append(f"specimen: {{{sentence}}}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"
 
 
@@ -78,15 +81,15 @@ def still_open(text: str) -> list[int]:
 
 
 def _why(guess: Guess, key: str) -> str:
-    told = "; ".join(guess.reasons.get(key, []))
-    return f"  {comment(told)}" if told else ""
+    text = "; ".join(guess.reasons.get(key, []))
+    return f"  {comment(text)}" if text else ""
 
 
 def _file(guess: Guess) -> list[str]:
-    layout, told = guess.layout, [f"  {comment(text)}" for text in guess.reasons.get("file", [])]
+    layout, found = guess.layout, [f"  {comment(text)}" for text in guess.reasons.get("file", [])]
     if not isinstance(layout, TextLayout):
-        return ["file:", *told, f"  format: {layout.format}", *period_lines(guess)]
-    lines = ["file:", *told, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
+        return ["file:", *found, f"  format: {layout.format}", *period_lines(guess)]
+    lines = ["file:", *found, f"  delimiter: {layout.delimiter}", f"  header: {layout.header}"]
     if layout.names:
         lines.append(f"  names: [{', '.join(scalar(name) for name in layout.names)}]")
     keys = ("quoted", "decimal", "thousands", "encoding", "blank_lines", "skip_lines")
@@ -110,40 +113,39 @@ def _file(guess: Guess) -> list[str]:
 def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[str]:
     head = [f"  {comment(text)}" for text in column.reasons]
     head += [f"  {comment('DOUBT: ' + text)}" for text in column.doubts]
-    name = scalar(column.name)
     which = Asked(column.role, column.question)
     asking = [question(which)] if column.question else []
     role = which.scalar if column.question else column.role
-    if column.role == "ignore":
-        return [*head, *(f"  {line}" for line in asking), f"  {name}: {role}"]
-    if column.role == "phase":
-        marks = np.unique(column.good)
-        called = (
-            dict(zip(("fill", "exhaust"), marks, strict=False))
-            if len(marks) == 2
-            else {f"phase {m:g}": m for m in marks}
-        )
-        told = ", ".join(f"{scalar(key)}: {mark:g}" for key, mark in called.items())
-        optional = ", optional: true" if column.name in guess.optional else ""
-        return [*head, f"  {name}: {{is: phase, marks: {{{told}}}{optional}}}"]
-    if column.role == "point":
-        unit = f", unit: {_unit_of(column.name)}" if _unit_of(column.name) else ""
-        return [*head, f"  {name}: {{is: point, {', '.join(column.extra)}{unit}}}"]
-    if column.role in ("flags", "simulated", "trial"):
-        return [*head, f"  {name}: {{is: {column.role}}}"]
-    if column.role == "time":
-        return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
     if column.role == "date":
         return [*head, *date_lines(column)]
     if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
         head.append(f"  {comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
-        return [*head, f"  {name}: ignore"]
-    if guess.exported:
-        return [
-            *head,
-            f"  {name}:",
-            *(f"    {line}" for line in (f"is: {role}", f"unit: {column.unit}", *column.extra)),
-        ]
+        return [*head, f"  {scalar(column.name)}: ignore"]
+    if column.role == "time":
+        return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
+    if column.role in NUMBERS or column.role == "point":
+        text = role if column.role == "ignore" else f"{{{', '.join([f'is: {role}', *_marks(column, guess)])}}}"
+        return [*head, *(f"  {line}" for line in asking), f"  {scalar(column.name)}: {text}"]
+    body, why = ([f"unit: {column.unit}", *column.extra], []) if guess.exported else _measured(column, guess, spans)
+    lines = [*asking, f"is: {role}", *body]
+    return [*head, *(f"  {comment(text)}" for text in why), f"  {scalar(column.name)}:", *(f"    {x}" for x in lines)]
+
+
+def _marks(column: Proposal, guess: Guess) -> list[str]:
+    """Entries of a column that measures nothing: the marks of phases, the coordinate of a point and its unit."""
+    if column.role == "point":
+        unit = re.fullmatch(r".* \[([^\[\]]*)\]", column.name)
+        return [*column.extra, *([f"unit: {unit[1]}"] if unit and unit[1] else [])]
+    if column.role != "phase":
+        return []
+    marks = np.unique(column.good)
+    names = ("fill", "exhaust") if len(marks) == 2 else [f"phase {mark:g}" for mark in marks]
+    called = ", ".join(f"{scalar(name)}: {mark:g}" for name, mark in zip(names, marks, strict=True))
+    return [f"marks: {{{called}}}", *(["optional: true"] if column.name in guess.optional else [])]
+
+
+def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tuple[list[str], list[str]]:
+    """Entries of a column that is measured or commanded, and why."""
     body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
@@ -155,21 +157,8 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     blip = _blip(column.good) if column.role.endswith("command") else None
     if blip is not None:
         body.append(f"blip: {blip:g} {column.unit}")
-        why.append(f"{blip:g} stands only in single samples between others")
-    if column.name in guess.optional:
-        body.append("optional: true")
-    return [
-        *head,
-        *(f"  {comment(text)}" for text in why),
-        f"  {name}:",
-        *(f"    {line}" for line in [*asking, f"is: {role}", *body]),
-    ]
-
-
-def _unit_of(head: str) -> str:
-    """The unit in the head of an exported column, as it stands there."""
-    found = re.fullmatch(r".* \[([^\[\]]*)\]", head)
-    return found[1] if found else ""
+        why.append(f"{blip:g} is read in single samples between others only")
+    return body + (["optional: true"] if column.name in guess.optional else []), why
 
 
 def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str], list[str]]:
@@ -177,57 +166,46 @@ def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str]
     quantity, unit = quantity_of(column), column.unit
     if (unit_asked := asked.unit_of(column, guess)) is not None:
         return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
-    if QUANTITY.get(unit) == ("length" if quantity == "length" else quantity):
+    if QUANTITY.get(unit) == quantity:
         if quantity == "pressure" and re.search(r"\babs", column.name, re.IGNORECASE):
-            offset = {
-                "Pa": 101325,
-                "hPa": 1013.25,
-                "kPa": 101.325,
-                "MPa": 0.101325,
-                "bar": 1.01325,
-                "mbar": 1013.25,
-                "psi": 14.696,
-            }
-            line = f"line: {{slope: 1 {unit}/{unit}, offset: -{offset[unit]} {unit}}}"
+            line = f"line: {{slope: 1 {unit}/{unit}, offset: {asked.air(unit)}}}"
             return [f"unit: {unit}", line], ["absolute by its name: the normal pressure of air is taken off"]
         if (air := asked.gauge_of(column)) is not None:
             return [f"unit: {unit}", question(air), f"line: {{slope: 1 {unit}/{unit}, offset: {air.scalar}}}"], []
         if (pull := asked.pull_of(column, guess)) is not None:
             return [f"unit: {unit}", question(pull), f"line: {{slope: {pull.scalar}, offset: 0 {unit}}}"], []
         return [f"unit: {unit}"], []
-    if quantity == "force" and unit in {"g", "kg"}:
-        factor = GRAM if unit == "g" else KILOGRAM
-        return [f"unit: {unit}", f"line: {{slope: {factor} N/{unit}, offset: 0 N}}"], [
-            f"a weight in {unit}, with 9.80665 m/s2"
-        ]
-    edge = EDGE[quantity]
+    if quantity == "force" and unit in WEIGHT:
+        line = f"line: {{slope: {WEIGHT[unit]} N/{unit}, offset: 0 N}}"
+        return [f"unit: {unit}", line], [f"a weight in {unit}, with 9.80665 m/s2"]
+    return _from_reading(column, quantity, span)
+
+
+def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[list[str], list[str]]:
+    """The line from a current, a voltage or counts to the quantity, as far as the usual ranges of sensors give it."""
+    unit, (edge, example) = column.unit or "count", EDGE[quantity]
     low, high = (f"{span.low:g} {span.unit}", f"{span.high:g} {span.unit}") if span else (f"0 {edge}", OPEN)
     top = float(np.quantile(column.good, 0.999)) if len(column.good) else 0.0
     for known, begin, end, most in LOOPS:
         if unit == known and top <= most:
             why = f"{begin:g} to {end:g} {unit} is a usual range, {top:.4g} {unit} the highest here"
             points = f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]'
-            asking = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {_ends(edge)}'
-            lines = [points] if span else [question(Asked("", asking)), points]
+            text = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {example}'
+            lines = [points] if span else [question(Asked("", text)), points]
             return [f"unit: {unit}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
-    told = unit or "count"
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
-    reads = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {told}'
+    text = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {unit}: '
     if span is not None:
-        which = question(Asked("", f"{reads}: at which readings has it the {quantity} {low}, and {high}?"))
-        return [f"unit: {told}", which, f'points: [["{OPEN}", {low}], ["{OPEN}", {high}]]'], []
-    which = question(
-        Asked("", f"{reads}: which line makes a {quantity} of it? Slope in {edge}/{told}, offset in {edge}")
-    )
-    return [f"unit: {told}", which, f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'], []
-
-
-def _ends(edge: str) -> str:
-    return {"bar": "10 bar", "mm": "100 mm", "N": "1000 N"}[edge]
+        text += f"at which readings has it the {quantity} {low}, and {high}?"
+        line = f'points: [["{OPEN}", {low}], ["{OPEN}", {high}]]'
+    else:
+        text += f"which line makes a {quantity} of it? Slope in {edge}/{unit}, offset in {edge}"
+        line = f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'
+    return [f"unit: {unit}", question(Asked("", text)), line], []
 
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
-    """How the reading tells contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
+    """How the reading shows contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
     pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
     open_sign = [
@@ -264,7 +242,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
 
 
 def _blip(values: np.ndarray) -> float | None:
-    """A value at the lower end that stands in single samples only; None where there is none."""
+    """A value at the lower end that is read in single samples only; None where there is none."""
     if len(values) < 20:
         return None
     low = float(values.min())
@@ -292,8 +270,8 @@ def _name_tells(guess: Guess) -> list[str]:
     if lacking:
         without = next(form for form in guess.forms if "{" + lacking[0] + "}" not in form)
         which = Asked("", f'which {", ".join(lacking)} have the files whose name is "{without}"? Their name has none')
-        told = ", ".join(f"{key}: {Asked(f'0 {guess.form_units[key]}', '').scalar}" for key in lacking)
-        lines += [f"  {question(which)}", f"  otherwise: {{{told}}}"]
+        text = ", ".join(f"{key}: {Asked(f'0 {guess.form_units[key]}', '').scalar}" for key in lacking)
+        lines += [f"  {question(which)}", f"  otherwise: {{{text}}}"]
     return [*lines, ""]
 
 

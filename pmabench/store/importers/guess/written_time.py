@@ -34,15 +34,15 @@ def time_lines(column: Proposal, guess: Guess) -> list[str]:
     if column.order and column.written == "date and time":
         keys["order"], more = _order(column)
         asking += more
-    told = ", ".join(f"{key}: {value}" for key, value in keys.items())
-    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{{told}}}"]
+    sentence = ", ".join(f"{key}: {value}" for key, value in keys.items())
+    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{{sentence}}}"]
 
 
 def date_lines(column: Proposal) -> list[str]:
-    """A column of dates beside one of clock times."""
+    """A column of dates next to one of clock times."""
     order, asking = _order(column) if column.order else ("", [])
-    told = f", order: {order}" if order else ""
-    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{is: date{told}}}"]
+    text = f", order: {order}" if order else ""
+    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{is: date{text}}}"]
 
 
 def _order(column: Proposal) -> tuple[str, list[Asked]]:
@@ -59,8 +59,8 @@ def period_lines(guess: Guess) -> list[str]:
     if guess.period:
         return [f"  period: {guess.period:.9g} s"]
     doubts = [(each.name, doubt) for each in guess.columns for doubt in each.doubts if doubt.startswith(UNLIKE_TIME)]
-    told = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
-    text = f"no column is a time{told}: were the samples taken at even distances, and at which? For instance 2 ms."
+    sentence = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
+    text = f"no column is a time{sentence}: were the samples taken at even distances, and at which? For instance 2 ms."
     which = Asked("", f"{text} A table of points is no recording: report --overlay draws it")
     return [f"  {question(which)}", f"  period: {which.scalar}"]
 

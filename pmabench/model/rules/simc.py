@@ -6,7 +6,10 @@ long as that dead time, the choice of the paper for tight control with good robu
 
 from __future__ import annotations
 
+from functools import partial
+
 from pmabench.model.loop import Controller, Loop
+from pmabench.model.rules.record import Rule
 
 SOURCE = "Skogestad, J. Process Control 13 (2003) 291, SIMC with tau_c = theta"
 
@@ -41,3 +44,6 @@ def simc(loop: Loop, form: str) -> Controller:
         return Controller(K_c, slow)
     factor = 1 + lags[1] / slow
     return Controller(K_c * factor, slow * factor, lags[1] / factor)
+
+
+RULES = tuple(Rule("SIMC", form, SOURCE, from_loop=partial(simc, form=form)) for form in ("PI", "PID"))
