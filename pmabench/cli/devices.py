@@ -205,6 +205,7 @@ def _standing(identity: dict[str, Any]) -> str:
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
     from pmabench.bench.compile import mount
+    from pmabench.cli.checks import print_checks
     from pmabench.cli.lines import AtLines
     from pmabench.cli.progress import progress_line
     from pmabench.cli.run import outcome_json, print_outcome
@@ -243,18 +244,3 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
 
     ui.result(data, human)
     return outcome.exit_code
-
-
-def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
-    """The table of a self-test; below it what to look at."""
-    from pmabench.report.terminal import print_grid
-
-    if not checks:
-        return
-    console = ui.console(err=err)
-    heads = ["check", "value", "limit", "verdict"]
-    rows = [[c.name, c.value or (c.hint if c.verdict.startswith("not ") else ""), c.limit, c.verdict] for c in checks]
-    print_grid(console, heads, rows, heads)
-    for check in checks:
-        if check.verdict == "failed":
-            console.print(f"{check.name}: {check.hint}")

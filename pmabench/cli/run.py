@@ -102,7 +102,7 @@ def execute(
 
     With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
-    from pmabench.cli.devices import print_checks
+    from pmabench.cli.checks import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
     from pmabench.session.session import SessionFailed, ensure

@@ -66,8 +66,8 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             axes.plot(P, one.columns["model"], color=color, linestyle=(0, (4, 2)), linewidth=0.8, zorder=1)
         for name, mark in (("below", "^"), ("above", "v")):
             if name in one.columns:
-                told = one.title if name == "below" else None
-                axes.plot(P, one.columns[name], mark, color=color, markerfacecolor="white", markersize=3.0, label=told)
+                title = one.title if name == "below" else None
+                axes.plot(P, one.columns[name], mark, color=color, markerfacecolor="white", markersize=3.0, label=title)
         if "table" in one.marks:
             end = float(np.nanmax(P))
             printed = np.degrees(one.marks["table"])

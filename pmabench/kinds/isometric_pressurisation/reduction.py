@@ -163,7 +163,7 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
     turned, scatter = _turned(found.cells), scatter_of(found.cells)
     largest = {cell.contraction: float(np.nanmax(np.abs(cell.mean.force))) for cell in found.cells}
-    told = []
+    judged = []
     for e in found.estimates:
         if e.symbol == "H" and np.isfinite(delay):
             doubts[_key(e)].append(_late(e, found.cells, delay, error))
@@ -173,8 +173,8 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
-        told.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
-    return told
+        judged.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
+    return judged
 
 
 def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
@@ -388,9 +388,9 @@ def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) 
             value = float(getattr(one, name))
             # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
             gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
-            told = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
+            text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
             why = "S(eps) has another form" if one.other_form else "not told apart from the others"
-            note = f"{why}: {told}" if is_open else ""
+            note = f"{why}: {text}" if is_open else ""
             parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
             n = len(one.slopes.S)
             found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
