@@ -32,8 +32,8 @@ def _own_state(tmp_path, monkeypatch):
 DRIVERS = (
     "alicat", "can", "dataq", "festo", "festo_cmmt", "ild1420", "labjack", "ni", "serial_line_daq", "serial_rig", "wires",
 )  # fmt: skip
-WHOLE_RUNS = "tests/drivers/test_whole_runs.py"
-"""The parameter `rig` of its tests begins with the name of a driver's folder: they belong to that rig."""
+OF_ALL_RIGS = ("tests/drivers/test_whole_runs.py", "tests/drivers/test_promises.py")
+"""The parameter `rig` of their tests begins with the name of a driver's folder: they belong to that rig."""
 RIGS = (
     *(f"tests/drivers/{name}/" for name in DRIVERS),
     "tests/drivers/truth/",
@@ -49,7 +49,7 @@ CONFORMANCE = "tests/conformance/"
 SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
 SHARE = 12
 """Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
-CHOSEN = (*RIGS, WHOLE_RUNS, CONFORMANCE, "tests/outside/test_faults.py")
+CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
 @cache
@@ -87,7 +87,7 @@ def pytest_ignore_collect(collection_path, config):
 
 def _rig_of(item):
     """The rig that a test belongs to; None where it belongs to none."""
-    if WHOLE_RUNS in item.nodeid:
+    if any(module in item.nodeid for module in OF_ALL_RIGS):
         return f"tests/drivers/{item.callspec.params['rig'].partition('-')[0]}/"
     return next((rig for rig in RIGS if rig in item.nodeid), None)
 
@@ -107,10 +107,14 @@ def _taken(waiting):
             yield item
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` looks at the markers
 def pytest_collection_modifyitems(config, items):
+    waiting = [item for item in items if item.get_closest_marker("realtime")]
+    for item in waiting:
+        if _rig_of(item):
+            item.add_marker("alone")  # answers within milliseconds are asserted in many of them
     if not _whole_suite(config):
         return
-    waiting = [item for item in items if item.get_closest_marker("realtime")]
     left_out = set(waiting) - set(_taken(waiting))
     left_out |= {item for item in items if item.get_closest_marker("study")}
     config.hook.pytest_deselected(items=list(left_out))

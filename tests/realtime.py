@@ -84,7 +84,7 @@ class PlantServer:
         self.ask("inject", errors={channel: error})
 
     def state(self) -> dict[str, Any]:
-        """How the plant really stands: `pressure` [Pa], `setpoints`, `energised`, `watchdog`, `bitten`."""
+        """How the plant really stands: `pressure` [Pa], `setpoints`, `energised`, `watchdog`, `fired`."""
         return self.ask("state")
 
     def commands(self, *kinds: str) -> list[dict[str, Any]]:

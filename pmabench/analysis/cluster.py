@@ -55,7 +55,7 @@ class Cluster:
         except Exception as error:
             what = f"a worker cannot run pmabench ({str(error).splitlines()[0]})"
             raise UsageError(f"--cluster {address}: {what}; install the same version there") from error
-        others = [worker for worker, told in programs.items() if told != program()]
+        others = [worker for worker, found in programs.items() if found != program()]
         if others:
             what = f"has another pmabench or other libraries ({len(others)} of {len(programs)} workers)"
             raise UsageError(f"--cluster {address}: {others[0]} {what}; install the same versions there")
@@ -63,11 +63,11 @@ class Cluster:
 
     def doubts(self) -> Iterator[str]:
         """What makes the workers slow, in words."""
-        told = [str(value) for value in self._client.run(os.environ.get, TRIM, "").values()]
-        slow = sum(value.isdigit() and int(value) < SMALL_TRIM for value in told)
+        trims = [str(value) for value in self._client.run(os.environ.get, TRIM, "").values()]
+        slow = sum(value.isdigit() and int(value) < SMALL_TRIM for value in trims)
         if slow:
             yield (
-                f"{slow} of {len(told)} workers run with {TRIM}={next(v for v in told if v)}, which can halve the "
+                f"{slow} of {len(trims)} workers run with {TRIM}={next(v for v in trims if v)}, which can halve the "
                 "speed: start them with distributed.nanny.pre-spawn-environ set to another value (docs/many-runs.md)"
             )
 

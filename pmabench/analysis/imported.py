@@ -20,8 +20,8 @@ Measured = TypeVar("Measured")
 
 def import_of(run: RunData) -> Mapping[str, Any]:
     """What the importer wrote into the manifest; empty for runs of a bench."""
-    told = run.manifest.get("imported")
-    return told if isinstance(told, Mapping) else {}
+    entry = run.manifest.get("imported")
+    return entry if isinstance(entry, Mapping) else {}
 
 
 def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[str, Any], list[Finding]]:
@@ -39,8 +39,8 @@ def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[s
 
 def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
     """How much older a channel's values are than their time stamps, least and most [s]; None where it is not told."""
-    told = (import_of(run).get("late_by") or {}).get(channel)
-    return None if told is None else (float(told[0]), float(told[1]))
+    late = (import_of(run).get("late_by") or {}).get(channel)
+    return None if late is None else (float(late[0]), float(late[1]))
 
 
 def measured(
@@ -54,17 +54,17 @@ def measured(
     """
     found: list[tuple[RunData, Measured]] = []
     dropped: list[Dropped] = []
-    told = True
+    stated = True
     for run in runs:
         late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
-        told = told and late is not None
+        stated = stated and late is not None
         for trial in run.trials:
             one = measure(trial, late or (0.0, 0.0))
             if isinstance(one, str):
                 dropped.append(Dropped(trial.name, trial.point, one))
             else:
                 found.append((run, one))
-    return found, dropped, told
+    return found, dropped, stated
 
 
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:
@@ -131,8 +131,8 @@ def unusable_because(trial: TrialData) -> str:
         for flag in Flag
         if flag and flag not in {Flag.LATE, Flag.SLACK}
     }
-    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    return told or "none"
+    counted = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return counted or "none"
 
 
 def flagged_counts(runs: Sequence[RunData]) -> dict[str, int]:

@@ -32,8 +32,10 @@ def results_of(kind: str) -> tuple[Result, ...]:
 
 def specimen_of(run: RunData) -> str:
     """Which specimen a run is of: type and serial as its manifest has them."""
-    told = run.manifest.get("specimen")
-    return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, Mapping) else str(told or "")
+    specimen = run.manifest.get("specimen")
+    if not isinstance(specimen, Mapping):
+        return str(specimen or "")
+    return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
 
 
 def reduction_of(run: RunData) -> str:
@@ -155,5 +157,5 @@ def _why_nothing(analysis: Analysis) -> str:
     reasons = [f.text for f in analysis.findings if f.level == "fault"]
     reasons = reasons or [f"{d.trial}: {d.reason}" for d in analysis.dropped] or [e.note for e in analysis.estimates]
     more = len(dict.fromkeys(reasons)) - MOST_REASONS
-    told = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
-    return f"{told}; and {more} more reasons" if more > 0 else told
+    text = "; ".join(list(dict.fromkeys(reasons))[:MOST_REASONS]) or "there is no trial"
+    return f"{text}; and {more} more reasons" if more > 0 else text

@@ -33,6 +33,7 @@ RATIO = 0.9
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 def test_a_poll_costs_little_more_than_the_library(benchmark):
     from pymodbus.client import ModbusTcpClient
 

@@ -25,6 +25,7 @@ BARE = "import json, selectors, socket, pathlib; print(open('/proc/self/statm').
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BENCHES)
 def test_the_guard_starts_fast_and_small(tmp_path, benchmark, name):

@@ -16,7 +16,7 @@ RATE = 10_000.0
 SECONDS, SHORT = 20.0, 1.0
 """How long it streams [s], and how long where nothing is measured."""
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
 
 def streamed(device, seconds):

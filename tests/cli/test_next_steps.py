@@ -19,7 +19,7 @@ SHIPPED = Path(__file__).resolve().parents[2] / "fixtures" / "benches"
 SPECIMEN = ["--specimen", "mas-20-250-paper0", "--yes"]
 SHORT = [
     "--set",
-    "prepare.precondition.cycles=1",
+    "prepare.precondition.cycles=0",
     "--set",
     "sweep.repeat.count=1",
     "--set",

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,7 @@ def filled_at(stack, place, name, instant):
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Hold, Record, Set
     from tests.engine.benches import mounted, plan
+    from tests.realtime import free_port
 
     steps = (Record("t", True, 0), Set("h", "pressure", 2e5), Hold("h", 0.5), Set("h", "pressure", 1e5))
     test = plan(*steps, Hold("h", 0.2), Record("t", False, 0))
@@ -140,8 +142,12 @@ def filled_at(stack, place, name, instant):
         os.environ["PMABENCH_STATE"] = str(place / "state")
     greedy, instant = instant.startswith("greedy"), instant.removeprefix("greedy ")
     begin = fill_on(stack, place) if greedy else lambda: fill(place)
+    bench = mounted(name)
+    if name == "mock-realtime":  # on a port of its own: others may serve the shipped one
+        device = replace(bench.bench.devices[0], address=f"127.0.0.1:{free_port()}")
+        bench = replace(bench, bench=replace(bench.bench, devices=(device,)))
     fill_before(stack, "trial-begin" if instant == "state" else instant, begin)
-    outcome = run_plan(test, mounted(name), ConfirmedBeforehand(), out=place / "runs")
+    outcome = run_plan(test, bench, ConfirmedBeforehand(), out=place / "runs")
     if name == "mock-realtime":
         time.sleep(0.2)
     return looked_at(outcome, place / "runs")

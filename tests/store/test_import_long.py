@@ -133,7 +133,7 @@ def imported(path, out):
     return json.loads(done.stdout)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_memory_of_an_import_does_not_grow_with_the_file(tmp_path):
     """Where the numbers alone are 88 MB more, the memory is not."""
     told = []

@@ -63,7 +63,7 @@ class AsciiLink:
         """Till then the answer to what clears the line may come late [s, monotonic]."""
         self._asked_since = False
         """Whether anything was asked since."""
-        self._tells_source = False
+        self._reports_source = False
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class AsciiLink:
 
     def reported(self, deadline: float) -> dict[str, float | str]:
         """Where its set-point comes from, where the firmware tells."""
-        if not self._tells_source:
+        if not self._reports_source:
             return {}
         with self._turn(deadline):
             if not self._clean:
@@ -222,8 +222,8 @@ class AsciiLink:
     def _refuse_other_source(self, deadline: float) -> None:
         """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
         words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
-        self._tells_source = len(words) == 2 and words[1] in SOURCES
-        if self._tells_source and words[1] != "S":
+        self._reports_source = len(words) == 2 and words[1] in SOURCES
+        if self._reports_source and words[1] != "S":
             source = SOURCES[words[1]]
             message = f"takes its set-point from {source} and would ignore this program: set the source to serial"
             raise DeviceError(self._device, message, OUTPUT)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from time import monotonic
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -17,44 +17,18 @@ from pmabench.bench.interface import DeviceRecord, Identity, OutputRecord
 from pmabench_drivers.alicat.options import ASCII, Options, read_options
 from pmabench_drivers.alicat.reading import NO_VALUE, OVER, Reading, trouble
 from pmabench_drivers.shared.device import Controlled
-from pmabench_drivers.shared.link import Still, opened
+from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.polling import JOIN
+
+if TYPE_CHECKING:
+    from pmabench_drivers.alicat.ascii_link import AsciiLink
+    from pmabench_drivers.alicat.modbus_link import ModbusLink
+
+    Link = AsciiLink | ModbusLink
 
 CALL = 0.18
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
-
-
-class Link(Protocol):
-    """What the driver needs of a protocol; every deadline is in seconds of `time.monotonic`."""
-
-    exhausting: bool
-    """Whether this program has opened the exhaust."""
-
-    @property
-    def fastest(self) -> float:
-        """Polls a second that the line can carry [Hz]."""
-
-    def open(self, deadline: float) -> Identity:
-        """Connect and identify."""
-
-    def close(self) -> None:
-        """Let go."""
-
-    def poll(self, deadline: float) -> Reading | None:
-        """One reading, or None where there is none this time."""
-
-    def command(self, value: float, deadline: float, tolerance: float, still: Still = ...) -> Reading | None:
-        """A set-point, proven by what the device holds."""
-
-    def vent(self, value: float, deadline: float, tolerance: float, still: Still = ...) -> Reading | None:
-        """The set-point that vents, with the exhaust where there is one."""
-
-    def held(self, deadline: float) -> float:
-        """The set-point that the device holds."""
-
-    def reported(self, deadline: float) -> Mapping[str, float | str]:
-        """What else it holds and reports in one short answer."""
 
 
 class AlicatController(Controlled):
@@ -179,4 +153,6 @@ class AlicatController(Controlled):
         return value <= float(record.scale.to_raw(record.safe)) + 1e-9
 
     def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
+        if self._link is None:
+            raise self._error("is not open")
+        return self._link

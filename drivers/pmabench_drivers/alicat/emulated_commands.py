@@ -10,35 +10,27 @@ Primer, 02/2023 (commands, statistics, firmware from which each is known); answe
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from pmabench_drivers.alicat.emulated_controller import (
+    ABSOLUTE,
+    AIR,
+    FULL_FLOW,
+    FULL_SCALE,
+    GASES,
+    GAUGE,
+    MASS,
+    VOLUME,
+    Controller,
+)
 from pmabench_drivers.alicat.options import MCD, UNITS
 
-if TYPE_CHECKING:
-    from pmabench_drivers.alicat.emulator import Controller
-
-FULL_SCALE = 1.0e6
-"""Highest pressure that it measures and regulates [Pa]."""
-FULL_FLOW = 100.0
-"""Highest flow [SLPM]."""
-AIR = 101325.0
-"""Of the open air [Pa]."""
 TEMPERATURE = 23.5
 WIDTH = 8
 DECIMALS = {"Pa": 0, "hPa": 1, "mbar": 1, "kPa": 2, "psi": 3, "bar": 4, "atm": 4, "MPa": 5}
 HEAD = "D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________"
 FIRMWARE = "10v20.0-R24"
-ABSOLUTE, GAUGE, VOLUME, MASS = 34, 38, 36, 37
-"""Variables of the loop by their statistics."""
 NAMES = {ABSOLUTE: "Abs Press Setpt", GAUGE: "Gauge Press Setpt", VOLUME: "Volu Flow Setpt", MASS: "Mass Flow Setpt"}
-GASES = (
-    *("Air", "Ar", "CH4", "CO", "CO2", "C2H6", "H2", "He", "N2", "N2O", "Ne", "O2", "C3H8", "n-C4H10", "C2H2"),
-    *("C2H4", "i-C2H10", "Kr", "Xe", "SF6", "C-25", "C-10", "C-8", "C-2", "C-75", "A-75", "A-25", "A1025"),
-    *("Star29", "P-5"),
-)
 MIXES = range(236, 256)
-PER_SECOND = {3: 1e3, 4: 1.0, 5: 1 / 60, 6: 1 / 3600, 7: 1 / 86400}
-"""Unit of time of a ramp -> how many of it are a second, the other way round."""
 TIMES = {3: "ms", 4: "s", 5: "m", 6: "h", 7: "d"}
 NO_STATISTIC = "1 ---"
 

@@ -1,6 +1,6 @@
 """The columns of the ASCII data line, as the device lists them, and a line read by them. Standard library only.
 
-A list looks like this; under its heads the columns are of fixed width, `*` marks what stands in a line only at times::
+A list looks like this; under its heads the columns are of fixed width, `*` marks what is in a line only at times::
 
     A D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________
     A D01 700 Unit ID                    string          1
@@ -29,7 +29,7 @@ MEASURED_BY = {38: 6, 39: 7}
 
 @dataclass(frozen=True)
 class Column:
-    """One column that stands in every line."""
+    """One column of every line."""
 
     statistic: int
     name: str

@@ -51,7 +51,7 @@ class ModbusLink:
         self._lock = threading.Lock()
         self._line: Line | None = None
         self._regulating = False
-        """Whether no valve setting stands in the way of the set-point, as far as is known."""
+        """Whether no valve setting overrides the set-point, as far as is known."""
         self.exhausting = False
         self._table = "holding"
         """Which function reads: the device knows no difference between holding and input registers."""
@@ -157,7 +157,7 @@ class ModbusLink:
         return self._finite(decode(register, self._words_at(register, deadline)), register)
 
     def _words_at(self, register: Register, deadline: float, count: int = 0) -> list[int]:
-        """Read registers; after a lost answer by the other of functions 3 and 4, which it can be told from."""
+        """Read registers; after a lost answer by the other of functions 3 and 4, from which it differs."""
         try:
             return self._opened().read(self._table, register.address, count or register.count, deadline, register.name)
         except DeviceError:

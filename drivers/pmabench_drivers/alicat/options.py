@@ -32,7 +32,7 @@ OFF_UNIT = 0.02
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver `alicat` is told about a controller; times in s, rates in Hz."""
+    """Options of the driver `alicat` for a controller; times in s, rates in Hz."""
 
     protocol: str = ASCII
     letter: str = "A"
@@ -85,7 +85,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
 
 
 def _unit(device: DeviceRecord, given: object, protocol: str, reader: Reader) -> str:
-    """The one unit of the line: that of every channel, of the output's slope, and of the option where it stands."""
+    """The one unit of the line: that of every channel, of the output's slope, and of the option where it is."""
     place = ("options", "unit")
     units = [channel.raw_unit for channel in device.channels]
     unit = str(given) if given is not None else units[0] if units else ""

@@ -24,7 +24,7 @@ I32 = 2**31
 
 
 class Drive(Node):
-    """A drive of the bus; `position`, `demand` and `status` are the newest that its PDOs told."""
+    """A drive of the bus; `position`, `demand` and `status` are the newest of its PDOs."""
 
     profile = 402
 
@@ -36,7 +36,7 @@ class Drive(Node):
         self.period = 0.01
         """Time between two SYNCs [s]."""
         self._target_pdo = 0
-        self._told = 0.0
+        self._updated = 0.0
         """When a PDO brought its statusword [s, monotonic]."""
         self._may_reset = True
         self._expected = False
@@ -79,7 +79,7 @@ class Drive(Node):
         if len(data) != 6:
             return False
         self.status = int.from_bytes(data[:2], "little")
-        self.position, self._told = int.from_bytes(data[2:], "little", signed=True), monotonic()
+        self.position, self._updated = int.from_bytes(data[2:], "little", signed=True), monotonic()
         state = c.state_of(self.status)
         if self._expected and state in {c.State.FAULT, c.State.REACTING, c.State.DISABLED, c.State.STOPPED}:
             self._expected = False
@@ -103,11 +103,11 @@ class Drive(Node):
         return state
 
     def ready(self, deadline: float) -> bool:
-        """Whether it is without fault; asked for where no PDO has told it just now. Raises what is wrong with it."""
+        """Whether it is without fault; asked for where no PDO has brought it just now. Raises what is wrong with it."""
         if trouble := self.trouble():
             raise DeviceError(self.device, trouble, self.name)
-        told = monotonic() - self._told < FRESH
-        state = c.state_of(self.status) if told else self.state(deadline)
+        recent = monotonic() - self._updated < FRESH
+        state = c.state_of(self.status) if recent else self.state(deadline)
         return state not in {c.State.FAULT, c.State.REACTING, c.State.NOT_READY, None}
 
     def prepare(self, deadline: float) -> None:
@@ -115,7 +115,7 @@ class Drive(Node):
         self._advance(c.State.ON, deadline)
 
     def enable(self, deadline: float) -> None:
-        """Bring it to operation where it stands; DeviceError says where it stays and why it may."""
+        """Bring it to operation where it is; DeviceError says where it stays and why it may."""
         self._advance(c.State.ENABLED, deadline)
         self._may_reset = False
 
@@ -153,16 +153,16 @@ class Drive(Node):
 
     def _reset(self, deadline: float) -> c.State:
         code = self.objects.read(c.ERROR_CODE, 0, "H", deadline)
-        told = f"is in fault, error code {code:04X}h: {f.emergency_text(code)}"
+        message = f"is in fault, error code {code:04X}h: {f.emergency_text(code)}"
         if not self._may_reset:
-            raise self.error(f"{told}; the next run acknowledges it")
+            raise self.error(f"{message}; the next run acknowledges it")
         self._may_reset = False
         self._control(0, deadline)
         self._control(c.FAULT_RESET, deadline)
         state = self._reach({c.State.DISABLED}, deadline)
         self._control(0, deadline)
         if state is not c.State.DISABLED:
-            raise self.error(f"{told}; it does not let itself be acknowledged, so its cause is still there")
+            raise self.error(f"{message}; it does not let itself be acknowledged, so its cause is still there")
         return state
 
     def _stuck(self, state: c.State, goal: c.State) -> DeviceError:
@@ -208,16 +208,16 @@ class Drive(Node):
         self._expected = True
 
     def begin_cyclic(self, origin: int, room: int, deadline: float) -> None:
-        """Take targets at each SYNC from now on; refused where it stands further than `room` from `origin`."""
+        """Take targets at each SYNC from now on; refused where it is further than `room` from `origin`."""
         self._check(origin)
-        stands = self.objects.read(c.ACTUAL, 0, "i", deadline)
-        if abs(stands - origin) > room:
-            message = f"stands at {stands} counts and cannot jump to {origin}, where the motion begins"
+        actual = self.objects.read(c.ACTUAL, 0, "i", deadline)
+        if abs(actual - origin) > room:
+            message = f"is at {actual} counts and cannot jump to {origin}, where the motion begins"
             raise self.error(f"{message} (at most {room})")
         if self.state(deadline) is c.State.ENABLED and not self.status & c.TARGET_REACHED and not self._cyclic:
             raise self.error("is still on its way to its last target: a cyclic motion begins at rest")
-        self.objects.write(c.TARGET, 0, "i", stands, deadline)
-        self.lead = float(stands)
+        self.objects.write(c.TARGET, 0, "i", actual, deadline)
+        self.lead = float(actual)
         self._use(c.CYCLIC, deadline)
         self.enable(deadline)
         self._expected = self._cyclic = True
@@ -236,7 +236,7 @@ class Drive(Node):
         self._control(c.QUICK_STOP, deadline)
         state = self._reach({c.State.STOPPED, c.State.DISABLED}, deadline)
         if state in {c.State.ENABLED, c.State.ON, c.State.READY}:
-            raise self.error(f"was told to stop and is still in {state.value}")
+            raise self.error(f"was commanded to stop and is still in {state.value}")
 
     def target(self, deadline: float) -> int:
         """The target that it holds."""

@@ -97,7 +97,7 @@ class CanBus(Driver):
         ask = not self._nodes  # sensors that only send tell nothing of themselves
         adapter = partial(open_adapter, device.address, bitrate, ask=ask)
         self._link = Link(device.name, device.address, adapter, self._clock, self._take)
-        try:
+        with self._closed_on_error():
             wanted: set[int] = set()
             for node in self._nodes.values():
                 node.open(deadline)
@@ -108,9 +108,6 @@ class CanBus(Driver):
             self._refuse_narrow_limits(deadline)
             self._refuse_missing_velocity()
             return self._identity()
-        except DeviceError:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Send no SYNC any more and let go of the adapter; drives stay in their state."""
@@ -131,10 +128,10 @@ class CanBus(Driver):
         else:
             simulated = self._opened().serial == EMULATED_ADAPTER
             models = ["CAN adapter"]
-        told = ", ".join(model.removeprefix(begins) for model in models)
+        names = ", ".join(model.removeprefix(begins) for model in models)
         serial, firmware = (", ".join(filter(None, (getattr(n, k) for n in nodes))) for k in ("serial", "firmware"))
         return Identity(
-            "CAN", f"{begins if simulated else ''}{told}", serial, firmware, simulated=simulated, clock=COMPUTER
+            "CAN", f"{begins if simulated else ''}{names}", serial, firmware, simulated=simulated, clock=COMPUTER
         )
 
     def _refuse_narrow_limits(self, deadline: float) -> None:

@@ -214,9 +214,9 @@ class EmulatedDrive(EmulatedNode):
             return
         place = self._inside(self.get(c.TARGET))
         speed = self.get(c.PROFILE_VELOCITY) * abs(self._scale.slope)
-        stands = self._plant.stop_drive() if self.now < self._target_at else self._last
+        start = self._plant.stop_drive() if self.now < self._target_at else self._last
         self._plant.drive(place, speed)
-        self._target_at = self.now + abs(place - stands) / speed if speed else float("inf")
+        self._target_at = self.now + abs(place - start) / speed if speed else float("inf")
         self._acknowledged, self._last = True, place
         self._note("move", raw=self.get(c.TARGET), si=place, speed=speed)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -23,21 +23,6 @@ JOIN = 0.15
 
 Take = Callable[[Frame, float], None]
 """Takes a frame and when it came [s, bench time]."""
-
-
-class Adapter(Protocol):
-    """What a link needs of an adapter; raises OSError."""
-
-    serial: str
-
-    def send(self, frame: Frame) -> None:
-        """One frame out."""
-
-    def receive(self, wait: float) -> Frame | None:
-        """The next frame, waited for at most `wait` [s]."""
-
-    def close(self) -> None:
-        """Let go of it."""
 
 
 class PythonCan:
@@ -81,6 +66,10 @@ class PythonCan:
             raise
         except Exception as error:
             raise OSError(str(error) or type(error).__name__) from error
+
+
+Adapter = Slcan | PythonCan
+"""What a link needs: `serial`, `send`, `receive` and `close`, which raise OSError."""
 
 
 def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:

@@ -11,7 +11,7 @@ from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.sdo import Objects, Refused
 
 BEAT = 0.1
-"""Every node is told to send its heartbeat so often [s]."""
+"""Every node sends its heartbeat so often [s]."""
 SILENT = 5 * BEAT
 """A node that was not heard for so long is lost [s]."""
 EVERY_SYNC = 1
@@ -58,8 +58,8 @@ class Node(ABC):
         until = min(deadline, monotonic() + STARTS)
         while self._state != f.OPERATIONAL:
             if monotonic() > until:
-                told = f.STATES.get(self._state, "silent")
-                raise self.error(f"does not become operational: its heartbeat says {told}")
+                state = f.STATES.get(self._state, "silent")
+                raise self.error(f"does not become operational: its heartbeat says {state}")
             sleep(0.005)
         self._watched = True
 
@@ -97,8 +97,8 @@ class Node(ABC):
         self._heard, self._state = monotonic(), data[0] & 0x7F
         self._starts += self._state == f.BOOT
         if self._watched and self._state != f.OPERATIONAL and not self._trouble:
-            told = f.STATES.get(self._state, f"in state {self._state}")
-            self._trouble = f"{self.name}: is {told} all of a sudden; it has started again, or was told to stop"
+            state = f.STATES.get(self._state, f"in state {self._state}")
+            self._trouble = f"{self.name}: is {state} all of a sudden; it has started again, or was commanded to stop"
 
     def take_emergency(self, data: bytes) -> None:
         """An emergency has come; code 0 says that an error is over, which ends no run's doubt."""

@@ -135,7 +135,7 @@ def _messages(given: Mapping[str, Any], reader: Reader) -> dict[str, Message]:
         return {}
     text = given["dbc"]
     if not isinstance(text, str):
-        reader.fault(("options", "dbc"), "the name of a .dbc file beside the bench file is expected")
+        reader.fault(("options", "dbc"), "the name of a .dbc file next to the bench file is expected")
         return {}
     try:
         return read_dbc(text)

@@ -41,7 +41,7 @@ class Dataq(SerialStream):
         super()._forget()
         self._losses: list[float] = []
         self.lost = 0
-        """How often the stream broke and was begun again; each stands as a gap in the times."""
+        """How often the stream broke and was begun again; each is a gap in the times."""
         self._newest = -1.0
         self._begin_scans()
 
@@ -158,7 +158,7 @@ class Dataq(SerialStream):
         raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
 
     def _ask(self, command: str) -> str:
-        """What stands behind the echo of a command."""
+        """What is behind the echo of a command."""
         port = self._opened()
         port.drain()
         port.send(command.encode("ascii") + END)

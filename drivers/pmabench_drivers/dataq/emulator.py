@@ -56,8 +56,8 @@ class Daq(Streaming):
         if word == "stop":
             self.streaming = False
         elif word == "info" and len(numbers) == 1:
-            told = {0: "DATAQ", 1: self._plant.model(self._options.model.name.removeprefix("DI-")), 2: "65", 6: "1"}
-            return {**told, 9: str(DIVIDEND)}.get(numbers[0], "")
+            answers = {0: "DATAQ", 1: self._plant.model(self._options.model.name.removeprefix("DI-")), 2: "65", 6: "1"}
+            return {**answers, 9: str(DIVIDEND)}.get(numbers[0], "")
         elif word == "slist" and len(numbers) == 2 and numbers[0] <= (len(self._list) if numbers[0] else 0):
             self._list = [*self._list[: numbers[0]], numbers[1]]
         elif word in SET and len(numbers) == 1 and SET[word][0] <= numbers[0] <= SET[word][1]:

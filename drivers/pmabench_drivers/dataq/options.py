@@ -14,7 +14,7 @@ FILTERS = {"last": 0, "average": 1}
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver is told about a device."""
+    """Options of a device."""
 
     model: Model = MODELS["DI-2108"]
     ranges: Mapping[str, int] = field(default_factory=dict)

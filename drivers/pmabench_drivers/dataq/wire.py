@@ -87,7 +87,7 @@ def plausible(word: int) -> bool:
 
 
 class Lost(Exception):
-    """Bytes are missing or too many: nothing that follows can be told apart."""
+    """Bytes are missing or too many: what follows cannot be separated."""
 
 
 class Scans:

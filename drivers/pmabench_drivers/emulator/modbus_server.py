@@ -51,14 +51,14 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice 
 
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
-    """The events that can happen to what stands behind a wire."""
+    """The events that can happen to what is behind a wire."""
     for kinds in (EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT):
         if all(hasattr(registers, EVENTS[name]) for name in kinds):
             yield kinds
 
 
 class Answering(Protocol):
-    """What stands behind a wire: the registers of one device."""
+    """What is behind a wire: the registers of one device."""
 
     device: DeviceRecord
 

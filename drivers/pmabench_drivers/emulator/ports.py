@@ -24,7 +24,7 @@ def host_of(address: str) -> str:
 
 
 def bracketed(host: str) -> str:
-    """A host as it stands in front of a port."""
+    """A host as it is written in front of a port."""
     return f"[{host}]" if ":" in host else host
 
 
@@ -47,14 +47,14 @@ def refuse_others(device: str, address: str) -> None:
         )
 
 
-def _untold(_kind: str, _data: bytes) -> None:
+def _no_tap(_kind: str, _data: bytes) -> None:
     """Nobody writes down what is exchanged."""
 
 
 class Terminal:
-    """A pseudo-terminal whose far end is reached by the symbolic link `path`; `tap` is told what goes through it."""
+    """A pseudo-terminal whose far end is reached by the symbolic link `path`; `tap` gets what goes through it."""
 
-    def __init__(self, path: str, tap: Tap = _untold) -> None:
+    def __init__(self, path: str, tap: Tap = _no_tap) -> None:
         self._link, self._tap = Path(path), tap
         if self._link.exists() and not self._link.is_symlink():
             raise UsageError(f"{path} is there and is no link of an emulator; give the device another address")

@@ -37,7 +37,7 @@ class Registers:
     def _power_on(self) -> None:
         """Every register that is written as after power-on: outputs safe, watchdog off."""
         self._started = self._heard = monotonic()
-        self._bitten = False
+        self._fired = False
         for register in self._written:
             self._store(register, [0] * register.count)
         self._vent()
@@ -124,11 +124,11 @@ class Registers:
         if watchdog is not None and register in {watchdog.timeout, watchdog.trigger, watchdog.heartbeat}:
             self._heard = monotonic()
             if register == watchdog.trigger or (register == watchdog.timeout and watchdog.trigger is None):
-                self._bitten = False
+                self._fired = False
             self._log.note("watchdog-register", self.device.name, register=name, raw=raw, connection=connection)
             return
-        self._wiring.set(name, raw, connection=connection, held=self._bitten)
-        self._wiring.switch(name, on=raw != 0, connection=connection, held=self._bitten)
+        self._wiring.set(name, raw, connection=connection, held=self._fired)
+        self._wiring.switch(name, on=raw != 0, connection=connection, held=self._fired)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
 
@@ -141,7 +141,7 @@ class Registers:
             timeout = self._value(watchdog.timeout) * watchdog.resolution
             silent = monotonic() - self._heard
             if silent > timeout and self._armed(watchdog):
-                self._bite(watchdog, silent)
+                self._fire(watchdog, silent)
 
     def expire_watchdog(self) -> bool:
         """Vent by itself now; whether the watchdog was armed."""
@@ -150,7 +150,7 @@ class Registers:
             return False
         with self._lock:
             if armed := self._armed(watchdog):
-                self._bite(watchdog, monotonic() - self._heard)
+                self._fire(watchdog, monotonic() - self._heard)
             return armed
 
     def switch_off_watchdog(self) -> bool:
@@ -188,10 +188,10 @@ class Registers:
 
     def _armed(self, watchdog: WatchdogRegisters) -> bool:
         triggered = watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on
-        return triggered and self._value(watchdog.timeout) > 0 and not self._bitten
+        return triggered and self._value(watchdog.timeout) > 0 and not self._fired
 
-    def _bite(self, watchdog: WatchdogRegisters, silent: float) -> None:
-        self._bitten = True
+    def _fire(self, watchdog: WatchdogRegisters, silent: float) -> None:
+        self._fired = True
         self._store_off(watchdog)
         self._vent()
         self._log.note("watchdog", self.device.name, silent=silent)

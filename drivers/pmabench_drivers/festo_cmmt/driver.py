@@ -37,7 +37,7 @@ OPEN = 1.9
 ANSWER = 0.1
 """Longest wait for one answer [s]."""
 LOOK = 0.003
-"""Pause between two looks whether the drive has done what it was told [s]."""
+"""Pause between two looks whether the drive has done what was commanded [s]."""
 
 
 class FestoCmmt(Polled):
@@ -81,7 +81,7 @@ class FestoCmmt(Polled):
         self.close()
         line = self._line = DriveLink(self._device.name, self._device.address)
         until = monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             identity = line.identity(until)
             selected = self._opened().parameter(t.TELEGRAM, "uint16", until)
             if selected != t.TELEGRAM_111:
@@ -90,10 +90,7 @@ class FestoCmmt(Polled):
             self._compare_units(until)
             self._found = line.get(t.TIMEOUT, until)
             status = self._look(until)
-        except DeviceError:
-            self.close()
-            raise
-        self._path.stand(status.position)
+        self._path.rest_at(status.position)
         self._cycle.start(self._options.rate)
         return identity
 
@@ -211,7 +208,7 @@ class FestoCmmt(Polled):
             self._path.follow(segment)
 
     def halt(self, output: str) -> None:
-        """Give up the motion: the drive brakes as hard as it may and holds the place; looked at until it stands."""
+        """Give up the motion: the drive brakes as hard as it may and holds the place; returns once it has stopped."""
         self._scale(output)
         until = monotonic() + CALL
         with self._turn:
@@ -222,11 +219,11 @@ class FestoCmmt(Polled):
             self._replace(t.Command(on=on, stop=True), until)
         while not (status := self._look(until)).has(t.STOPPED):
             if monotonic() > until - LOOK:
-                message = f"was told to stop and still moves (status word 0x{status.word:04x})"
+                message = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
                 raise self._error(message, output)
             sleep(LOOK)
         with self._turn:
-            self._path.stand(status.position)
+            self._path.rest_at(status.position)
 
     def _task(self, target: int, velocity: float, output: str) -> None:
         """Send the drive to `target` at `velocity` [user units, 1/s], and see that it takes that."""
@@ -263,7 +260,7 @@ class FestoCmmt(Polled):
     # -- states of the drive --------------------------------------------------------------------------------------
 
     def _switch_on(self, until: float, *, wait: bool = True) -> None:
-        """Bring the drive under power where it stands; the reason where it does not let itself be brought.
+        """Bring the drive under power where it is; the reason where it does not let itself be brought.
 
         Without `wait` a drive that is on its way, but needs longer, is no error yet.
         """
@@ -284,7 +281,7 @@ class FestoCmmt(Polled):
             ready = self._until(lambda status: status.has(t.READY), until, "is not ready to be switched on")
             if ready.refusal():
                 raise self._error(ready.refusal())
-            self._path.stand(ready.position)
+            self._path.rest_at(ready.position)
             self._replace(replace(standing, on=True), until)
         with suppress(*(() if wait else (DeviceError,))):
             self._until(lambda status: status.has(t.ENABLED), until, "is not under power yet")
@@ -315,10 +312,10 @@ class FestoCmmt(Polled):
     def arm_watchdog(self, seconds: float) -> float:
         """Set the drive's time-out and read it back, then begin to switch it on; returns what it holds [s]."""
         until = monotonic() + CALL
-        told = self._watchdog.arm(seconds)
+        held_time = self._watchdog.arm(seconds)
         self._release = False
         self._switch_on(until, wait=False)
-        return told
+        return held_time
 
     def feed_watchdog(self) -> None:
         """Read the time-out: any communication is a sign of life."""

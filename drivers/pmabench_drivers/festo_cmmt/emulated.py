@@ -119,7 +119,7 @@ class EmulatedDrive:
 
     def _cells(self) -> Mapping[int, int]:
         """Everything that can be read now."""
-        cells = {PROCESS_IN + i: word for i, word in enumerate(p.join(self.telegram, self._told()))}
+        cells = {PROCESS_IN + i: word for i, word in enumerate(p.join(self.telegram, self._status_words()))}
         cells.update({TIMEOUT: self.timeout, TIMEOUT + 1: 0})
         cells.update({EXECUTE: self._mail[EXECUTE], LENGTH: self._mail[LENGTH]})
         cells.update({DATA + i: word for i, word in enumerate(self._data)})
@@ -173,7 +173,7 @@ class EmulatedDrive:
 
     def _process_parameters(self) -> dict[int, bytes]:
         """Parameters that are words of the process data."""
-        values = p.split(self.telegram, self._out) | self._told()
+        values = p.split(self.telegram, self._out) | self._status_words()
         found = {number: (values.get(name, 0), 4 if name in p.LONG else 2) for number, name in PROCESS_WORDS.items()}
         return {
             number: (value & (1 << 8 * size) - 1).to_bytes(size, "little") for number, (value, size) in found.items()
@@ -241,7 +241,7 @@ class EmulatedDrive:
         if wanted:
             self.motion.run(wanted, abs(wanted) / p.FULL_SPEED[name] * BASE_VELOCITY)
         else:
-            self._stand()
+            self._hold()
 
     def _move(self, now: Mapping[str, int], was: Mapping[str, int], *, started: bool) -> None:
         """Tasks, homing and jogging, as the control word says."""
@@ -249,7 +249,7 @@ class EmulatedDrive:
         if not control & p.REJECT:
             if self._taken or not started or falling & p.REJECT:
                 self._log.note("halt", self.device.name)
-            self._stand()
+            self._hold()
             return
         if not control & p.GO_ON:
             if falling & p.GO_ON:
@@ -301,10 +301,10 @@ class EmulatedDrive:
         if self._powered != float("inf"):
             self._powered = float("inf")
             self._inhibited = True
-            self._stand()
+            self._hold()
             self._log.note("power", self.device.name, on=False, why=why)
 
-    def _stand(self) -> None:
+    def _hold(self) -> None:
         """Stop, and hold the place."""
         self.motion.stop()
         self._taken = False
@@ -322,7 +322,7 @@ class EmulatedDrive:
         self._log.note("fault", self.device.name, code=code)
         self._off(f"fault {code}")
 
-    def _told(self) -> dict[str, int]:
+    def _status_words(self) -> dict[str, int]:
         """The words of the input process data, of all telegrams."""
         now, motion = monotonic(), self.motion
         if self._powered > now or motion.off(now) <= BEHIND:

@@ -49,7 +49,7 @@ class Motion:
         self._zero = 0
         """User units at a contraction of 0 where it was homed last."""
         self._at_mark = False
-        """Whether it is homing to the reference mark, or where it stands."""
+        """Whether it is homing to the reference mark, or where it is."""
         self._homing = 0.0
         """When homing will be over at the earliest [s, monotonic]; 0: it is not homing."""
         self.homed = True
@@ -151,7 +151,7 @@ class Motion:
         self._homing = monotonic() + LEAST
 
     def home_here(self) -> None:
-        """Where it stands becomes position 0."""
+        """Where it is becomes position 0."""
         self._zero += self._units(self._way.at(monotonic()))
         self.homed, self._at_mark = False, False
         self._homing = monotonic() + LEAST

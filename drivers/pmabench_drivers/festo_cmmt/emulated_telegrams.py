@@ -35,7 +35,7 @@ REJECT, GO_ON, TASK, ACKNOWLEDGE, JOG_1, JOG_2, BY_PLC, HOME = (1 << bit for bit
 ABSOLUTE, FORWARD, BACKWARD, CONTINUOUS, SET_UP, MDI = (1 << bit for bit in (8, 9, 10, 12, 14, 15))
 """Bits of POS_STW1, whose lowest seven are the number of a record."""
 SET_REFERENCE, BY_STEPS = 1 << 1, 1 << 5
-"""Bits of POS_STW2: where it stands is the reference; jogging goes by steps."""
+"""Bits of POS_STW2: where it is is the reference; jogging goes by steps."""
 RECORD = 0x7F
 FULL_SPEED = {"NSOLL_A": 1 << 14, "NIST_A": 1 << 14, "NSOLL_B": 1 << 30, "NIST_B": 1 << 30}
 """What is the base value of the velocity in a word."""

@@ -31,7 +31,7 @@ class DriveLink(NamedLine):
         return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def look_once(self, until: float) -> t.Status:
-        """The same in one transaction, whose time can be told."""
+        """The same in one transaction, whose time is known."""
         return t.Status.of(self.read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def send(self, words: Sequence[int], until: float, still: Still = always) -> None:

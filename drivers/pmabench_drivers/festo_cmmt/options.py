@@ -16,7 +16,7 @@ WHOLE = 2**31
 
 @dataclass(frozen=True)
 class CmmtOptions:
-    """What the driver `festo-cmmt` is told about a drive."""
+    """Options of the driver `festo-cmmt` for a drive."""
 
     rate: float
     """Cycles of process data [Hz]."""

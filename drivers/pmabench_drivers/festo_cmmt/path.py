@@ -27,8 +27,8 @@ class Path:
         self._since, self._from, self._to, self._velocity = 0.0, 0.0, 0.0, 0.0
         self._off = 0.0
 
-    def stand(self, position: float) -> None:
-        """It stands there."""
+    def rest_at(self, position: float) -> None:
+        """It is at rest there."""
         self.end()
         self._from = self._to = position
 

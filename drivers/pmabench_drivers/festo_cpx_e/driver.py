@@ -66,13 +66,10 @@ class FestoCpxE(ModbusDevice):
         self.close()
         line = self._new_line()
         self._line, until = line, monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             identity = line.identity(until)
             self._compare(line, until)
             self._found = self._get(TIMEOUT, until)
-        except DeviceError:
-            self.close()
-            raise
         self._alive.start(KEEP_ALIVE)
         return identity
 
@@ -128,14 +125,14 @@ class FestoCpxE(ModbusDevice):
         if code == wanted:
             return
         names = {value: key for key, value in t.RANGES.items()}
-        told = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
+        found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
         if not self._terminal.set_ranges:
-            message = f"{told}: set it at the terminal, or let it be set with set_ranges: true"
+            message = f"{found}: set it at the terminal, or let it be set with set_ranges: true"
             raise self._error(message, channel)
         if protected:
-            raise self._error(f"{told}, and the terminal is write-protected", channel)
+            raise self._error(f"{found}, and the terminal is write-protected", channel)
         if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
-            raise self._error(f"{told}, and it puts out something: bring it to 0 first", channel)
+            raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
         line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
         self._ask_table(line, t.ASK | t.WRITE | number, until)
         now = self._parameter(line, number, until) >> shift & 0xF
@@ -150,13 +147,13 @@ class FestoCpxE(ModbusDevice):
         until = monotonic() + CALL
         watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()
         [status] = line.read("holding", STATUS, 1, until, "status")
-        told = line.identification(until)
+        found = line.identification(until)
         return {
             "watchdog": watchdog,
             "modules": float(self._present(line, until)),
             "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
             "forced": "yes" if status & t.FORCED else "no",
-            "terminal": " ".join(told[number] for number in sorted(told) if told[number]),
+            "terminal": " ".join(found[number] for number in sorted(found) if found[number]),
         }
 
     @staticmethod
@@ -285,9 +282,9 @@ class FestoCpxE(ModbusDevice):
         if seconds < t.SHORTEST:
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
-        told = super().arm_watchdog(seconds)
+        held = super().arm_watchdog(seconds)
         self._armed = True
-        return told
+        return held
 
     def disarm_watchdog(self) -> None:
         """Give the terminal the time-out back that it had when it was opened."""

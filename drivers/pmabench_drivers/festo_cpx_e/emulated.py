@@ -72,14 +72,14 @@ class EmulatedTerminal:
         self.timeout = FACTORY
         """Without communication for so long the outputs are taken away [ms]; 0: never."""
         self._heard = monotonic()
-        self._bitten = self._expire = False
+        self._fired = self._expire = False
 
     # -- requests -------------------------------------------------------------------------------------------------
 
     def hear(self) -> None:
         """Any communication."""
         with self._lock:
-            self._heard, self._bitten = monotonic(), False
+            self._heard, self._fired = monotonic(), False
 
     def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the terminal says no."""
@@ -180,7 +180,7 @@ class EmulatedTerminal:
             self._words = dict.fromkeys(self._words, 0)
             self._shown = dict.fromkeys(self._words, (0, 0, 0.0))
             self.timeout, self._read = FACTORY, 0
-            self._heard, self._bitten = monotonic(), False
+            self._heard, self._fired = monotonic(), False
             self._log.note("restart", self.device.name)
 
     def switch_off_watchdog(self) -> bool:
@@ -200,14 +200,14 @@ class EmulatedTerminal:
 
     # -- the end of the time-out ----------------------------------------------------------------------------------
 
-    def bite(self) -> bool:
+    def fire(self) -> bool:
         """Whether the time-out ends now; then every output is 0."""
         with self._lock:
             silent = monotonic() - self._heard
             ends = self._expire or silent > self.timeout / 1e3
-            if not self.timeout or self._bitten or not ends:
+            if not self.timeout or self._fired or not ends:
                 return False
-            self._bitten, self._expire = True, False
+            self._fired, self._expire = True, False
             if self._put_out_now():
                 self._log.note("watchdog", self.device.name, silent=silent)
             self._drop_outputs()
@@ -233,7 +233,7 @@ class CpxDevice(NamedDevice):
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
-            if self.terminal.bite():
+            if self.terminal.fire():
                 for connection in list(self._open):
                     with contextlib.suppress(OSError):
                         connection.shutdown(socket.SHUT_RDWR)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import did_you_mean
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench_drivers.modbus.map_file import Options
 from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
 from pmabench_drivers.shared.options import Reader
@@ -66,7 +66,7 @@ class Module:
     """One module of the terminal."""
 
     position: int
-    """1 for the first beside the bus module."""
+    """1 for the first next to the bus module."""
     name: str
     kind: Kind
     first_output: int
@@ -88,7 +88,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Terminal:
-    """The modules in their order, and what stands where."""
+    """The modules in their order, and what is where."""
 
     modules: tuple[Module, ...] = ()
     ranges: Mapping[str, int] = field(default_factory=dict)
@@ -137,7 +137,7 @@ def build(names: tuple[str, ...]) -> tuple[Module, ...]:
 
 @dataclass(frozen=True)
 class CpxOptions(Options):
-    """What the driver `festo-cpx-e` is told about a terminal."""
+    """Options of the driver `festo-cpx-e` for a terminal."""
 
     terminal: Terminal = field(default_factory=Terminal)
 
@@ -201,14 +201,7 @@ def _used(device: DeviceRecord, terminal: Terminal, reader: Reader) -> None:
         at = ("outputs", output.name, "output")
         if named(at, output.output, ("ao",)):
             low = -32768 if terminal.ranges.get(output.output) in {2, 3, 7} else 0
-            ends = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
-            for value in ends:
-                if not low <= value <= 32767:
-                    reader.fault(at, f"cannot be commanded over its whole range: {value:g} is outside {low} to 32767")
-                    break
-            if device.watchdog and round(ends[2]) != 0:
-                message = f"its safe value is {ends[2]:g} counts, and without communication the terminal puts out 0"
-                reader.fault(at, message)
+            _fits(output, low, reader, watched=bool(device.watchdog))
     for valve in device.valves:
         at = ("outputs", valve.name, "output")
         named(at, valve.output, ("do",))
@@ -220,3 +213,14 @@ def _used(device: DeviceRecord, terminal: Terminal, reader: Reader) -> None:
     for name in sorted(used):
         if name in inputs and name[:2] in {"ai", "ao"} and name not in terminal.ranges:
             reader.fault((*HERE, "ranges"), f'"{name}" is used and has no range here; known: {", ".join(RANGES)}')
+
+
+def _fits(output: OutputRecord, low: int, reader: Reader, *, watched: bool) -> None:
+    """The range of an output must be that of its module, and 0 its safe value where the terminal vents by itself."""
+    at = ("outputs", output.name, "output")
+    ends = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
+    beyond = [value for value in ends if not low <= value <= 32767]
+    for value in beyond[:1]:
+        reader.fault(at, f"cannot be commanded over its whole range: {value:g} is outside {low} to 32767")
+    if watched and round(ends[2]) != 0:
+        reader.fault(at, f"its safe value is {ends[2]:g} counts, and without communication the terminal puts out 0")

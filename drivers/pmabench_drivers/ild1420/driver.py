@@ -51,8 +51,8 @@ class Ild1420(SerialStream):
     def _greet(self) -> Identity:
         """Quiet the sensor, see that it is the right one, and set what a true record needs."""
         self._silence()
-        told = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
-        identity = self._identity(dict(_FIELD.findall(told)))
+        fields = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
+        identity = self._identity(dict(_FIELD.findall(fields)))
         self._ask(f"MEASRATE {self._options.rate / 1000:g}")
         for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
             self._ask(setting)
@@ -74,7 +74,7 @@ class Ild1420(SerialStream):
 
     @property
     def lost(self) -> int:
-        """Measurements that never came, by the counter; each stands as a gap in the times."""
+        """Measurements that never came, by the counter; each is a gap in the times."""
         return self._numbering.lost
 
     # -- the stream -------------------------------------------------------------------------------------------------
@@ -140,19 +140,19 @@ class Ild1420(SerialStream):
             raise DeviceError(self._device.name, f'refuses "{command}": {text}')
         return behind if rest else answer
 
-    def _identity(self, told: dict[str, str]) -> Identity:
-        name, expected = told.get("Name", ""), self._options.span
+    def _identity(self, fields: dict[str, str]) -> Identity:
+        name, expected = fields.get("Name", ""), self._options.span
         if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
             raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
-        span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", told.get("Measuring range", ""))
+        span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:
-            has = told.get("Measuring range", "")[:20] or "of no range that it tells"
+            has = fields.get("Measuring range", "")[:20] or "of no range that it tells"
             raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
         model = name[:60]
         return Identity(
             "Micro-Epsilon",
             model,
-            told.get("Serial", "")[:40],
-            told.get("Version", "")[:40],
+            fields.get("Serial", "")[:40],
+            fields.get("Version", "")[:40],
             simulated=model.startswith(EMULATED),
         )

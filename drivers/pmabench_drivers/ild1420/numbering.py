@@ -6,7 +6,7 @@ from pmabench_drivers.ild1420.wire import WRAP
 
 
 class CounterBroken(Exception):
-    """The counter goes on from elsewhere: which measurement this is cannot be told."""
+    """The counter goes on from elsewhere: which measurement this is, is not known."""
 
 
 class Numbering:

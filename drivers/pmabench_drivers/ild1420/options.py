@@ -14,7 +14,7 @@ INPUT = "distance"
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver is told about a sensor."""
+    """Options of a sensor."""
 
     span: int = 100
     """Measuring range [mm]."""

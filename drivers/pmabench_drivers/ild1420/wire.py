@@ -23,7 +23,7 @@ SCENE = {
     262080: "cannot compute the value",
     262081: "sees a peak that is too large",
 }
-"""Codes that tell of what stands before the laser: no number, as often as it happens."""
+"""Codes that tell of what is before the laser: no number, as often as it happens."""
 SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
 """Codes that tell that something is set wrong."""
 
@@ -31,7 +31,7 @@ SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its l
 class Decoder:
     """Cuts a stream of bytes into measurements.
 
-    Behind a byte out of place everything is left out up to the end of the second counter: what stands up to the first
+    Behind a byte out of place everything is left out up to the end of the second counter: what is up to the first
     one may be put together from old bytes and disturbed ones.
     """
 
@@ -39,7 +39,7 @@ class Decoder:
         self._value: list[int] = []
         self._code = -1
         self._skip = 0
-        self.spoilt = 0
+        self.invalid = 0
         """Places where a byte did not stand where it belongs."""
 
     def feed(self, data: bytes) -> list[tuple[int, int]]:
@@ -52,12 +52,12 @@ class Decoder:
                 continue
             if len(self._value) < 2:
                 if mark != len(self._value):
-                    self._spoil()
+                    self._restart()
                     continue
                 self._value.append(byte & 0x3F)
                 continue
             if mark != (2 if self._code < 0 else 3):
-                self._spoil()
+                self._restart()
                 continue
             value = (byte & 0x3F) << 12 | self._value[1] << 6 | self._value[0]
             self._value = []
@@ -68,8 +68,8 @@ class Decoder:
                 self._code = -1
         return found
 
-    def _spoil(self) -> None:
-        self.spoilt += 1
+    def _restart(self) -> None:
+        self.invalid += 1
         self._value, self._code = [], -1
         self._skip = 2
 

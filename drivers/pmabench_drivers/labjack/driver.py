@@ -75,14 +75,11 @@ class LabJack(ModbusDevice):
         """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
         super().open()
         deadline = monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             try:
                 return self._identify_model(deadline)
             except Unanswered:
                 return self._identify_model(deadline)  # asking twice moves nothing
-        except DeviceError:
-            self.close()
-            raise
 
     def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)
@@ -90,8 +87,8 @@ class LabJack(ModbusDevice):
         [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
         if product != wanted:
             known = {model.product: name for name, model in r.MODELS.items()}
-            told = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
-            raise self._error(f"{told}, and the bench file says {name}: options.model")
+            found = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
+            raise self._error(f"{found}, and the bench file says {name}: options.model")
         [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
         self._firmware = firmware
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
@@ -201,7 +198,7 @@ class LabJack(ModbusDevice):
         super().stop()
 
     def _end_stream(self) -> None:
-        """Tell the device and let go; a device that does not hear it is told at the next start."""
+        """Tell the device and let go; one that does not hear it is stopped at the next start."""
         link, self._stream = self._stream, None
         if link is None:
             return
@@ -229,25 +226,25 @@ class LabJack(ModbusDevice):
         except Unanswered as error:
             lost = f"did not answer to the command {int(on)}"
             try:
-                stands = self._stands(line, deadline, output)
+                high = self._drives_high(line, deadline, output)
             except DeviceError as second:
                 message = f"{error.message}; whether it took {int(on)} is not known ({second})"
                 raise Unanswered(self._device.name, message, output) from None
         else:
-            stands = self._stands(line, deadline, output)
-        if stands != on:
-            message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if stands else 'low'}"
+            high = self._drives_high(line, deadline, output)
+        if high != on:
+            message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if high else 'low'}"
             raise self._error(message, output)
 
     def is_on(self, output: str) -> bool:
         """Whether the line is an output and its terminal is high."""
-        return self._stands(self._line_of(output), monotonic() + CALL, output)
+        return self._drives_high(self._line_of(output), monotonic() + CALL, output)
 
     def _line_of(self, output: str) -> int:
         self._known("valve output", output, self._lines)
         return self._lines[output]
 
-    def _stands(self, line: int, deadline: float, what: str) -> bool:
+    def _drives_high(self, line: int, deadline: float, what: str) -> bool:
         """Whether a line drives its terminal high; reading the line's own register would make it an input."""
         [state] = r.from_u32(self.get(r.DIO_STATE, 2, deadline, what))
         [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, deadline, what))
@@ -277,7 +274,7 @@ class LabJack(ModbusDevice):
         found: dict[str, float | str] = {**self._own_watchdog.held(deadline)}
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         found["serial"] = str(serial)
-        if self._firmware >= self._t7.model.tells_restarts - FIRMWARE_STEP:
+        if self._firmware >= self._t7.model.restart_cause_from - FIRMWARE_STEP:
             [cause] = r.from_u32(self.get(r.RESET_CAUSE, 2, deadline, "cause of the last restart"))
             [clock] = r.from_u32(self.get(r.RTC_TIME, 2, deadline, "uptime"))
             found["cause of the last restart"] = float(cause)
@@ -310,8 +307,8 @@ class LabJack(ModbusDevice):
         except DeviceError:
             return error
         reason = r.ERRORS.get(code)
-        told = f"its error {code}: {reason}" if reason else f"its error {code}"
-        return DeviceError(self._device.name, f"{error.message}; {told}", what)
+        detail = f"its error {code}: {reason}" if reason else f"its error {code}"
+        return DeviceError(self._device.name, f"{error.message}; {detail}", what)
 
 
 def _as_modbus(device: DeviceRecord, options: Options) -> DeviceRecord:

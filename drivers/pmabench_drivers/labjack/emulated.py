@@ -164,9 +164,9 @@ class T7:
         self._shown = self._show()
         self._last_error = self.failed_frame = 0
         self._levels = self._directions = 0
-        self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
+        self._cleared, self._started, self._fired = monotonic(), monotonic(), False
         self.sample: Callable[[int], list[int]] | None = None
-        """What stands in for the plant in tests of the stream: the counts of a scan by its number."""
+        """Replaces the plant in tests of the stream: the counts of a scan by its number."""
         self._defaults()
 
     def _defaults(self) -> None:
@@ -439,7 +439,7 @@ class T7:
     # -- the device's watchdog ------------------------------------------------------------------------------------
 
     def _clear(self) -> None:
-        self._cleared, self._bitten = monotonic(), False
+        self._cleared, self._fired = monotonic(), False
 
     def switch_off_watchdog(self) -> bool:
         """Another program switches it off; whether it was on."""
@@ -458,7 +458,7 @@ class T7:
             kept = {address: word for address, word in self._words.items() if FLASHED[0] <= address < FLASHED[1]}
             self._defaults()
             self._words |= kept
-            self._cleared, self._started, self._bitten = monotonic(), monotonic(), False
+            self._cleared, self._started, self._fired = monotonic(), monotonic(), False
             self._levels = self._directions = 0
             for line in self._valves:
                 self._valve_follows(line or 0)
@@ -483,9 +483,9 @@ class T7:
             silent = monotonic() - self._cleared
             if not self._u32(r.WATCHDOG_ENABLE):
                 return False
-            if not self._bitten:
+            if not self._fired:
                 self._log.note("watchdog", self.device.name, silent=silent)
-            self._bitten, self._cleared = True, monotonic()  # it counts again, and does the same after its time
+            self._fired, self._cleared = True, monotonic()  # it counts again, and does the same after its time
             for index, name in enumerate(r.DACS):
                 if self._u32(r.WATCHDOG_DAC_ENABLE[index]):
                     volts = self._f32(r.WATCHDOG_DAC[index])

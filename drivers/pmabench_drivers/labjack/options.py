@@ -1,4 +1,4 @@
-"""What the driver `labjack` is told about a device, read strictly; knows no connection. Standard library only."""
+"""Options of the driver `labjack` for a device, read strictly; knows no connection. Standard library only."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Model:
     inputs: Mapping[str, int]
     ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Ranges of the inputs, the widest first; none where they cannot be set here."""
-    tells_restarts: float = 0.0
+    restart_cause_from: float = 0.0
     """Firmware from which on it tells why it restarted last."""
     streams: bool = False
     """Whether it is read by its stream, or asked for each sample."""
@@ -80,8 +80,8 @@ class Model:
 
 
 MODELS = {
-    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, tells_restarts=1.0023, finest=5),
-    "T7": Model(7.0, 5.0, 12, AINS, RANGES, tells_restarts=1.0281, streams=True, finest=8),
+    "T4": Model(4.0, 5.0, 10, {f"AIN{i}": i for i in range(12)}, restart_cause_from=1.0023, finest=5),
+    "T7": Model(7.0, 5.0, 12, AINS, RANGES, restart_cause_from=1.0281, streams=True, finest=8),
     "T8": Model(
         8.0, 10.0, 16, {f"AIN{i}": i for i in range(8)}, {f"{v:g} V": (0, float(v)) for v in T8_SPANS}, captures=True
     ),
@@ -89,7 +89,7 @@ MODELS = {
 
 STREAM_SCANRATE = 4002
 STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")
-"""What stands from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
+"""What is from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
 STREAM_AUTO_TARGET, TO_ETHERNET = 4016, 1
 """Then the data type, which must be 0, and the number of scans (0: no end)."""
 STREAM_SCANLIST = 4100

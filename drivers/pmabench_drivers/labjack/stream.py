@@ -56,7 +56,7 @@ class StreamLink:
             raise DeviceError(device, f"no connection to {where}, where the stream comes from: {why}") from None
 
     def begin(self, plan: Plan) -> None:
-        """Receive from now on; the device has been told to start after this."""
+        """Receive from now on; the device is started after this."""
         self._plan = plan
         self._packets = Packets(len(self._names), plan.scans)
         self._start = self._last = self._clock.now()

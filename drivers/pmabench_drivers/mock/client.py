@@ -123,9 +123,9 @@ class MockClient:
             except subprocess.TimeoutExpired as error:
                 process.kill()
                 raise DeviceError(self._device.name, f"its process did not start in {START_WITHIN:g} s") from error
-        told = said.decode(errors="replace").strip()
-        if told and "cannot serve at" not in told:  # somebody else may have started it at the same moment
-            raise DeviceError(self._device.name, told.splitlines()[-1].removeprefix(f"{self._device.name}: "))
+        message = said.decode(errors="replace").strip()
+        if message and "cannot serve at" not in message:  # somebody else may have started it at the same moment
+            raise DeviceError(self._device.name, message.splitlines()[-1].removeprefix(f"{self._device.name}: "))
 
     # -- questions ------------------------------------------------------------------------------------------------
 
@@ -147,7 +147,7 @@ class MockClient:
             raise
 
     def _try(self, act: Callable[[], Answer]) -> Answer:
-        """What `act` gives; a link that fails is told as a DeviceError whose cause is what happened."""
+        """What `act` gives; a link that fails becomes a DeviceError whose cause is what happened."""
         try:
             return act()
         except (OSError, ValueError) as error:

@@ -200,8 +200,8 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
         length = float(options.numbers["length"])
         if not FREE_LENGTHS[0] <= length <= FREE_LENGTHS[1]:
             known = f"{1e3 * FREE_LENGTHS[0]:g} to {1e3 * FREE_LENGTHS[1]:g} mm"
-            told = f"a contractor with a free end is known for lengths of {known}, not for {1e3 * length:g} mm"
-            raise DeviceError(device, f"option plant: {told}; write free_end: actuator, or another length")
+            why = f"a contractor with a free end is known for lengths of {known}, not for {1e3 * length:g} mm"
+            raise DeviceError(device, f"option plant: {why}; write free_end: actuator, or another length")
     if law == ARM and options.free_end != "weights":
         raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
     for name in NOT_FOR.get(law, (*FLOWS, "fce_eval")):

@@ -112,7 +112,7 @@ class Served:
         """The process that began to sample last; 0 for none."""
         self._heard = 0.0
         self._watchdog = 0.0
-        self._bitten: float | None = None
+        self._fired: float | None = None
 
     # -- time -----------------------------------------------------------------------------------------------------
 
@@ -122,7 +122,7 @@ class Served:
         self._bench.simulation()
         if self._watchdog and now - self._heard > self._watchdog:
             self.vent("watchdog", silent=now - self._heard)
-            self._watchdog, self._bitten = 0.0, now
+            self._watchdog, self._fired = 0.0, now
 
     def vent(self, why: str, **data: Any) -> None:
         """What the device does by itself: valves not energised, set-points to their safe values."""
@@ -187,13 +187,13 @@ class Served:
         output, value = self._output(question), float(question["value"])
         safe = float(output.scale.to_raw(output.safe))
         if abs(value - safe) > max(output.resolution, 1e-9 * abs(safe)):
-            self._refuse_bitten()
+            self._refuse_fired()
         self._bench.write(output.output, value)
         held = float(output.scale.to_si(self._bench.read_back(output.output)))
         self._note(asker, "write", output=output.output, si=float(output.scale.to_si(value)), held=held)
 
     def _follow(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._refuse_bitten()
+        self._refuse_fired()
         output = self._output(question)
         given = {**question["segment"]}
         given["start"] = float(given["start"]) + asker.zero - self.clock.start
@@ -223,7 +223,7 @@ class Served:
     def _switch(self, asker: Asker, question: Mapping[str, Any]) -> None:
         output, on = str(question["output"]), bool(question["on"])
         if on:
-            self._refuse_bitten()
+            self._refuse_fired()
         self._bench.switch(output, on=on)
         self._note(asker, "switch", output=output, on=on)
 
@@ -255,23 +255,23 @@ class Served:
         wanted = float(question["seconds"])
         if not low <= wanted <= high:
             raise DeviceError(self.device.name, f"its watchdog takes {low:g} s to {high:g} s, not {wanted:g} s")
-        self._watchdog, self._bitten = round(wanted, 2), None
+        self._watchdog, self._fired = round(wanted, 2), None
         self._note(asker, "arm", seconds=self._watchdog)
         return self._watchdog
 
     def _feed(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._refuse_bitten()
+        self._refuse_fired()
 
     def _disarm(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._watchdog, self._bitten = 0.0, None
+        self._watchdog, self._fired = 0.0, None
         self._note(asker, "disarm")
 
     def _report(self, asker: Asker, question: Mapping[str, Any]) -> dict[str, float]:
         return {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started}
 
-    def _refuse_bitten(self) -> None:
-        if self._bitten is not None:
-            ago = time.monotonic() - self._bitten
+    def _refuse_fired(self) -> None:
+        if self._fired is not None:
+            ago = time.monotonic() - self._fired
             raise DeviceError(self.device.name, f"its watchdog has vented {ago:.3g} s ago; arm it again first")
 
     # -- for tests ------------------------------------------------------------------------------------------------
@@ -302,7 +302,7 @@ class Served:
         self._started = time.monotonic()
 
     def _switch_off_watchdog(self) -> None:
-        self._watchdog, self._bitten = 0.0, None
+        self._watchdog, self._fired = 0.0, None
 
     def _change_set_point(self, value: Any) -> None:
         """Another program commands the first output [device units]."""
@@ -321,6 +321,6 @@ class Served:
             "valves": {valve.output: simulation.is_on(valve.output) for valve in self.device.valves},
             "dump_open": simulation.dump_open,
             "watchdog": self._watchdog,
-            "bitten": self._bitten,
+            "fired": self._fired,
             "faults": {name: at for name, at in faults.items() if at is not None},
         }

@@ -83,7 +83,7 @@ class Server:
         self._plant.log.write("serve", pid=os.getpid(), device=device.name)
 
     def serve(self) -> None:
-        """Until the plant is idle or told to end."""
+        """Until the plant is idle or has to end."""
         tick = time.monotonic()
         while not self._over():
             ready = self._selector.select(max(0.0, tick - time.monotonic()))

@@ -1,4 +1,4 @@
-"""Modbus devices of any maker: a register map in YAML says what stands where (TCP, and RTU on a serial port).
+"""Modbus devices of any maker: a register map in YAML says what is where (TCP, and RTU on a serial port).
 
 `registers`: records and their words; `map_file`: the map as people write it; `adapter`: the connection, the only module
 that imports pymodbus; `driver`: the device interface; `watchdog`: the device's own watchdog.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench_drivers.modbus.registers import (
     BIT_TABLES,
     FUNCTIONS,
@@ -47,7 +47,7 @@ HIGH, LOW = "high-first", "low-first"
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver `modbus` is told about a device."""
+    """Options of the driver `modbus` for a device."""
 
     map: RegisterMap = field(default_factory=RegisterMap)
     baud: int = 19200
@@ -225,24 +225,26 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
             reader.fault(place, "counts from 2147483648 on cannot be recorded")
     for output in device.outputs:
         place = ("outputs", output.name, "output")
-        if not reader.known(place, "the map has no output", output.output, map_.outputs):
-            continue
-        register = map_.outputs[output.output]
-        if register.is_bit:
-            reader.fault(place, "is a coil, which takes no values")
-            continue
-        for value in (output.low, output.high, output.safe):
-            try:
-                encode(register, float(output.scale.to_raw(value)))
-            except ValueError as error:
-                reader.fault(place, f"cannot be commanded over its whole range: {error}")
-                break
+        if reader.known(place, "the map has no output", output.output, map_.outputs):
+            _fits(output, map_.outputs[output.output], place, reader)
     for valve in device.valves:
         reader.known(("outputs", valve.name, "output"), "the map has no output", valve.output, map_.outputs)
     for lock in device.interlocks:
         reader.known(("interlocks", lock.name, "input"), "the map has no input", lock.input, map_.inputs)
     if device.watchdog and map_.watchdog is None:
         reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
+
+
+def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader) -> None:
+    """A register must take every value that may be commanded."""
+    if register.is_bit:
+        reader.fault(place, "is a coil, which takes no values")
+        return
+    try:
+        for value in (output.low, output.high, output.safe):
+            encode(register, float(output.scale.to_raw(value)))
+    except ValueError as error:
+        reader.fault(place, f"cannot be commanded over its whole range: {error}")
 
 
 def _ends(scale: Any, channel: Any) -> tuple[float, float]:

@@ -26,7 +26,7 @@ MOST_BITS = 2000
 
 @dataclass(frozen=True)
 class Register:
-    """One value of the device: where it stands and how it is written. `type` is `bit` in coils and discrete inputs."""
+    """One value of the device: where it is and how it is written. `type` is `bit` in coils and discrete inputs."""
 
     name: str
     table: str
@@ -46,7 +46,7 @@ class Register:
 
     @property
     def is_bit(self) -> bool:
-        """Whether it stands in a table of single bits."""
+        """Whether it is in a table of single bits."""
         return self.table in BIT_TABLES
 
     @property

@@ -2,7 +2,7 @@
 
 Over gRPC each task has a name on the server, where it outlives the program that made it: a program that opens the
 device ends the tasks that another of this computer has left, and a second connection commands through the same tasks.
-No task of an output stays started: each command stands by itself, so nothing is reserved between two commands, and
+No task of an output stays started, so nothing is reserved between two commands, and
 another program can always vent.
 """
 
@@ -89,8 +89,8 @@ class Connection:
             return DeviceError(self._name, message, what)
         if isinstance(error, DaqError):
             code = int(error.error_code)
-            told = _short(str(error).split("\n\n", 1)[0], 200)
-            return DeviceError(self._name, f"{REASONS.get(code, told)} (NI-DAQmx error {code})", what)
+            text = _short(str(error).split("\n\n", 1)[0], 200)
+            return DeviceError(self._name, f"{REASONS.get(code, text)} (NI-DAQmx error {code})", what)
         if isinstance(error, RpcError):
             return self._unreached(error, seconds, what)
         return DeviceError(self._name, f"gave an answer that is none ({type(error).__name__}: {_short(error)})", what)
@@ -103,8 +103,8 @@ class Connection:
             return Unanswered(self._name, f"no connection to NI's gRPC server at {server}", what)
         if kind == "UNIMPLEMENTED":
             return DeviceError(self._name, f"{server} is no NI gRPC server, or one without NI-DAQmx, or too old", what)
-        told = _short(error.description or "", 200)
-        return Unanswered(self._name, f"{server} failed: {kind.lower().replace('_', ' ')} ({told})", what)
+        text = _short(error.description or "", 200)
+        return Unanswered(self._name, f"{server} failed: {kind.lower().replace('_', ' ')} ({text})", what)
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -291,9 +291,9 @@ class Connection:
 
     def _refuse_finer(self, output: str, step: float) -> None:
         """The bench file must not promise smaller steps than the converter has."""
-        told = self._options.outputs[output].step
-        if not told >= 0.99 * step:
-            message = f'the bench file says steps of {told:g} V, and they are {step:.3g} V: "resolution: {step:.6f} V"'
+        given = self._options.outputs[output].step
+        if not given >= 0.99 * step:
+            message = f'the bench file says steps of {given:g} V, and they are {step:.3g} V: "resolution: {step:.6f} V"'
             raise DeviceError(self._name, message, output)
 
     # -- outputs and lines ------------------------------------------------------------------------------------------

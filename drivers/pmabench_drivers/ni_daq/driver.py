@@ -17,9 +17,9 @@ from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Options, read_options
 from pmabench_drivers.ni_daq.sampling import Sampling
-from pmabench_drivers.shared.device import Stepped
+from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import Still, Unanswered, opened
-from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.polling import JOIN, Samples
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -28,11 +28,9 @@ ANSWER = 0.1
 STEP = 0.06
 """How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
 OPEN = 1.8
-STEPS = 100.0
-"""Ramps and sines are stepped so often [Hz]."""
 
 
-class NiDaq(Stepped):
+class NiDaq(Led):
     """Inputs `ai0`... [V], outputs `ao0`, `ao1` [V], lines `port0/line0`...; by NI-DAQmx here or NI's gRPC server."""
 
     emulator = "pmabench_drivers.ni_daq.emulated"
@@ -42,7 +40,6 @@ class NiDaq(Stepped):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._sampling: Sampling | None = None
-        self._steps = Cycle(f"leads {device.name}", self._lead, clock)
         self._turn = threading.Lock()
         self._link: Connection | None = None
         self._second: Connection | None = None
@@ -54,7 +51,7 @@ class NiDaq(Stepped):
         """Find the device, see that it has what the bench uses, prepare its tasks; outputs stay as they are."""
         self.close()
         link = self._link = Connection(self._device.name, self._options)
-        try:
+        with self._closed_on_error():
             with link.calls(OPEN):
                 link.load()
             until = monotonic() + OPEN
@@ -64,9 +61,6 @@ class NiDaq(Stepped):
                 second = self._second = Connection(self._device.name, self._options)
                 with second.calls(until - monotonic()):
                     second.attach()
-        except DeviceError:
-            self.close()
-            raise
         return identity
 
     def close(self) -> None:
@@ -196,18 +190,9 @@ class NiDaq(Stepped):
 
     # -- ramps and sines -------------------------------------------------------------------------------------------
 
-    def _begin_steps(self) -> None:
-        self._opened()
-        self._steps.note(None)
-        if not self._steps.running:
-            self._steps.start(STEPS)
-
     def _refuse_value(self, output: str, value: float) -> None:
         if not abs(value) <= 10.0 + 1e-9:
             raise self._error(f"cannot be set to {value:g} V", output)
-
-    def _lead(self) -> None:
-        self._steps.note(self._step())
 
     def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
         """Set a value, unless a command is under way: the next step comes soon."""
@@ -247,12 +232,12 @@ class NiDaq(Stepped):
             lost = f"{error.message}, and "
         try:
             with link.calls(until - monotonic(), line):
-                stands = link.level(line)
+                high = link.level(line)
         except Unanswered as error:
             message = f"{lost or 'was commanded, and '}whether it took {int(on)} is not known ({error.message})"
             raise Unanswered(self._device.name, message, line) from None
-        if stands != on:
-            message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if stands else 'low'}"
+        if high != on:
+            message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if high else 'low'}"
             raise self._error(message, line)
 
     def _valve(self, line: str) -> None:

@@ -270,7 +270,7 @@ def _found(known: dict[int, Any], request: Any) -> Answer:
 
 
 def _refuse(grpc: Any, context: Any, refused: Refused) -> None:
-    """An error of NI-DAQmx as the server tells it: its code stands beside the answer."""
+    """An error of NI-DAQmx as the server tells it: its code is next to the answer."""
     context.set_trailing_metadata((("ni-error", str(refused.code)),))
     context.abort(grpc.StatusCode.UNKNOWN, str(refused))
 
@@ -419,4 +419,4 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "WriteAnalogScalarF64": lambda server, request, context, fault: server.write(request, context, fault),
     "WriteDigitalLines": lambda server, request, context, fault: server.write_lines(request, context, fault),
 }
-"""The calls that there are; any other is told to be unknown."""
+"""The calls that there are; any other is refused as unknown."""

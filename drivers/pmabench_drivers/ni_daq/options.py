@@ -1,4 +1,4 @@
-"""What the driver `ni-daqmx` is told about a device, read strictly; knows no connection. Standard library only."""
+"""Options of the driver `ni-daqmx` for a device, read strictly; knows no connection. Standard library only."""
 
 from __future__ import annotations
 

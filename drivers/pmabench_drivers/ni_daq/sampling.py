@@ -90,7 +90,7 @@ class Sampling:
     def _find_place(self, position: int) -> None:
         """The device says which sample comes next; those before it that did not come are a gap."""
         if position < self._number:
-            raise DeviceError(self._device, f"stands at sample {position} after {self._number}: it began again")
+            raise DeviceError(self._device, f"is at sample {position} after {self._number}: it began again")
         self.lost += position - self._number
         self._number, self._unsure = position, False
 

@@ -48,12 +48,9 @@ class SerialIndicator(Polled):
         options = self._options
         settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
         self._port = SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
-        try:
+        with self._closed_on_error():
             model = self._ask_identity()
             self._first_line()
-        except DeviceError:
-            self.close()
-            raise
         simulated = model.startswith(EMULATED)
         return Identity("", model or "serial ASCII indicator", "", "", simulated=simulated, clock=COMPUTER)
 
@@ -123,7 +120,7 @@ class SerialIndicator(Polled):
             self._take(lines[0], (asked + answered) / 2, answered)
 
     def _exchange(self, question: bytes, timeout: float) -> tuple[list[bytes], bytes]:
-        """Send, and collect until a line is whole: the lines, and what stands behind them."""
+        """Send, and collect until a line is whole: the lines, and what is behind them."""
         port, terminator = self._opened(), self._options.terminator
         port.send(question)
         data = port.receive(lambda got: terminator in got or len(got) > LONGEST_LINE, timeout)

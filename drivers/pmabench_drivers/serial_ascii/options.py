@@ -19,7 +19,7 @@ _EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
 @dataclass(frozen=True)
 class Options:
-    """What the driver `serial-ascii` is told about an indicator; times in s, rates in Hz."""
+    """Options of the driver `serial-ascii` for a indicator; times in s, rates in Hz."""
 
     pattern: re.Pattern[str] = re.compile("(?P<value>.*)")
     baud: int = 9600
@@ -108,6 +108,4 @@ def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: 
             reader.known(("channels", channel.name, "input"), "the pattern has no group", channel.input, inputs)
     units = {channel.raw_unit for channel in device.channels}
     if "unit" in options.pattern.groupindex and not options.unit and len(units) > 1:
-        reader.fault(
-            ("options", "pattern"), f"one unit stands in a line, and the channels have {', '.join(sorted(units))}"
-        )
+        reader.fault(("options", "pattern"), f"a line has one unit, and the channels have {', '.join(sorted(units))}")

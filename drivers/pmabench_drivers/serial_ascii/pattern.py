@@ -60,7 +60,7 @@ def pattern_problem(pattern: str) -> str:
     if not inputs_of(compiled):
         return 'names no value; write "(?P<value>...)" around the number'
     if "sign" in compiled.groupindex and len(inputs_of(compiled)) != 1:
-        return 'has a group "sign", which needs exactly one value beside it'
+        return 'has a group "sign", which needs exactly one value next to it'
     return ""
 
 

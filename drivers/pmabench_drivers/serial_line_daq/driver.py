@@ -13,9 +13,9 @@ from pmabench_drivers.serial_line_daq.link import Link
 from pmabench_drivers.serial_line_daq.options import read_options
 from pmabench_drivers.serial_line_daq.samples import Timeline
 from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, NAMES, PROTOCOL, VENTED, VERSION, index_of, read_sample
-from pmabench_drivers.shared.device import Stepped
+from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened
-from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
+from pmabench_drivers.shared.polling import JOIN, Samples
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -28,12 +28,10 @@ PATIENCE = 0.25
 """So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
 MISFITS = 3
 """So many samples in a row whose number and clock do not fit are an error."""
-STEPS = 100.0
-"""Ramps and sines are stepped so often [Hz]."""
 
 
-class SerialLineDaq(Stepped):
-    """A board with the program of `sketch`, or another that speaks its protocol; the option `baud` is all it is told.
+class SerialLineDaq(Led):
+    """A board with the program of `sketch`, or another that speaks its protocol; its only option is `baud`.
 
     Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
     Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
@@ -49,7 +47,6 @@ class SerialLineDaq(Stepped):
         super().__init__(device, clock)
         self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
-        self._cycle = Cycle(f"leads {device.name}", self._lead, clock)
         self._link: Link | None = None
         self._has = dict.fromkeys(NAMES, 0)
         self._full_scale, self._shortest = 0, 1
@@ -57,7 +54,7 @@ class SerialLineDaq(Stepped):
         self._before: Timeline | None = None
         self._period = self._armed = 0.0
         self._heard = 0.0
-        self._told_vented = False
+        self._reported_vent = False
         self._failure: DeviceError | None = None
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -66,20 +63,17 @@ class SerialLineDaq(Stepped):
         """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
         self.close()
         link = self._link = Link(self._device.name, self._device.address, self._options, self._clock, self._take)
-        try:
+        with self._closed_on_error():
             identity = self._identify(link, monotonic() + OPEN)
             link.ask(monotonic() + CALL, "G", 0)
-        except DeviceError:
-            self.close()
-            raise
         return identity
 
     def close(self) -> None:
         """End stepping and let go of the port; the board goes on sampling, and its watchdog stays as it is."""
         self._following.clear()
-        self._cycle.stop(JOIN)
+        self._steps.stop(JOIN)
         self._timeline, self._armed, self._failure = None, 0.0, None
-        self._cycle.note(None)
+        self._steps.note(None)
         self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
         link, self._link = self._link, None
         if link is not None:
@@ -118,9 +112,9 @@ class SerialLineDaq(Stepped):
         self.stop()
         self._samples.take()
         self._failure = None
-        told = self._ask("G", period)
-        if told != period:
-            raise self._error(f"samples each {told} us where {period} us were asked for")
+        used = self._ask("G", period)
+        if used != period:
+            raise self._error(f"samples each {used} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
         self._before = self._timeline = Timeline(period, self._before)
         return 1e6 / period
@@ -130,7 +124,7 @@ class SerialLineDaq(Stepped):
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
-        self._cycle.refuse(self._device.name, "stepping", once=True)
+        self._steps.refuse(self._device.name, "stepping", once=True)
         block = self._samples.take()
         if len(block.time):
             return block
@@ -169,8 +163,8 @@ class SerialLineDaq(Stepped):
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
-        if sample.state & VENTED and self._armed and not self._told_vented:
-            self._told_vented = True
+        if sample.state & VENTED and self._armed and not self._reported_vent:
+            self._reported_vent = True
             message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
             self._failure = self._error(message)
 
@@ -210,17 +204,8 @@ class SerialLineDaq(Stepped):
 
     # -- ramps and sines ------------------------------------------------------------------------------------------
 
-    def _begin_steps(self) -> None:
-        self._opened()
-        self._cycle.note(None)
-        if not self._cycle.running:
-            self._cycle.start(STEPS)
-
     def _refuse_value(self, output: str, value: float) -> None:
         self._whole(output, value)
-
-    def _lead(self) -> None:
-        self._cycle.note(self._step())
 
     def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
         self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
@@ -236,7 +221,7 @@ class SerialLineDaq(Stepped):
         held = self._ask("T", until=until)
         if held <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
-        self._armed, self._told_vented = held * 1e-3, False
+        self._armed, self._reported_vent = held * 1e-3, False
         return self._armed
 
     def feed_watchdog(self) -> None:
@@ -268,7 +253,7 @@ class SerialLineDaq(Stepped):
         return int(answer[0])
 
     def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
-        """Send once; the answer says what the board holds. Where it is lost the board is asked, never told again."""
+        """Send once; the answer says what the board holds. Where it is lost the board is asked instead."""
         link, until = self._opened(), monotonic() + CALL
         lost = ""
         try:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -20,6 +21,9 @@ from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.options import Place, Reader, options_of
 from pmabench_drivers.shared.polling import Cycle, Samples
 from pmabench_drivers.shared.segments import refuse_nonsense, stepped
+
+STEPS = 100.0
+"""Ramps and sines are stepped so often where no polling sets the pace [Hz]."""
 
 
 class Driver(ABC):
@@ -43,6 +47,19 @@ class Driver(ABC):
         reader = Reader()
         cls.read_options(device, reader)
         return reader.problems
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the link; harmless when repeated."""
+
+    @contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        """Opening: what fails leaves nothing open."""
+        try:
+            yield
+        except DeviceError:
+            self.close()
+            raise
 
     def _error(self, message: str, what: str = "") -> DeviceError:
         return DeviceError(self._device.name, message, what)
@@ -167,6 +184,27 @@ class Stepped(Driver):
 
     def _follows(self, output: str, segment: Segment) -> bool:
         return self._following.get(output) is segment
+
+
+class Led(Stepped):
+    """A device that samples by itself; a thread of the driver steps ramps and sines, 100 times a second."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._steps = Cycle(f"leads {device.name}", self._lead, clock)
+
+    @abstractmethod
+    def _opened(self) -> object:
+        """The link; an error where the device is not open."""
+
+    def _begin_steps(self) -> None:
+        self._opened()
+        self._steps.note(None)
+        if not self._steps.running:
+            self._steps.start(STEPS)
+
+    def _lead(self) -> None:
+        self._steps.note(self._step())
 
 
 class Controlled(Stepped, Polled):

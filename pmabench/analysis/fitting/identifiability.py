@@ -94,9 +94,9 @@ def told_apart(
     ]
     if pairs:
         pairs.sort(reverse=True)
-        told = [f"{names[j]} and {names[i]} ({spread.correlation[i, j]:+.4f})" for _, i, j in pairs[:MOST]]
+        named = [f"{names[j]} and {names[i]} ({spread.correlation[i, j]:+.4f})" for _, i, j in pairs[:MOST]]
         more = f" and {len(pairs) - MOST} other pairs" if len(pairs) > MOST else ""
-        text = f"correlated: {', '.join(told)}{more}"
+        text = f"correlated: {', '.join(named)}{more}"
         found.append(
             Finding("doubt", f"{text}: the curve is known better than each value; more range of the inputs parts them")
         )

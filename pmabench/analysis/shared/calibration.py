@@ -32,8 +32,8 @@ class Scales:
         names = [name for name in (infos[0] if infos else ()) if all(name in info for info in infos)]
 
         def worst(of: str) -> dict[str, float]:
-            told = {name: [float(getattr(info[name], of)) for info in infos] for name in names}
-            return {name: max(values) for name, values in told.items() if min(values) > 0}
+            known = {name: [float(getattr(info[name], of)) for info in infos] for name in names}
+            return {name: max(values) for name, values in known.items() if min(values) > 0}
 
         return cls(worst("offset_uncertainty"), worst("gain_uncertainty"))
 
@@ -61,8 +61,8 @@ class Scales:
 
     def _untold(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels of which nothing is told that would count."""
-        told = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
-        return [name for name in dict.fromkeys((*gains, *offsets)) if name not in told]
+        known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
+        return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
 
 
 def sentences(*parts: str) -> str:

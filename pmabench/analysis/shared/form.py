@@ -65,7 +65,7 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
         part: hypot(getattr(e.parts, part) or 0.0, *(line.half or 0.0 for line in lines if line.part == part))
         for part in {line.part for line in lines}
     }
-    told = ((part, half) for part, half in vars(e.parts).items() if half)
-    base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in told]
+    named = ((part, half) for part, half in vars(e.parts).items() if half)
+    base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in named]
     budget = sorted((*base, *lines), key=lambda line: line.half or 0.0, reverse=True)
     return replace(e, parts=Parts(**halves), budget=tuple(budget))

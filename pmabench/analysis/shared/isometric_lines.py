@@ -147,8 +147,8 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
 
     Without either, all samples are in the first wanted phase.
     """
-    told = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
-    begun = [(e.t, str(e.data.get("name"))) for e in told]
+    events = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
+    begun = [(e.t, str(e.data.get("name"))) for e in events]
     for command in () if begun else trial.commands:
         begun.append((command.t, command.phase))
         if command.kind == "ramp" and command.data.get("rate"):

@@ -40,14 +40,14 @@ def traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     points = sorted(point for point, group in groups.items() if len(group) == most)
     point = points[len(points) // 2]
     chosen = groups[point][:MOST]
-    told = [_values(trial, channel) for trial in chosen]
-    end = min(float(t[-1]) for t, _ in told)
-    begin = max(float(t[0]) for t, _ in told)
+    samples = [_values(trial, channel) for trial in chosen]
+    end = min(float(t[-1]) for t, _ in samples)
+    begin = max(float(t[0]) for t, _ in samples)
     if not end > begin:
         return []
     grid = np.linspace(begin, end, POINTS)
-    columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(told, 1)}
-    known = [(name, at) for name in POINT_QUANTITIES for told, at in point if name == told and name not in HIDDEN]
+    columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(samples, 1)}
+    known = [(name, at) for name in POINT_QUANTITIES for samples, at in point if name == samples and name not in HIDDEN]
     where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in known)
     quantity = "force" if channel == "force" else "length"
     return [

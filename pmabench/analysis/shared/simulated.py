@@ -49,8 +49,8 @@ class _Coefficients:
 
 def model_of(run: RunData) -> Described | None:
     """The model in a run's plan; None where it has none."""
-    told = (run.plan.get("settings") or {}).get("model")
-    return Described.of(told) if isinstance(told, Mapping) else None
+    model = (run.plan.get("settings") or {}).get("model")
+    return Described.of(model) if isinstance(model, Mapping) else None
 
 
 def load_of(trial: TrialData) -> tuple[float, float]:
@@ -134,11 +134,11 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
     sent = float(law["start"])
     for k in range(count):
         x[k] = plant.x
-        told = controller.update(period, setpoint, plant.x)
-        if told != sent:
-            plant.command(constant(plant.time, told))
-            sent = told
-        command[k] = told
+        wanted = controller.update(period, setpoint, plant.x)
+        if wanted != sent:
+            plant.command(constant(plant.time, wanted))
+            sent = wanted
+        command[k] = wanted
         plant.reach(round((k + 1) * period, 9))
     times = begin + period * np.arange(count)
     late = np.minimum(np.searchsorted(times, trial.t + 1e-6, side="right") - 1, count - 1)

@@ -69,14 +69,14 @@ class Limit:
 
 def limits_of(run: RunData) -> list[Limit]:
     """The limits in a run's plan; of plans from before there were several kinds, the widest intervals."""
-    told = run.plan.get("accept")
-    if not isinstance(told, Mapping):
+    limits = run.plan.get("accept")
+    if not isinstance(limits, Mapping):
         return []
-    found = [limit for entry in _list(told.get("limits")) if (limit := _limit(entry)) is not None]
+    found = [limit for entry in _list(limits.get("limits")) if (limit := _limit(entry)) is not None]
     known = {limit.what for limit in found if limit.measure == "relative_interval"}
     found += [
         Limit(str(name), "relative_interval", float(widest), "")
-        for name, widest in told.items()
+        for name, widest in limits.items()
         if name not in known and _are_numbers(widest)
     ]
     return found
@@ -95,9 +95,9 @@ def _limit(entry: Any) -> Limit | None:
         return None
     if not _are_numbers(limit):
         return None
-    told = entry.get("expected")
-    everywhere = float(told) if isinstance(told, int | float) else None
-    pairs = [point for point in _list(told) if isinstance(point, list | tuple) and len(point) == 2]
+    expected = entry.get("expected")
+    everywhere = float(expected) if isinstance(expected, int | float) else None
+    pairs = [point for point in _list(expected) if isinstance(point, list | tuple) and len(point) == 2]
     points = tuple((float(P), float(value)) for P, value in pairs if _are_numbers(P, value))
     return Limit(what, measure, float(limit), str(place or ""), points, everywhere)
 
@@ -200,21 +200,21 @@ def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate
 def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
     value, reference = mine.value or 0.0, theirs.value or 0.0
     off, halves = value - reference, [e.parts.combined for e in (mine, theirs)]
-    told = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
+    compared = f"{show(value, 'force', 4)} against {show(reference, 'force', 4)} of static load"
     if limit.measure == "static_E_n":
         if halves[0] is None or halves[1] is None:
             which = "neither has an" if halves == [None, None] else "one has no"
-            return f"{told}: {which} interval, E_n {limit.asked}"
+            return f"{compared}: {which} interval, E_n {limit.asked}"
         half = hypot(halves[0], halves[1])
         score = abs(off) / half if half else (0.0 if off == 0 else inf)
-        return "" if score <= limit.limit else f"{told}: E_n {score:.3g}, {limit.asked}"
+        return "" if score <= limit.limit else f"{compared}: E_n {score:.3g}, {limit.asked}"
     size = limit.limit * (abs(reference) if limit.measure == "of_static" else 1.0)
     if abs(off) <= size:
         return ""
     far = f"{show(abs(off), 'force', 3)}"
     if limit.measure == "of_static" and reference:
         far = f"{100 * abs(off / reference):.3g} %"
-    return f"{told}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
+    return f"{compared}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
 
 
 def _r2(analysis: Analysis, limit: Limit, primary: Mapping[str, str]) -> Iterator[str]:

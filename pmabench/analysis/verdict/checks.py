@@ -78,9 +78,9 @@ def with_checks(analysis: Analysis, kind: Kind, runs: Sequence[RunData]) -> Anal
 
 def checks_of(analysis: Analysis) -> tuple[Check, ...]:
     """The checks in an analysis' facts, which may come from a file: what is none is left out."""
-    told = analysis.facts.get("checks")
+    entries = analysis.facts.get("checks")
     found = []
-    for entry in told if isinstance(told, list | tuple) else ():
+    for entry in entries if isinstance(entries, list | tuple) else ():
         if isinstance(entry, Mapping) and set(entry) == set(Check.__dataclass_fields__):
             value = entry["value"]
             texts = [entry[name] for name in ("name", "quantity", "level", "text")]
@@ -121,16 +121,16 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     if not kind.repeated:
         return []
     value_of = kind.part("repeated")
-    begun, told = 0.0, list[tuple[Point, RunData, TrialData, float]]()
+    begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
         for trial in run.trials:
             if trial.status == "finished" and not trial.again and len(trial.t):
                 point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-                told.append((point, run, trial, begun + float(trial.t[0])))
+                values.append((point, run, trial, begun + float(trial.t[0])))
         begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
-    times = Counter(point for point, *_ in told)
+    times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []
-    for point, run, trial, t in told:
+    for point, run, trial, t in values:
         try:
             value = value_of(run, trial) if times[point] > 1 else None
         except NotUsable:
@@ -180,8 +180,8 @@ def first_repeat(r: Repeats) -> Check | None:
     if differs and abs(mean) > FIRST:
         text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
         return Check("first_repeat", mean, "ratio", "doubt", text)
-    told = "differs a little from" if differs else "is like the"
-    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {told} later ones: {size}")
+    relation = "differs a little from" if differs else "is like the"
+    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {relation} later ones: {size}")
 
 
 def drift(r: Repeats) -> Check | None:
@@ -202,6 +202,6 @@ def drift(r: Repeats) -> Check | None:
     whole = slope * length
     drifts = abs(whole) > half
     size = f"{100 * whole:+.2g} ± {100 * half:.2g} % of the {r.what} from the first trial to the last"
-    told = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
+    cause = "the specimen or a sensor drifted" if drifts else "no drift beyond the scatter"
     level = "doubt" if drifts and abs(whole) > DRIFT else "note"
-    return Check("drift", whole, "ratio", level, f"{told}: {size}")
+    return Check("drift", whole, "ratio", level, f"{cause}: {size}")

@@ -113,9 +113,9 @@ def compare(
         differences += found
         missing += [f"{_name(one[1:3])} {lack}" for lack in lacks]
     if not differences:
-        told = f"; {'; '.join(missing)}" if missing else ""
+        more = f"; {'; '.join(missing)}" if missing else ""
         held = " and ".join(f"{side.name} holds {_held(_series(side, None))}" for side in (a, b))
-        raise UsageError(f"{a.name} and {b.name} have no coefficient in common that could be compared: {held}{told}")
+        raise UsageError(f"{a.name} and {b.name} have no coefficient in common that could be compared: {held}{more}")
     return Comparison(tuple(differences), tuple(_findings(a, b, differences, missing)))
 
 
@@ -135,8 +135,8 @@ def not_accepted(differences: Iterable[Difference], measure: str, limit: float) 
             )
             failed.append(f"{named(d)}: {lack}, {asked}")
         elif abs(size) > limit:
-            told = f"E_n {size:+.2f}" if measure == "E_n" else f"difference {percent(size)} %"
-            failed.append(f"{named(d)}: {told}, {asked}")
+            measured = f"E_n {size:+.2f}" if measure == "E_n" else f"difference {percent(size)} %"
+            failed.append(f"{named(d)}: {measured}, {asked}")
     return failed
 
 
@@ -259,9 +259,9 @@ def _lack(e: Estimate | None, name: str) -> str:
 
 
 def _at_places(lack: str, places: Sequence[str]) -> str:
-    told = [place for place in places if place]
-    more = f" and {len(told) - MOST_TOLD} more" if len(told) > MOST_TOLD else ""
-    return f"{lack} at {', '.join(told[:MOST_TOLD])}{more}" if told else lack
+    known = [place for place in places if place]
+    more = f" and {len(known) - MOST_TOLD} more" if len(known) > MOST_TOLD else ""
+    return f"{lack} at {', '.join(known[:MOST_TOLD])}{more}" if known else lack
 
 
 def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
@@ -332,10 +332,10 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
     if len(judged) > 1:
         beyond = sum(not d.agrees for d in judged)
         chance = CHANCE * len(judged)
-        told = f"{beyond} of {len(judged)} differences are larger than their 95 % interval"
+        text = f"{beyond} of {len(judged)} differences are larger than their 95 % interval"
         by_chance = f"about {chance:.0f}" if chance >= 1 else "less than one"
         yield Finding(
-            "note", f"{told}; of two that are the same {by_chance} would be, where the values are independent"
+            "note", f"{text}; of two that are the same {by_chance} would be, where the values are independent"
         )
     for text in missing:
         yield Finding("note", f"not compared: {text}")
@@ -349,8 +349,8 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
         known = [d for d in bare if d.a.parts.combined is not None]
         inside = sum(abs(d.value) <= (d.a.parts.combined or 0.0) for d in known)
         text = f"no E_n: {b.name} gives no uncertainty, and E_n needs that of both sides"
-        told = f"{text}; {inside} of its {len(known)} values lie in the interval of {a.name}" if known else text
-        yield Finding("note", told)
+        sentence = f"{text}; {inside} of its {len(known)} values lie in the interval of {a.name}" if known else text
+        yield Finding("note", sentence)
     elif bare:
         more = f" (and {len(bare) - 1} more)" if len(bare) > 1 else ""
         yield Finding("doubt", f"{named(bare[0])}{more} has no interval on one side: no E_n, which needs both")

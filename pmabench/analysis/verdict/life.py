@@ -95,8 +95,8 @@ def pasts(rows: Iterable[tuple[str, str, str, str, str, bool, int, Use]]) -> lis
     """
     found: list[Past] = []
     counted = 0
-    for run, date, kind, bench, status, simulated, told, use in sorted(rows, key=lambda row: (row[1], row[0])):
-        counted = max(counted, told)
+    for run, date, kind, bench, status, simulated, given, use in sorted(rows, key=lambda row: (row[1], row[0])):
+        counted = max(counted, given)
         found.append(Past(run, date, kind, bench, status, simulated, use, counted))
         counted += use.cycles
     return found
@@ -189,10 +189,10 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
     Fall of the pressure [Pa/s] of muscle, hoses and fittings together; the half width is that of noise alone.
     """
     for event in reversed(events):
-        told = event.data.get("leak") if event.kind == "self-test" else None
-        if not isinstance(told, Mapping):
+        leak = event.data.get("leak") if event.kind == "self-test" else None
+        if not isinstance(leak, Mapping):
             continue
-        known = {name: float(value) for name, value in told.items() if _is_finite(value)}
+        known = {name: float(value) for name, value in leak.items() if _is_finite(value)}
         if "pressure" in known and "falls" in known:
             at, parts = {"pressure": known["pressure"]}, Parts(repeats=known.get("half_width"))
             leak = Estimate("leak", known["falls"], "Pa/s", "pressure rate", SELF_TEST, at, parts, 1)
@@ -228,8 +228,8 @@ class References:
     @property
     def title(self) -> str:
         """`reference trial at load 157 N, pressure 300 kPa`."""
-        told = (f"{name} {show(v, POINT_QUANTITIES[name], 4)}" for name, v in self.point if name in POINT_QUANTITIES)
-        return f"reference trial at {', '.join(told)}"
+        places = (f"{name} {show(v, POINT_QUANTITIES[name], 4)}" for name, v in self.point if name in POINT_QUANTITIES)
+        return f"reference trial at {', '.join(places)}"
 
     @property
     def chart(self) -> Chart | None:
@@ -283,9 +283,9 @@ def _change(one: Series) -> Finding:
     over = f"over {cycles:,} cycles, {len(one.moments)} values"
     if change.score is None:
         return Finding("note", f"{one.title}: {size} {over}; no interval tells whether that is more than chance")
-    told = "within their interval" if change.agrees else "more than their interval"
+    relation = "within their interval" if change.agrees else "more than their interval"
     level = "note" if change.agrees else "doubt"
-    return Finding(level, f"{one.title}: {size} {over}, last against first {told} (E_n {change.score:+.2f})")
+    return Finding(level, f"{one.title}: {size} {over}, last against first {relation} (E_n {change.score:+.2f})")
 
 
 def _reference(one: References) -> Finding:

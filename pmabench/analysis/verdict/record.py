@@ -28,8 +28,8 @@ def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 def _unanswered(kind: str, runs: Sequence[RunData]) -> Iterator[str]:
     """One sentence for each question that was open when the runs were imported."""
-    told = [(run.id, _sentence(each)) for run in runs for each in unresolved_of(run)]
-    for text in _counted(told):
+    questions = [(run.id, _sentence(each)) for run in runs for each in unresolved_of(run)]
+    for text in _counted(questions):
         yield f"{kind}: not answered: {text}"
 
 
@@ -49,16 +49,16 @@ def _sentence(entry: Mapping[str, object]) -> str:
 
 
 def _altered(runs: Sequence[RunData]) -> Iterator[str]:
-    told = "the results come from the samples, which are whole; what they were made of can no longer be checked"
+    consequence = "the results come from the samples, which are whole; what they were made of can no longer be checked"
     for run in runs:
         for fault in run.since.altered:
-            yield f"{run.id}: {fault}: {told}; bring the file back, or import it again"
+            yield f"{run.id}: {fault}: {consequence}; bring the file back, or import it again"
 
 
-def _counted(told: Sequence[tuple[str, str]]) -> Iterator[str]:
+def _counted(sentences: Sequence[tuple[str, str]]) -> Iterator[str]:
     """Each text once, with the run that says it, or how many do."""
     runs: dict[str, list[str]] = {}
-    for run, text in told:
+    for run, text in sentences:
         runs.setdefault(text, []).append(run)
     for text, names in runs.items():
         many = dict.fromkeys(names)

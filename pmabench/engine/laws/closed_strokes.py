@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from pmabench.base.errors import LimitTripped
-from pmabench.engine.seek import Moves
+from pmabench.engine.moves import Moves
 
 
 def closed_strokes(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.engine.acquire import Samples, Stop
-from pmabench.engine.seek import Moves
+from pmabench.engine.moves import Moves
 
 
 def ramp_until(

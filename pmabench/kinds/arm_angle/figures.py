@@ -66,15 +66,15 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             axes.plot(P, one.columns["model"], color=color, linestyle=(0, (4, 2)), linewidth=0.8, zorder=1)
         for name, mark in (("below", "^"), ("above", "v")):
             if name in one.columns:
-                told = one.title if name == "below" else None
-                axes.plot(P, one.columns[name], mark, color=color, markerfacecolor="white", markersize=3.0, label=told)
+                title = one.title if name == "below" else None
+                axes.plot(P, one.columns[name], mark, color=color, markerfacecolor="white", markersize=3.0, label=title)
         if "table" in one.marks:
             end = float(np.nanmax(P))
             printed = np.degrees(one.marks["table"])
             axes.plot([0.985 * end, 1.015 * end], [printed, printed], color=INK, linewidth=1.2, zorder=4)
         if gap is not None and "above" in one.columns:
             gap.plot(P, one.columns["above"] - one.columns["below"], "o-", color=color, markersize=2.5, linewidth=0.7)
-        for name, at, y in one.beside:
+        for name, at, y in one.published:
             axes.plot(at, y, "x", color=INK, markersize=4, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])

@@ -134,15 +134,15 @@ class ArmAngle(ProtocolHead):
         other = 'or "compare: nothing", which measures and fits without it'
         load, pressure = known["load"], known["pressure"]
         if not load.low <= mass <= load.high * (1 + 1e-9):
-            told = f"{mass:.4g} kg at the arm's end: paper 2's angle holds from {load.low:g} to {load.high:g} kg"
-            c.fault(place, f"{told} ({load.reason}): take less, {other}")
+            message = f"{mass:.4g} kg at the arm's end: paper 2's angle holds from {load.low:g} to {load.high:g} kg"
+            c.fault(place, f"{message} ({load.reason}): take less, {other}")
             return
         if not isclose(self.trial.preload, pressure.low, rel_tol=0.01):
-            told = f"paper 2's angle holds for {show(pressure.low, 'pressure')} in the other muscles"
-            c.fault(("trial", "preload"), f"{told}: take that, {other}")
+            message = f"paper 2's angle holds for {show(pressure.low, 'pressure')} in the other muscles"
+            c.fault(("trial", "preload"), f"{message}: take that, {other}")
         if not pressures or max(pressures) > pressure.high * (1 + 1e-9):
-            told = f"paper 2's angle holds up to {show(pressure.high, 'pressure')}"
-            c.fault(("trial", "pressures"), f"{told}: take less, {other}")
+            message = f"paper 2's angle holds up to {show(pressure.high, 'pressure')}"
+            c.fault(("trial", "pressures"), f"{message}: take less, {other}")
             return
         top = min(max(pressures), pressure.high)
         inside = {"pressure": max(top, pressure.low), "load": min(mass, load.high)}
@@ -155,9 +155,9 @@ class ArmAngle(ProtocolHead):
                 continue
             if value >= trip.high:
                 quantity = "angle" if trip.channel == "angle" else "length"
-                told = f"with {mass:g} kg it is predicted to reach {show(value, quantity, 3)} of {trip.channel}"
+                message = f"with {mass:g} kg it is predicted to reach {show(value, quantity, 3)} of {trip.channel}"
                 limit = f"the trip limit is {show(trip.high, quantity, 3)} ({trip.source})"
-                c.fault(("trial", "pressures"), f"{told} at {show(top, 'pressure')}; {limit}")
+                c.fault(("trial", "pressures"), f"{message} at {show(top, 'pressure')}; {limit}")
 
 
 def _steps(of: ArmTrial, pressures: list[float], index: int) -> list[Step]:

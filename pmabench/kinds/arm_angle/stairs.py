@@ -183,6 +183,6 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         raise NotUsable(f"fewer than two rests of {FEWEST} samples on its way up")
     wanted, found = (np.ptp([getattr(rest, name) for rest in rests if rest.side < 0]) for name in ("set", "pressure"))
     if found < FOLLOWS * wanted:
-        told = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
-        raise NotUsable(f"over the rests on its way up the measured pressure moves by {told}: a dead or wrong channel")
+        moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
+        raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
     return Stair(run, trial, tuple(rests))

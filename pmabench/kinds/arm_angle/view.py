@@ -121,9 +121,9 @@ def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Fi
     found = [Finding("note", f"a to d as powers of the load (paper 2's 20 numbers): within {show(off, 'angle', 2)}")]
     if not fit.converged:
         found = [Finding("doubt", "a to d as powers of the load: the fit does not converge")]
-    told = left_out([one for one in fits if one.up is not None])
-    if told is not None:
-        powers, cubics = (show(value, "angle", 2) for value in told)
+    omitted = left_out([one for one in fits if one.up is not None])
+    if omitted is not None:
+        powers, cubics = (show(value, "angle", 2) for value in omitted)
         text = f"each inner load left out: the powers of the load miss its angles by up to {powers}"
         found.append(Finding("note", f"{text}, monotone cubics from load to load by up to {cubics}"))
     return found

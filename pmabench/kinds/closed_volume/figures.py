@@ -51,5 +51,5 @@ def _points(trace: Trace, i: int) -> Points:
     curve = None
     if i == 0 and "curve" in trace.columns:
         curve = (x, column(trace, "curve"), np.zeros(len(x)))
-    told = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
-    return Points(f"from {told}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)
+    name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
+    return Points(f"from {name}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)

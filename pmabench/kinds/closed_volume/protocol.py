@@ -213,26 +213,26 @@ class ClosedVolume(ProtocolHead):
 
     def _reference(self, c: Compilation) -> tuple[float, float]:
         """The volume at the start and its half width [m3]."""
-        told = self.trial.reference
-        if told.three_diameters is not None:
-            three = told.three_diameters
+        reference = self.trial.reference
+        if reference.three_diameters is not None:
+            three = reference.three_diameters
             at = ("trial", "reference", "three_diameters")
             if min(three.diameters) <= 2 * three.thickness or min(three.heights) <= 0 or three.thickness < 0:
                 c.fault(at, "diameters above twice the wall and heights above zero are expected")
             if three.uncertainty < 0:
                 c.fault((*at, "uncertainty"), "is not below zero")
             return three.volume(), three.half()
-        volume, half = told.volume or 0.0, told.uncertainty or 0.0
+        volume, half = reference.volume or 0.0, reference.uncertainty or 0.0
         if not volume > 0 or not 0 <= half < volume:
             c.fault(("trial", "reference"), "a volume above zero, with an uncertainty below it, is expected")
         return volume, half
 
     def _room(self, c: Compilation) -> tuple[float, float]:
         """The room's absolute pressure and its half width [Pa]."""
-        told = self.trial.room
-        pressure = c.mounted.bench_file.air.atmosphere if told is None else told.pressure
-        half = self.trial.room_uncertainty if told is None else told.uncertainty
-        at = ("trial",) if told is None else ("trial", "room")
+        room = self.trial.room
+        pressure = c.mounted.bench_file.air.atmosphere if room is None else room.pressure
+        half = self.trial.room_uncertainty if room is None else room.uncertainty
+        at = ("trial",) if room is None else ("trial", "room")
         if not ROOM[0] <= pressure <= ROOM[1]:
             c.fault(
                 at,

@@ -122,12 +122,12 @@ def _systematic(of: Callable[[Gas, float, float], Array], given: _Given, scales:
         of(replace(gas, dead=gas.dead + given.dead), 0.0, 0.0),
         of(replace(gas, atmosphere=gas.atmosphere + given.atmosphere), 0.0, 0.0),
     ]
-    told = np.sqrt(sum((change - base) ** 2 for change in changes))
+    spread = np.sqrt(sum((change - base) ** 2 for change in changes))
     gain, offset = scales.gains.get("pressure"), scales.offsets.get("pressure")
     if gain is None and offset is None:
-        return told, None
+        return spread, None
     parts = (of(gas, gain or 0.0, 0.0) - base, of(gas, 0.0, offset or 0.0) - base)
-    return told, np.sqrt(sum(part**2 for part in parts))
+    return spread, np.sqrt(sum(part**2 for part in parts))
 
 
 def _wrong(stroke: Stroke, gain: float, offset: float) -> Stroke:
@@ -150,7 +150,7 @@ def _volumes(
         )
 
     value = mean(given.gas, 0.0, 0.0)
-    told, calibration = _systematic(mean, given, scales)
+    method_part, calibration = _systematic(mean, given, scales)
     each = [m.stroke.volumes(given.gas, leak=leak) for m in group]
     names = tuple(m.trial.name for m in group)
     found = []
@@ -159,8 +159,8 @@ def _volumes(
         part = None if calibration is None else float(calibration[i])
         at = {"pressure": pressure, "contraction": float(x)}
         found.append(
-            Estimate("V", float(value[i]), "m3", "volume", method, at, Parts(half, float(told[i]), part), len(group),
-                     note="" if half is not None else NO_REPEATS, trials=names)
+            Estimate("V", float(value[i]), "m3", "volume", method, at, Parts(half, float(method_part[i]), part),
+                     len(group), note="" if half is not None else NO_REPEATS, trials=names)
         )  # fmt: skip
     return found
 
@@ -179,9 +179,9 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
         return fitted(np.mean(V, axis=0))
 
     value = all_in_one(given.gas, 0.0, 0.0)
-    told, calibration = _systematic(all_in_one, given, scales)
+    systematic, calibration = _systematic(all_in_one, given, scales)
     each = [np.array([fitted(V) for V in m.stroke.volumes(given.gas, leak=True)]) for m in members]
-    known = np.isfinite(value).all() and np.isfinite(told).all() and all(np.isfinite(one).all() for one in each)
+    known = np.isfinite(value).all() and np.isfinite(systematic).all() and all(np.isfinite(one).all() for one in each)
     found = []
     for i, (symbol, quantity, unit) in enumerate(NAMES):
         if not known:
@@ -192,7 +192,7 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
         part = None if calibration is None or not np.isfinite(calibration[i]) else float(calibration[i])
         note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(given.length, 'length')} as told")
         found.append(
-            Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, Parts(half, float(told[i]), part),
+            Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, Parts(half, float(systematic[i]), part),
                      len(members), note=note, trials=tuple(m.trial.name for m in members))
         )  # fmt: skip
     return found

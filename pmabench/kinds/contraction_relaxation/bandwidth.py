@@ -102,14 +102,14 @@ def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[flo
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
     by = {(e.symbol, e.at["pressure"]): e for e in found if set(e.at) == {"pressure"} and e.value is not None}
-    told = []
+    made = []
     for P in campaign.tested:
         for load in chosen:
             one = _by_coefficients(campaign, P, load, by, responses.get(P))
-            told += [one] if one is not None else []
+            made += [one] if one is not None else []
     for load in chosen:
-        told += _by_steps(campaign, load)
-    return told
+        made += _by_steps(campaign, load)
+    return made
 
 
 def _by_coefficients(
@@ -176,7 +176,7 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
             value, short = of_step(t, y), of_step(t[: -len(t) // 5], y[: -len(t) // 5])
             if value is not None and short is not None:
                 groups.setdefault(target, []).append((campaign.name(number), by, value, abs(value - short) / 2))
-    told = []
+    made = []
     common, freedom = _scatter(groups)
     for target, rows in sorted(groups.items()):
         values = np.array([row[2] for row in rows])
@@ -189,12 +189,12 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
         parts = Parts(half, float(np.mean([row[3] for row in rows])), 0.0)
         names = tuple(dict.fromkeys(row[0] for row in rows))
         at = {"pressure": target, "load": load}
-        told.append(
+        made.append(
             Estimate(
                 "f_b", float(values.mean()), "Hz", "frequency", STEP, at, parts, len(rows), note=note, trials=names
             )
         )
-    return told
+    return made
 
 
 def _scatter(groups: Mapping[float, Sequence[tuple[str, float, float, float]]]) -> tuple[float, int]:
@@ -233,10 +233,10 @@ def _steps(campaign: Campaign, number: int, trial: TrialData) -> list[tuple[floa
     return found
 
 
-def findings(told: Sequence[Estimate]) -> list[Finding]:
+def findings(estimates: Sequence[Estimate]) -> list[Finding]:
     """From where to where it goes, and how the two ways agree at the same pressure and load."""
-    model = {tuple(e.at.values()): e for e in told if e.method == MODEL}
-    steps = {tuple(e.at.values()): e for e in told if e.method == STEP}
+    model = {tuple(e.at.values()): e for e in estimates if e.method == MODEL}
+    steps = {tuple(e.at.values()): e for e in estimates if e.method == STEP}
     if not model:
         return []
     low, high = (min(model.values(), key=_value), max(model.values(), key=_value))

@@ -144,9 +144,9 @@ def _friction(pooled: Pooled, size: float) -> Check | None:
     left = max(abs(float(fit.residual[rows].mean())) for rows in _groups(segments))
     needed = without > WORSE * fit.rms
     doubt = left > max(WORSE * fit.rms, NOTABLE * size)
-    told = "is seen in the data" if needed else "is hardly seen in the data"
+    seen = "is seen in the data" if needed else "is hardly seen in the data"
     text = (
-        f"friction {told}: without F_c the residual is {show(without, 'force', 2)} rms instead of "
+        f"friction {seen}: without F_c the residual is {show(without, 'force', 2)} rms instead of "
         f"{show(fit.rms, 'force', 2)}; with it, the mean residual by direction and speed is at most "
         f"{show(left, 'force', 2)}"
     )

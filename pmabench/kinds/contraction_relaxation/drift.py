@@ -90,17 +90,17 @@ def _by_time(runs: Sequence[RunData]) -> list[RunData]:
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
     """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
     whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
-    told = False
+    referenced = False
     for run in runs:
         end = next(zero_drifts(run, channel), None)
         mine = np.array([trial.run == run.id for trial in trials])
         if end is None or not mine.any():
             continue
-        told = True
+        referenced = True
         begins = np.array([float(trial.t[0]) for trial in trials])[mine]
         whole[mine] = end
         growing[mine] = end * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9)
-    return (whole, growing) if told else None
+    return (whole, growing) if referenced else None
 
 
 def zero_drifts(run: RunData, channel: str) -> Iterator[float]:

@@ -54,8 +54,8 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> B
     orders, scores = choose(segments, {s: wanted.get(s) for s in SYMBOLS}, knots, noise)
     solved = solve(segments, forms_of(orders, knots), noise, least, pooled.fit.added)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
-    told = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
-    estimates = values(Told(campaign, segments, solved, pooled.fit.knots, trust, METHOD, told))
+    note = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
+    estimates = values(Told(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note))
     known = [e for e in estimates if e.value is not None]
     return Beside(
         tuple(estimates),
@@ -114,11 +114,11 @@ def _enough(solved: Joint, pooled: Pooled) -> bool:
 def _adequacy(solved: Joint, pooled: Pooled) -> Finding:
     """Whether the forms leave more than straight lines between pressures do: the residual is the test of a form."""
     size = f"joint fit, {_forms(solved.forms)}: residual {show(solved.rms, 'force', 2)} rms"
-    beside = f"straight lines between pressures leave {show(pooled.fit.rms, 'force', 2)}"
+    comparison = f"straight lines between pressures leave {show(pooled.fit.rms, 'force', 2)}"
     noise = f"noise explains {show(pooled.expected, 'force', 2)}"
     if not _enough(solved, pooled):
-        return Finding("doubt", f"{size}, {beside}, {noise}: a form is too simple for this muscle")
-    return Finding("note", f"{size}, {beside}, {noise}: the forms are enough")
+        return Finding("doubt", f"{size}, {comparison}, {noise}: a form is too simple for this muscle")
+    return Finding("note", f"{size}, {comparison}, {noise}: the forms are enough")
 
 
 def _correlation(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> dict[str, Any]:
@@ -137,16 +137,16 @@ def _name(estimate: Estimate) -> str:
 
 def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Finding]:
     """Different coefficients at one pressure that cannot be told apart well, the worst pair of each kind."""
-    told = _correlation(solved, trust, known)
+    correlation = _correlation(solved, trust, known)
     worst: dict[tuple[str, str], tuple[float, str, str]] = {}
     for i, one in enumerate(known):
         for j in range(i):
-            other, r = known[j], float(told["matrix"][i][j])
+            other, r = known[j], float(correlation["matrix"][i][j])
             if one.symbol == other.symbol or (one.at and other.at and one.at != other.at):
                 continue
             pair = (other.symbol, one.symbol)
             if abs(r) > max(TOGETHER, abs(worst.get(pair, (0.0, "", ""))[0])):
-                worst[pair] = (r, told["of"][j], told["of"][i])
+                worst[pair] = (r, correlation["of"][j], correlation["of"][i])
     return [
         Finding(
             "note",

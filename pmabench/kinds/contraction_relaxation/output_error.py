@@ -66,8 +66,8 @@ class Polished(Fit):
     @property
     def rms(self) -> float:
         """See `Solved`; `unit` where noise explains it."""
-        told = int(np.isfinite(self.misses).sum())
-        free = max(1.0, told - self.starts - float(np.sum(self.design @ self.inverse * self.design)))
+        count = int(np.isfinite(self.misses).sum())
+        free = max(1.0, count - self.starts - float(np.sum(self.design @ self.inverse * self.design)))
         return float(np.sqrt(self.residual @ self.residual / free))
 
     def again(self, segments: Segments, noise: float) -> Polished:

@@ -75,9 +75,9 @@ def compare(
                 gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
                 misfits.append(sqrt(float(np.mean(gap**2))))
             rms[way] += misfits
-            told = "rms over the whole trial, rest before the step included"
+            measure = "rms over the whole trial, rest before the step included"
             found.estimates.append(
-                _estimate(campaign, "misfit", group, float(np.mean(misfits)), told, ("m", "length"), WORDS[way])
+                _estimate(campaign, "misfit", group, float(np.mean(misfits)), measure, ("m", "length"), WORDS[way])
             )
     ups = [step for step in steps if step.way > 0]
     fitted, left_out = _accuracies(campaign, ups, of["K"], stiff, braid, at)
@@ -139,11 +139,13 @@ def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float
     command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
     fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
     model = x_s * (1 - fade) if step.way > 0 else x_s * fade
-    told = f"to {show(step.pressure, 'pressure', 4)}" if step.way > 0 else f"from {show(step.pressure, 'pressure', 4)}"
+    change = (
+        f"to {show(step.pressure, 'pressure', 4)}" if step.way > 0 else f"from {show(step.pressure, 'pressure', 4)}"
+    )
     return Trace(
         name=f"step-{'to' if step.way > 0 else 'from'}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
         figure="step-overlay",
-        title=f"{told}: measured and closed form",
+        title=f"{change}: measured and closed form",
         columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": step.pressure, "load": step.load},

@@ -35,20 +35,20 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
     if not options.get("polish"):
         return Beside()
     polished = polish(pooled.segments, pooled.fit, campaign.noise, pooled.expected)
-    told = np.isfinite(polished.misses)
-    if told.sum() < FEWEST:
+    known = np.isfinite(polished.misses)
+    if known.sum() < FEWEST:
         text = "output error: no stroke moves for long enough in one piece to be simulated; nothing was polished"
         return Beside(findings=(Finding("doubt", text),))
     residual = pooled.segments.force - design_of(pooled.segments, polished.knots) @ polished.theta
     facts = {
         "converged": polished.converged,
         "steps": polished.steps,
-        "segments": int(told.sum()),
-        "residual_rms": rms_of(polished.misses[told]),
-        "expected_rms": rms_of(polished.expected[told]),
+        "segments": int(known.sum()),
+        "residual_rms": rms_of(polished.misses[known]),
+        "expected_rms": rms_of(polished.expected[known]),
         "whitened_rms": polished.rms / polished.unit,
-        "residual_rms_force": rms_of(residual[told]),
-        "expected_rms_force": rms_of(pooled.noise[told]),
+        "residual_rms_force": rms_of(residual[known]),
+        "expected_rms_force": rms_of(pooled.noise[known]),
     }
     if not polished.converged:
         text = (
@@ -103,7 +103,7 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
         yield Finding("note", f"output error moves none of {len(known)} coefficients by more than its interval")
         return
     moved.sort(key=lambda one: -one[0])
-    told = [
+    changes = [
         f"{_name(a)} from {show(a.value or 0.0, a.quantity, 5)} to {show(b.value or 0.0, b.quantity, 5)}"
         f" (± {show(half, a.quantity, 2)})"
         for _, a, b, half in moved[:MOST_NAMED]
@@ -114,7 +114,7 @@ def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Fi
     yield Finding(
         "note" if few else "doubt",
         f"output error moves {len(moved)} of {len(known)} coefficients by more than the interval of measured-pressure:"
-        f" {', '.join(told)}{more}{why}",
+        f" {', '.join(changes)}{more}{why}",
     )
 
 

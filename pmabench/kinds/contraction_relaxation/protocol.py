@@ -153,14 +153,16 @@ class ContractionRelaxation(ProtocolHead):
         for name in c.head.accept:
             if name not in ("K", "B_c", "B_r"):
                 lack = "takes {} as known" if name in self.gives else "does not give {}"
-                told = f"paper 1's reduction {lack.format(name)}; it gives K, B_c, B_r"
-                c.fault(("accept", name), told, key=True)
+                message = f"paper 1's reduction {lack.format(name)}; it gives K, B_c, B_r"
+                c.fault(("accept", name), message, key=True)
         for point in expand(self.sweep, c.document):
             pressure, place = point.values["pressure"], point.places["pressure"]
             c.within("pressure", pressure, place)
             if pressure < LOWEST * (1 - 1e-9):
-                told = f"{show(pressure, 'pressure')} is below {show(LOWEST, 'pressure')}"
-                c.fault(place, f"{told}: paper 1's S and D do not hold there, and its damping would come out negative")
+                message = f"{show(pressure, 'pressure')} is below {show(LOWEST, 'pressure')}"
+                c.fault(
+                    place, f"{message}: paper 1's S and D do not hold there, and its damping would come out negative"
+                )
             values = self._loaded(c, point)
             if not c.trials:
                 c.precondition()
@@ -194,10 +196,10 @@ class ContractionRelaxation(ProtocolHead):
         """What the reduction needs to know beside the samples [SI]; faults where the specimen file lacks it."""
         specimen = c.mounted.specimen_file
         if specimen.braid_angle is None:
-            told = (
+            message = (
                 'needs "braid_angle" in the specimen file: F_ce is computed from it, for instance "braid_angle: 25 deg"'
             )
-            c.fault(("reduction",), told)
+            c.fault(("reduction",), message)
         elif specimen.braid_angle >= NEUTRAL:
             c.fault(("reduction",), 'the "braid_angle" of the specimen file is 54.74 deg or more: it does not contract')
         return {
@@ -216,8 +218,8 @@ class ContractionRelaxation(ProtocolHead):
         if self.layout == "vertical":
             mass = c.mounted.specimen_file.mass
             if mass is None:
-                told = 'a muscle that hangs carries half of its weight: the specimen file needs "mass", for instance'
-                c.fault(("layout",), f'{told} "mass: 1 kg"')
+                message = 'a muscle that hangs carries half of its weight: the specimen file needs "mass", for instance'
+                c.fault(("layout",), f'{message} "mass: 1 kg"')
             own = 0.5 * (mass or 0.0) * c.mounted.bench.gravity
             moving = 0.5 * (mass or 0.0) if c.mounted.bench.hanging else 0.0
             values = {"load": values["load"] + own, "mass": values["mass"] + moving}

@@ -67,13 +67,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates, curves = estimates_of(campaign, pooled)
     joint = joint_forms.compare(campaign, pooled, options)
     polished = contraction_polish.compare(campaign, pooled, estimates, options)
-    beside = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
+    stepwise = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
     draws = int(options.get("bootstrap", 0))
     resampled = view.resampled(campaign, pooled, estimates, draws) if draws else None
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     runs_free = free_run.free_runs(campaign, pooled, estimates)
-    every = (*estimates, *joint.estimates, *polished.estimates, *beside.estimates)
+    every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
     reported = withheld(every, pooled.form)
     gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
@@ -81,7 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         runs,
         results=RESULTS,
         estimates=(*reported, *response),
-        curves=[curve for curve in (*curves, *joint.curves, *beside.curves) if curve.symbol not in gone],
+        curves=[curve for curve in (*curves, *joint.curves, *stepwise.curves) if curve.symbol not in gone],
         dropped=dropped,
         findings=(
             *view.findings(campaign, pooled, estimates),
@@ -89,7 +89,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *([view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
             *joint.findings,
             *polished.findings,
-            *beside.findings,
+            *stepwise.findings,
             *described,
             *reference.findings(runs),
         ),
@@ -98,7 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "options": dict(options),
             "trials": sum(len(run.trials) for run in runs),
             **view.facts(campaign, pooled, runs_free),
-            "steps": beside.table,
+            "steps": stepwise.table,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"output_error": polished.facts} if polished.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),

@@ -53,14 +53,14 @@ def drawing_of(data: Panel, labels: dict[str, str]) -> Figure:
     figure = blank(HALF, 2.75)
     axes = figure.add_subplot(grid(figure, 1, 1, left=0.6)[0])
     P = data.columns["pressure"]
-    for name, (color, dashes, told) in LINES.items():
+    for name, (color, dashes, words) in LINES.items():
         if name in data.columns:
-            axes.plot(P, data.columns[name], color=color, linestyle=dashes, linewidth=1.1, label=told, zorder=1)
+            axes.plot(P, data.columns[name], color=color, linestyle=dashes, linewidth=1.1, label=words, zorder=1)
     both: list[str] = [name for name in ("below", "above") if name in data.columns]
     for name in both or ["length"]:
-        mark, told = STYLES[name]
-        axes.plot(P, data.columns[name], mark, color=INK, markerfacecolor="white", markersize=3.5, label=told)
-    for i, (name, at, y) in enumerate(data.beside):
+        mark, words = STYLES[name]
+        axes.plot(P, data.columns[name], mark, color=INK, markerfacecolor="white", markersize=3.5, label=words)
+    for i, (name, at, y) in enumerate(data.published):
         axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])

@@ -89,25 +89,25 @@ class FreeContraction(ProtocolHead):
         low, high = known["nominal_length"].low, known["nominal_length"].high
         other = 'or "compare: nothing", which measures and fits without it'
         if not low * (1 - 1e-9) <= length <= high * (1 + 1e-9):
-            told = f"paper 2's length holds from {show(low, 'length')} to {show(high, 'length')}"
+            message = f"paper 2's length holds from {show(low, 'length')} to {show(high, 'length')}"
             nominal = f"the specimen is {show(length, 'length')} long (nominal_length)"
             where: Location = ("compare",) if "compare" in c.document.data else ("kind",)
-            c.fault(where, f"{nominal}; {told}: take such a one, {other}")
+            c.fault(where, f"{nominal}; {message}: take such a one, {other}")
             return
         channels = [t for t in c.mounted.bench.trips if t.channel == "displacement" and t.kind == "range"]
         trips = [(t.high, t.source) for t in channels if t.high is not None and t.action != "warn"]
         for pressure, place in points:
             if pressure > most * (1 + 1e-9):
-                told = f"{show(pressure, 'pressure')} is above {show(most, 'pressure')}"
-                c.fault(place, f"{told}, up to which paper 2's length holds: take less, {other}")
+                message = f"{show(pressure, 'pressure')} is above {show(most, 'pressure')}"
+                c.fault(place, f"{message}, up to which paper 2's length holds: take less, {other}")
                 continue
             at = {"pressure": np.array(min(max(pressure, 0.0), most)), "nominal_length": np.clip(length, low, high)}
             x = float(model.evaluate(at)["contraction"]) * length
             for trip, source in trips:
                 if x >= trip:
-                    told = f"at {show(pressure, 'pressure')} it is predicted to contract by {show(x, 'length', 3)}"
+                    message = f"at {show(pressure, 'pressure')} it is predicted to contract by {show(x, 'length', 3)}"
                     share = f"{x / length:.1%} of its length"
-                    c.fault(place, f"{told}, {share}; the trip limit is {show(trip, 'length', 3)} ({source})")
+                    c.fault(place, f"{message}, {share}; the trip limit is {show(trip, 'length', 3)} ({source})")
 
 
 def _steps(of: FreeTrial, pressure: float, top: float | None, index: int) -> list[Step]:

@@ -138,8 +138,8 @@ def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
         f"sigmoid with a to e of its own: rms {show(fit.residual_rms, 'length', 2)}, at most {show(off, 'length', 2)}"
     )
     pairs = [f.text for f in fit.findings if f.text.startswith("correlated")]
-    told = [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
-    return [*told, Finding("doubt", other)] if other else told
+    found = [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
+    return [*found, Finding("doubt", other)] if other else found
 
 
 def of_paper(curve: Curves, length: float) -> list[Finding]:

@@ -170,7 +170,7 @@ class Cell:
         lower = min(m.trial.point.get("lower", x[0]) for m in self.members)
         upper = max(m.trial.point.get("upper", x[-1]) for m in self.members)
         slope = {} if dF_dP is None or P <= 0 else {"pressure": dF_dP}
-        told: list[Estimate] = []
+        found: list[Estimate] = []
 
         def estimate(
             symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], per_length: float, *,
@@ -186,7 +186,7 @@ class Cell:
             part = scales.part(gains, offsets)
             alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and symbol != "K" else ""
             parts = Parts(line.half_start, extra, part, skewed)
-            told.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
+            found.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
 
         newton, stiffness, joule = ("N", "force"), ("N/m", "stiffness"), ("J", "work")
         uneven = self._uneven(dF_dP)
@@ -214,7 +214,7 @@ class Cell:
                 extra=error[1],
             )  # fmt: skip
         K = -float(np.polyfit(x, self.curve, 1)[0])
-        told += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
+        found += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
         stroke = float(upper - lower)
         for speed in sorted({member.speed for member in self.members}):
             mine = [member for member in self.members if member.speed == speed]
@@ -235,7 +235,7 @@ class Cell:
                 part = scales.part({name: value * share for name, share in by.items()})
                 parts = Parts(mean_half(means, values), extra, part, skewed)
                 note = CYCLES if len(mine) == 1 else ""
-                told.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
+                found.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
             taken = float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in mine]))
             if min(float(np.min(m.loop.given + m.loop.lost)) for m in mine) > 0:  # unpressed, it may take up nothing
                 values = [m.loop.given / (m.loop.given + m.loop.lost) for m in mine]
@@ -244,14 +244,14 @@ class Cell:
                 part = scales.part({}, {"force": stroke * (1 - value) / taken})
                 parts = Parts(mean_half(means, values), doubt, part, late * stroke / taken)
                 note = sentences(CYCLES if len(mine) == 1 else "", RECOVERED)
-                told.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
-        return told
+                found.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
+        return found
 
     def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float) -> list[Estimate]:
         """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
         newton, damping = ("N", "force"), ("N.s/m", "damping")
         still = {**self.at, "speed": 0.0}
-        told = []
+        found = []
         ways: list[tuple[str, Callable[[Loop], Array]]] = [
             (GAP, lambda loop: loop.middle_gap),
             (MEAN_GAP, lambda loop: loop.mean_gap),
@@ -262,7 +262,7 @@ class Cell:
             line = self.over_speed(of)
             if self.one_speed:
                 none = Parts()
-                told += [
+                found += [
                     self._estimate("H", None, newton, method, still, none, ONE_SPEED),
                     self._estimate("B", None, damping, method, self.at, none, ONE_SPEED),
                 ]
@@ -270,17 +270,17 @@ class Cell:
             start, slope = line.start, line.slope
             force = scales.part({"force": start})
             note = "gap at speed 0: true hysteresis"
-            told.append(self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note))
+            found.append(self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note))
             both = scales.part({"force": slope / 2, "displacement": -slope / 2})
             half = None if line.half_slope is None else line.half_slope / 2
             speeds = [member.speed for member in self.members]
             least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
             parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
-            told.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
+            found.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
             half = None if line.half_start is None else line.half_start / 2
             friction = Parts(half, uneven / 2, scales.part({"force": start / 2}))
-            told.append(self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0"))
-        return told
+            found.append(self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0"))
+        return found
 
     def _estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
@@ -322,27 +322,27 @@ class Cell:
 
     def findings(self) -> list[Finding]:
         """What catches the eye."""
-        where, told = show(self.pressure, "pressure"), []
+        where, found = show(self.pressure, "pressure"), []
         fit = np.polyfit(self.x, self.curve, 1)
         if fit[0] >= 0:
             text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
-            told.append(Finding("fault", text))
+            found.append(Finding("fault", text))
         if self.one_speed:
-            told.append(Finding("note", f"at {where}, {ONE_SPEED}"))
+            found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
             guess = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
             worth = abs(member.loop.apart) * guess
             if worth > UNEVEN * gap and worth > member.loop.noise:
                 apart = show(member.loop.apart, "pressure", 3)
-                told.append(
+                found.append(
                     Finding(
                         "doubt",
                         f"trial {member.trial.name}: the pressure is {apart} higher while expanding than while "
                         f"contracting, worth about {show(worth, 'force', 2)} of the gap: slower, or a larger regulator",
                     )
                 )
-        return told
+        return found
 
     def traces(self) -> list[Trace]:
         """The last cycle of the first trial at each speed; mean curve and gap over contraction."""

@@ -41,13 +41,13 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = [key for key in keys if groups[key][0] in kept]
     names = {"x": "displacement", "y": "force"}
     speed = shown("speed")
-    panels, told = [], []
+    panels, rows = [], []
     for key in chosen:
         members = spread(groups[key], SPEEDS)
         lines = [(f"{t.marks['speed'] / speed.scale:.3g} {speed.unit}", panel(t, names, "")) for t in members]
         mean = panel(means[key], names, "") if key in means else None
         panels.append((head(groups[key][0]), lines, mean))
-        told += [(f"{head(t)}, {name}", t) for t, (name, _) in zip(members, lines, strict=True)]
+        rows += [(f"{head(t)}, {name}", t) for t, (name, _) in zip(members, lines, strict=True)]
     first = groups[chosen[0]][0]
     labels = {"x": label(first, "displacement"), "y": label(first, "force")}
     gaps = [t.marks["H"] for key in chosen for t in groups[key] if "H" in t.marks]
@@ -60,7 +60,7 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."
     )
     draw = bound(ramp_plots.loops, panels, labels)
-    table = numbers(told, ("displacement", "force"))
+    table = numbers(rows, ("displacement", "force"))
     return [
         picture(draw, "Isobaric loops", caption, alt, table, wide=len(panels) > 1, simulated=analysis.simulated),
         *_means([means[key] for key in chosen if key in means], analysis.simulated),

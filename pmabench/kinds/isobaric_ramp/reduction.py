@@ -131,11 +131,11 @@ def _sentences(cells: Sequence[Cell]) -> list[Finding]:
     if not cells:
         return []
     gaps = ", ".join(f"{show(cell.gap.start, 'force', 3)} at {show(cell.pressure, 'pressure')}" for cell in cells)
-    told = [Finding("note", f"the contracting branch is the lower one; gap at mid stroke {gaps}")]
+    found = [Finding("note", f"the contracting branch is the lower one; gap at mid stroke {gaps}")]
     if bent := [show(cell.pressure, "pressure") for cell in cells if cell.bent]:
         text = f"at {', '.join(bent)} the mean curve is bent: K by pressure alone is a mean over the stroke"
-        told.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
-    return told
+        found.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
+    return found
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

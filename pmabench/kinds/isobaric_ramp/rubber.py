@@ -105,7 +105,7 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
     terms, rms = whole.terms, whole.rms
     each = [[fit(eps, curve).terms for curve in member.loop.mean] for member in cell.members]
     trials = tuple(member.trial.name for member in cell.members)
-    told: list[Estimate] = []
+    found: list[Estimate] = []
     unknown = []
     for place, name in enumerate(NAMES):
         by_trial = [np.array([one[place] for one in cycles]) for cycles in each]
@@ -117,13 +117,13 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
         if wide is None or wide > WIDE * abs(value) or _at_bound(terms, eps):
             unknown.append(name)
             how = "one loop tells no scatter" if wide is None else f"{_text(name, value)} within {_text(name, wide)}"
-            told.append(
+            found.append(
                 Estimate(name, None, *KINDS[name], METHOD, n=len(trials), trials=trials,
                          note=f"not identifiable ({how}): {SHORT}")
             )  # fmt: skip
             continue
         note = "eps as a fraction of the nominal length"
-        told.append(Estimate(name, value, *KINDS[name], METHOD, {}, parts, len(trials), note=note, trials=trials))
+        found.append(Estimate(name, value, *KINDS[name], METHOD, {}, parts, len(trials), note=note, trials=trials))
     findings = []
     reach = f"{show(rms, 'force', 2)} rms, from {100 * eps[0]:.3g} to {100 * eps[-1]:.3g} %"
     if unknown:
@@ -138,7 +138,7 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
         value = float(rubber_force(where, *terms))
         parts = Parts(half, rms, scales.part({"force": value}))
         at = {"contraction": round(float(where) * length, 7)}
-        told.append(Estimate("F_e", value, "N", "force", METHOD, at, parts, len(trials), trials=trials))
+        found.append(Estimate("F_e", value, "N", "force", METHOD, at, parts, len(trials), trials=trials))
     trace = Trace(
         "rubber",
         "rubber",
@@ -147,7 +147,7 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
         {"displacement": "length", "force": "force", "model": "force"},
         dict(zip(NAMES, (float(v) for v in terms), strict=True)),
     )
-    return Rubber(told, findings, [trace])
+    return Rubber(found, findings, [trace])
 
 
 def _text(name: str, value: float) -> str:
@@ -161,6 +161,6 @@ def _at_bound(terms: Array, eps: Array) -> bool:
 
 def _length(cell: Cell) -> float | None:
     """Nominal length of the specimen [m], as the record tells it."""
-    told = cell.members[0].run.manifest.get("specimen")
-    length = told.get("nominal_length") if isinstance(told, Mapping) else None
+    specimen = cell.members[0].run.manifest.get("specimen")
+    length = specimen.get("nominal_length") if isinstance(specimen, Mapping) else None
     return float(length) if isinstance(length, int | float) and 0 < length < 100 else None

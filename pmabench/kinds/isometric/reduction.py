@@ -141,13 +141,13 @@ def _sentences(
     slopes = {threshold: pooled.line.m for threshold, pooled in sorted(fits.items())}
     lines = []
     if len(slopes) > 1:
-        told = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
+        others = ", ".join(f"{show(m, 'force per pressure', 3)} above {show(f, 'force')}" for f, m in slopes.items())
         change = (max(slopes.values()) - min(slopes.values())) / abs(slopes[above])
         level = "doubt" if change > SENSITIVE else "note"
-        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {told}"))
+        lines.append(Finding(level, f"{where}: the slope depends on the threshold by {change:.1%}: {others}"))
     if len(by_phase) > 1:
-        told = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
-        text = f"{where}: slope of each branch alone {told}"
+        others = ", ".join(f"{show(m, 'force per pressure', 3)} in {name}" for name, m in by_phase.items())
+        text = f"{where}: slope of each branch alone {others}"
         if not min(by_phase.values()) <= slopes[above] <= max(by_phase.values()):
             text += "; the line through both lies outside these, for they are apart and not evenly sampled"
         lines.append(Finding("note", text))

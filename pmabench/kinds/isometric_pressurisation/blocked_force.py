@@ -50,7 +50,7 @@ def estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales)
     if blocked is None or abs(blocked.contraction) > near:
         return []
     others = [cell for cell in cells if cell.contraction > blocked.contraction + near]
-    beside = min(others, key=lambda cell: cell.contraction, default=None)
+    nearest = min(others, key=lambda cell: cell.contraction, default=None)
     off = float(np.abs(blocked.place).max())
     late = max((c.data.get("rate", 0.0) for test in blocked.tests for c in test.trial.commands), default=0.0)
     late *= skew.apart([test.run for test in blocked.tests], ("pressure", "force"))
@@ -60,13 +60,13 @@ def estimates(cells: Sequence[Cell], given: Mapping[str, float], scales: Scales)
         known = np.isfinite(each)
         if not known.any():
             continue
-        tests = [test for test, told in zip(blocked.tests, known, strict=True) if told]
+        tests = [test for test, usable in zip(blocked.tests, known, strict=True) if usable]
         values = by_repeat(tests, each[known])
         F = float(values.mean())
         K = 0.0
-        if beside is not None and np.isfinite(F_beside := float(np.mean(beside.force_at(float(P))))):
-            apart = float(beside.place.mean() - blocked.place.mean())
-            K = (F - F_beside) / apart if apart > APART else 0.0
+        if nearest is not None and np.isfinite(F_nearest := float(np.mean(nearest.force_at(float(P))))):
+            apart = float(nearest.place.mean() - blocked.place.mean())
+            K = (F - F_nearest) / apart if apart > APART else 0.0
         between = _between(cells, blocked, float(P))
         shift, doubt = (0.0, K * off) if between is None else between
         F += shift

@@ -39,7 +39,7 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     )
     labels = (unit_of(trace, "contraction").label("contraction ε"), unit_of(trace, "slope").label("S"))
     length = shown("length")
-    told = (
+    fitted = (
         f"D0 {trace.marks['D_0'] / length.scale:.4g} {length.unit}, θ0 {degrees(trace.marks['theta_0']):.4g}°, "
         f"α {trace.marks['alpha']:.4g}"
         if {"D_0", "theta_0", "alpha"} <= set(trace.marks)
@@ -47,7 +47,7 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     )
     caption = (
         "Marks: slopes of force over pressure with their 95 % intervals; line: S(ε) = (π/4) D0² [3 (1 − ε)^α / tan² θ0 "
-        f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({told}). The curve may be known well where its "
+        f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({fitted}). The curve may be known well where its "
         "parameters are not."
     )
     alt = (

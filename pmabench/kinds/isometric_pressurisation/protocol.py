@@ -170,11 +170,11 @@ class IsometricPressurisation(ProtocolHead):
         limits = [(t.high, f"the trip limit is {show(t.high, 'force')} ({t.source})") for t in trips if t.high]
         if actuator is not None:
             limits.append((actuator.force, f"the actuator bears {show(actuator.force, 'force')}"))
-        most, told = min(limits, default=(inf, ""))
+        most, reason = min(limits, default=(inf, ""))
         if force >= most:
             c.fault(
                 where,
-                f"at {show(top, 'pressure')} the force is predicted to reach {force:.0f} N; {told} "
+                f"at {show(top, 'pressure')} the force is predicted to reach {force:.0f} N; {reason} "
                 "(take a larger contraction, or a lower pressurise.stop)",
             )
 

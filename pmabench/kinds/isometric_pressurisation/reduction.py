@@ -46,6 +46,8 @@ from pmabench.store.records import Array, RunData
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
 SECTION = "daerden-section"
+TIMES = 3.0
+"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
 CHANNELS = ("pressure", "force")
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
@@ -161,7 +163,7 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
     turned, scatter = _turned(found.cells), scatter_of(found.cells)
     largest = {cell.contraction: float(np.nanmax(np.abs(cell.mean.force))) for cell in found.cells}
-    told = []
+    judged = []
     for e in found.estimates:
         if e.symbol == "H" and np.isfinite(delay):
             doubts[_key(e)].append(_late(e, found.cells, delay, error))
@@ -171,8 +173,8 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
-        told.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
-    return told
+        judged.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
+    return judged
 
 
 def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
@@ -264,6 +266,10 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
         half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
         side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
         half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
+        later = [begins(test.trial, TIMES) for test in pairs]
+        known = [0.5 * (one[0] + one[1]) - mean for one, mean in zip(later, both.mean(axis=1), strict=True)
+                 if one[0] is not None and one[1] is not None]  # fmt: skip
+        half = sqrt(half**2 + (float(np.mean(known)) if known else 0.0) ** 2)
         scale = scales.part({"pressure": value}, {"pressure": 1.0})
         found.append(
             Estimate(
@@ -271,7 +277,8 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
                 Parts(repeats=spread(values), method=half, calibration=scale, skew=late), len(values),
                 note=sentences(
                     "" if len(values) > 1 else "no repeats part: one test only",
-                    "method: half the difference of filling and emptying, with half a sample, or of the two sides",
+                    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and "
+                    "what a threshold three times as large makes of it",
                 ),
                 trials=tuple(test.name for test in cell.tests),
             )
@@ -381,9 +388,9 @@ def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) 
             value = float(getattr(one, name))
             # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
             gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
-            told = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
+            text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
             why = "S(eps) has another form" if one.other_form else "not told apart from the others"
-            note = f"{why}: {told}" if is_open else ""
+            note = f"{why}: {text}" if is_open else ""
             parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
             n = len(one.slopes.S)
             found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))

@@ -243,6 +243,8 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
 
 def given_of(specimen: object) -> Mapping[str, float]:
     """What a manifest's specimen tells: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; numbers only."""
-    told = specimen if isinstance(specimen, Mapping) else {}
+    entries = specimen if isinstance(specimen, Mapping) else {}
     names = ("nominal_length", "inner_diameter", "braid_angle")
-    return {name: float(told[name]) for name in names if isinstance(told.get(name), int | float) and told[name] > 0}
+    return {
+        name: float(entries[name]) for name in names if isinstance(entries.get(name), int | float) and entries[name] > 0
+    }

@@ -69,13 +69,13 @@ def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Fi
     if abs(at) > NEAR * float(given.get("nominal_length", 0.25)):
         text = "the dead band of pressure is that at contraction 0, which is not among the tests"
         return [Finding("note", text)]
-    told = []
+    found = []
     for e in (e for e in known if e.at["contraction"] == at):
         half = e.parts.combined
         interval = f" +- {show(half, 'pressure', 2)}" if half is not None else ""
-        told.append(f"{show(e.value or 0.0, 'pressure', 4)}{interval} ({e.method})")
+        found.append(f"{show(e.value or 0.0, 'pressure', 4)}{interval} ({e.method})")
     where = f"contraction {show(at, 'length', 3)}"
-    return [Finding("note", f"dead band: at {where} the force begins at {', '.join(told)}")]
+    return [Finding("note", f"dead band: at {where} the force begins at {', '.join(found)}")]
 
 
 def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:
@@ -141,9 +141,9 @@ def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Find
             return []
         text = f"the corrected force of paper 2 is not compared: the specimen tells no {' and no '.join(lacks)}"
         return [Finding("note", text)]
-    told = f"residual {show(force.rms, 'force', 3)} rms with q(p), {show(force.rms_without_q, 'force', 3)} without"
+    residual = f"residual {show(force.rms, 'force', 3)} rms with q(p), {show(force.rms_without_q, 'force', 3)} without"
     found = f"p_0 {show(force.p_0, 'pressure', 4)}" if force.holds else "does not fit"
-    return [Finding("note", f"corrected force with D_0 and theta_0 of the specimen: {found}, {told}")]
+    return [Finding("note", f"corrected force with D_0 and theta_0 of the specimen: {found}, {residual}")]
 
 
 def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:

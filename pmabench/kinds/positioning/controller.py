@@ -159,19 +159,19 @@ def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Loca
         if not c.problems:
             c.fault((*place, "gains"), 'the protocol has no "model"; give one, or other gains')
         return None
-    told = Described.of(model)
-    if told.air is not None:
+    known = Described.of(model)
+    if known.air is not None:
         c.fault(
             (*place, "gains"),
-            f"the model, {told.source}, has air that its regulator has to move, which makes no loop of lags alone; "
+            f"the model, {known.source}, has air that its regulator has to move, which makes no loop of lags alone; "
             'give a "model.regulator" in its place, or take an analysis of relays or steps',
         )
         return None
-    if told.regulator.dead_time or told.regulator.lag or told.regulator.natural_frequency:
-        return told
+    if known.regulator.dead_time or known.regulator.lag or known.regulator.natural_frequency:
+        return known
     c.fault(
         (*place, "gains"),
-        f"the model, {told.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
+        f"the model, {known.source}, tells no dead time and no lag of the regulator; give them in the protocol as "
         '"model.regulator: {dead_time: 40 ms, lag: 95 ms}"',
     )
     return None

@@ -225,13 +225,15 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
     worst = max((hold for members in cells for hold in members), key=_relative_error)
     settings = runs[0].plan.get("settings") or {}
     window = settings.get("window")
-    told = f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
+    window_text = (
+        f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
+    )
     setpoint = float(worst.law["setpoint"])
     lines.append(
         Finding(
             "note",
             f"the steady-state error is at most {_relative_error(worst):.2g} % of the set-point "
-            f"({show(worst.response.error, 'length', 3)} at {show(setpoint, 'length')}; {told})",
+            f"({show(worst.response.error, 'length', 3)} at {show(setpoint, 'length')}; {window_text})",
         )
     )
     lines += _cycles([hold for members in cells for hold in members])

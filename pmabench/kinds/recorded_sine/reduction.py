@@ -92,7 +92,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `sweep_bandwidth`. K and B do not follow from x and P alone: F_ce(P) stands between them.
     """
     options = options or {}
-    sines, dropped, told = measured(runs, options, measure)
+    sines, dropped, read_off = measured(runs, options, measure)
     groups: dict[float, list[list[tuple[RunData, Sine]]]] = {}
     for run, sine in sorted(sines, key=lambda one: one[1].drive):
         alike = groups.setdefault(round(sine.frequency, 6), [])
@@ -104,7 +104,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
     estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
     findings = [finding for _, sine in sines for finding in _sentences(sine)]
-    if sines and not told:
+    if sines and not read_off:
         findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
     first = [group[0][1] for _, group in sorted(swept.items())]
     if any(len(alike) > 1 for alike in groups.values()):
@@ -206,8 +206,8 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool) -> list[Estimate]
         value = float(values.mean())
         parts = Parts(mean_half(values, by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
         few = CYCLES if len(values) == 1 else ""
-        told = sentences(note, few, scales.lack(scaled))
-        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=told, trials=parents)
+        note_text = sentences(note, few, scales.lack(scaled))
+        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=note_text, trials=parents)
 
     def size(name: str) -> tuple[list[float], list[Array]]:
         return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]

@@ -113,7 +113,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     [[least, most] in s] instead of what the record says.
     """
     options = options or {}
-    steps, dropped, told = measured(runs, options, measure)
+    steps, dropped, read_off = measured(runs, options, measure)
     groups: dict[tuple[float, ...], list[tuple[RunData, Step]]] = {}
     loads = len({_load(step) for _, step in steps}) > 1
     for run, step in steps:
@@ -125,12 +125,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options, () if told else (-UNTOLD, UNTOLD))
+        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD))
         findings += _sentences(at, [step for _, step in group])
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
-    if steps and not told:
+    if steps and not read_off:
         findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
     if any(e.symbol == "K" and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"

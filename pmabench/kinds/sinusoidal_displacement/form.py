@@ -137,15 +137,15 @@ def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
     F_c = next((e.value for e in found if e.symbol == "F_c" and e.value is not None), None)
     share, changing = form.doubt_of_stiffness()
     reasons = {"K": changing, "F_c": "" if F_c is None else form.doubt_of_friction(F_c)}
-    told = []
+    kept = []
     for e in found:
         reason = reasons.get("F_c" if e.symbol == "H" and e.at.get("frequency") == 0.0 else e.symbol, "")
         if e.value is not None and reason:
             e = withhold(e, reason)
         elif e.value is not None and e.symbol == "K":
             e = replace(e, parts=replace(e.parts, method=hypot(e.parts.method or 0.0, share * e.value)))
-        told.append(e)
-    return told
+        kept.append(e)
+    return kept
 
 
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:

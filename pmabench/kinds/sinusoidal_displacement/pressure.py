@@ -141,7 +141,7 @@ def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle |
     `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
-    told = Told([], [], [])
+    found = Told([], [], [])
     cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
     for along in alongs:
         at = along.member.trial.point
@@ -154,7 +154,7 @@ def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle |
     for key, group in sorted(cells.items()):
         at = dict(key)
         for side in SIDES:
-            told.estimates.append(_error(at, group, side, scales))
+            found.estimates.append(_error(at, group, side, scales))
         static = statics[_mean(group[0])]
         if static is None:
             continue
@@ -164,13 +164,13 @@ def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle |
             models = [static.force(along, along.P if measured else along.wanted, known) for along in group]
             for side in SIDES:
                 one = _rms(at, group, models, side, method, static.trials)
-                told.estimates.append(one)
+                found.estimates.append(one)
                 off[method, side] = one.value or 0.0
         where = f"{at.get('frequency', 0.0):g} Hz and {show(at['pressure'], 'pressure')}"
         ratios += [(where, off[SET, side], off[MEASURED, side], side) for side in SIDES]
-        told.traces.append(_trace(at, group[0], static, known))
-    told.findings.extend(_sentences(ratios, any(statics.values()), told.estimates))
-    return told
+        found.traces.append(_trace(at, group[0], static, known))
+    found.findings.extend(_sentences(ratios, any(statics.values()), found.estimates))
+    return found
 
 
 def _mean(along: Along) -> float:
@@ -188,9 +188,9 @@ def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: S
     ]
     means = np.array([float(values.mean()) for values in cycles])
     half = mean_half(means, cycles)
-    told = {"pressure": at["pressure"]}, {"pressure": 1.0}
-    note = sentences(NO_REPEATS if half is None else CYCLES if len(group) == 1 else "", scales.lack(*told))
-    parts = Parts(half, EXTREME * max(noise_of(along.P) for along in group), scales.part(*told))
+    coordinates = {"pressure": at["pressure"]}, {"pressure": 1.0}
+    note = sentences(NO_REPEATS if half is None else CYCLES if len(group) == 1 else "", scales.lack(*coordinates))
+    parts = Parts(half, EXTREME * max(noise_of(along.P) for along in group), scales.part(*coordinates))
     names = tuple(along.member.name for along in group)
     return Estimate(
         "P_err", float(means.mean()), "Pa", "pressure", ERROR, dict(at), parts, len(group), note=note, trials=names,

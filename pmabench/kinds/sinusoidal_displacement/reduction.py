@@ -67,8 +67,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += fitted.findings(dict(key))
         findings += form.findings(dict(key))
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
-        told = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
-        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if told >= {"K", "B", "F_c"} else None)
+        symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
+        traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
         if slopes is None:
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"

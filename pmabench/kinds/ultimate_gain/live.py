@@ -30,8 +30,8 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     if relay is not None and "displacement" in trial.channels:
         by_relay = examine_relay(run, trial, relay)
         best = None if by_relay.refused else by_relay.best
-        told = (float("nan"), float("nan")) if best is None else (best.K_u, best.T_u)
-        values = [None if np.isnan(value) else float(value) for value in told]
+        both = (float("nan"), float("nan")) if best is None else (best.K_u, best.T_u)
+        values = [None if np.isnan(value) else float(value) for value in both]
         return [Measured("K_u", "gain", values[0]), Measured("T_u", "time", values[1])], [
             *by_relay.refused,
             *by_relay.doubts,

@@ -66,8 +66,8 @@ class Fitted:
         whole = [e for e in analysis.estimates if e.method == RESPONSE and not e.at and e.value is not None]
         lacking = [name for name in ("dead time", "lag") if all(e.coordinate != name for e in whole)]
         if lacking:
-            told = " and no ".join(lacking)
-            raise ValueError(f"the analysis gives no {told} of the regulator; process the runs with --regulator")
+            names = " and no ".join(lacking)
+            raise ValueError(f"the analysis gives no {names} of the regulator; process the runs with --regulator")
         return cls((*known, *whole), (min(shared), max(shared)))
 
     def loop(

@@ -90,8 +90,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             return
         if loop is not None:
             lags = [lag.real if not lag.imag else [lag.real, lag.imag] for lag in map(complex, loop.lags)]
-            told = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": apart}
-            loops.append({"at": dict(K_u.at), **told})
+            fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": apart}
+            loops.append({"at": dict(K_u.at), **fact})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
         if "loop" in options:
             given = options["loop"]

@@ -184,12 +184,12 @@ def findings(cell: RelayCell) -> list[Finding]:
             f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s",
         )
     )
-    told = [level.static for i in cell.good if (level := cell.found[i].best) is not None and isfinite(level.static)]
-    if told:
+    static = [level.static for i in cell.good if (level := cell.found[i].best) is not None and isfinite(level.static)]
+    if static:
         lines.append(
             Finding(
                 "note",
-                f"at {where} the means of the asymmetric oscillation give a static gain of {np.mean(told) * 1e6:.4g} "
+                f"at {where} the means of the asymmetric oscillation give a static gain of {np.mean(static) * 1e6:.4g} "
                 "mm/kPa; damping that changes with the pressure shifts it",
             )
         )

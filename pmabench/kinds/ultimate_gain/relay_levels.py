@@ -147,7 +147,7 @@ def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
         return [], ["one ratio of hysteresis to amplitude at two amplitudes is needed to see friction"]
     small, large = min(levels, key=lambda v: v.amplitude), max(levels, key=lambda v: v.amplitude)
     change = {"period": small.period / large.period - 1, "gain": small.K_df / large.K_df - 1}
-    told = (
+    reason = (
         f"from {show(large.amplitude, 'pressure')} to {show(small.amplitude, 'pressure')} the period changes by "
         f"{change['period']:+.1%} and the gain by {change['gain']:+.1%}, a linear loop keeps both"
     )
@@ -155,16 +155,16 @@ def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
     share = small.coulomb / small.amplitude
     rubs = isfinite(share) and share > RUBS and change["period"] > QUICKER
     if isfinite(share):
-        told += f"; dry friction takes {show(max(0.0, small.coulomb), 'pressure', 2)} of the smaller amplitude"
+        reason += f"; dry friction takes {show(max(0.0, small.coulomb), 'pressure', 2)} of the smaller amplitude"
     if isfinite(small.shape):
-        told += f", the third harmonic is {small.shape:.1%} of the first off that of the fitted loop"
+        reason += f", the third harmonic is {small.shape:.1%} of the first off that of the fitted loop"
     if rubs or not isfinite(share):
         if changed["fault"] or (rubs and small.shape > SHAPE):
-            return [f"limit cycle with stiction: {told}"], []
-        return [], [f"as with friction, {told}"] if rubs or changed["doubt"] else []
+            return [f"limit cycle with stiction: {reason}"], []
+        return [], [f"as with friction, {reason}"] if rubs or changed["doubt"] else []
     if changed["fault"]:
-        return [f"not one linear loop, its gain bends within the swing: {told}; take smaller amplitudes"], []
-    return [], [f"as where the gain bends within the swing, {told}"] if changed["doubt"] else []
+        return [f"not one linear loop, its gain bends within the swing: {reason}; take smaller amplitudes"], []
+    return [], [f"as where the gain bends within the swing, {reason}"] if changed["doubt"] else []
 
 
 def _measure(

@@ -41,9 +41,9 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
             if len(found) < 2:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
-            told = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
+            values = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
             exact = [e.value for e in found if e.value and e.method != relay_gain.DESCRIBED]
-            text = f"{symbol} at {where}: {told}"
+            text = f"{symbol} at {where}: {values}"
             if len(exact) < 2:
                 lines.append(Finding("note", text))
                 continue

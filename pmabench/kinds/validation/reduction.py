@@ -144,8 +144,8 @@ def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
-        beside = {method: values[ok] for method, values in simulated.items()}
-        found.append(_Step(run, trial, t[ok], x[ok], beside, float(x[inside].mean()), means))
+        models = {method: values[ok] for method, values in simulated.items()}
+        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means))
     return found
 
 

@@ -10,15 +10,18 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import MISSING, fields, is_dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from pmabench.base.errors import RecordError, invalid
 from pmabench.base.kind import Result
 from pmabench.base.text import clean
-from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Dropped, Estimate, Finding, Parts, Source, Trace
+from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
 from pmabench.store.folder import plain
 from pmabench.store.json_files import read_json
 
@@ -89,24 +92,23 @@ def _write_trace(trace: Trace, path: Path) -> None:
 
 def read_analysis(folder: Path) -> Analysis:
     """The inverse of `write_analysis`; raises InvalidFile with what is wrong."""
-    path = folder / ANALYSIS
-    if not path.is_file():
-        raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
-    data = read_json(path, SCHEMA, "analysis", LONGEST)
-    with _as_damage(path):
-        return Analysis(
-            kind=_text(data["kind"]),
-            runs=tuple(_text(run) for run in data["runs"]),
-            simulated=_flag(data["simulated"]),
-            estimates=tuple(_estimate(e) for e in data["estimates"]),
-            curves=tuple(_curve(c) for c in data["curves"]),
-            dropped=tuple(Dropped(_text(d["trial"]), _point(d["point"]), _text(d["reason"])) for d in data["dropped"]),
-            findings=tuple(Finding(_text(f["level"]), _text(f["text"])) for f in data["findings"]),
-            traces=tuple(_trace(folder, t) for t in data["traces"]),
-            facts=dict(data["facts"]),
-            refusals=tuple(_text(reason) for reason in data.get("refusals", ())),
-            results=tuple(_result(r) for r in data.get("results", ())),
+    data = _data(folder)
+    with _as_damage(folder / ANALYSIS):
+        curves, traces = (data.pop(name) for name in ("curves", "traces"))
+        needed = {name: data[name] for name in ("estimates", "dropped", "findings", "facts")}
+        rest: Analysis = _read(Analysis, {**data, **needed, "results": []})
+        return replace(
+            rest,
+            curves=tuple(_curve(curve) for curve in curves),
+            traces=tuple(_trace(folder, trace) for trace in traces),
+            results=_read(tuple[Result, ...], data.get("results", [])),
         )
+
+
+def _data(folder: Path) -> dict[str, Any]:
+    if not (folder / ANALYSIS).is_file():
+        raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
+    return read_json(folder / ANALYSIS, SCHEMA, "analysis", LONGEST)
 
 
 def analyses_below(path: Path) -> list[Path]:
@@ -125,11 +127,7 @@ def runs_of(folder: Path) -> list[Path]:
     Looked for next to the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
     same folders; what is not found is left out.
     """
-    path = folder / ANALYSIS
-    try:
-        names = json.loads(path.read_bytes())["runs"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise invalid(folder, f"is not an analysis folder: {ANALYSIS} cannot be read") from error
+    names = _data(folder).get("runs")
     found = []
     parents = list(folder.resolve().parents)
     places = parents[:4]
@@ -157,104 +155,59 @@ def _as_damage(path: Path) -> Iterator[None]:
         raise invalid(path, f"is damaged: {error}") from error
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"text was expected, not {str(value)[:40]}")
-    return clean(value, LONGEST)
+@lru_cache
+def _types(record: type) -> dict[str, Any]:
+    return get_type_hints(record)
 
 
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"true or false was expected, not {str(value)[:40]}")
-    return value
+def _read(kind: Any, value: Any) -> Any:
+    """A value of JSON as a field of type `kind` has it; TypeError or ValueError where it is none.
+
+    Entries of a record that are not there have its default, those that it does not know are left out.
+    """
+    inner = get_args(kind)
+    if is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
+        needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+        names = [f.name for f in fields(kind) if f.name in value or f.name in needed]
+        return kind(**{name: _read(_types(kind)[name], value[name]) for name in names})
+    if get_origin(kind) is UnionType:  # something or None
+        return None if value is None else _read(inner[0], value)
+    if get_origin(kind) is Mapping and isinstance(value, Mapping):
+        return {_read(str, key): _read(inner[1], item) for key, item in value.items()}
+    if get_origin(kind) is tuple and isinstance(value, list):
+        kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else inner
+        if len(kinds) != len(value):
+            raise ValueError(f"{len(value)} values are there where {len(kinds)} are expected")
+        return tuple(map(_read, kinds, value))
+    if kind is str and isinstance(value, str):
+        return clean(value, LONGEST)
+    if kind is Any or (kind is bool and isinstance(value, bool)):
+        return value
+    if kind in (int, float) and isinstance(value, int | float) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise ValueError(f"{value} is not finite")
+        return kind(value)
+    expected = getattr(kind, "__name__", str(kind))
+    raise TypeError(f"{str(value)[:40]} is there where {expected} is expected")
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"a number was expected, not {str(value)[:40]}")
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"{value} is not finite")
-    return number
-
-
-def _maybe(value: Any) -> float | None:
-    return None if value is None else _number(value)
-
-
-def _number_or_nan(value: Any) -> float:
-    return math.nan if value is None else _number(value)
-
-
-def _point(value: Any) -> dict[str, float]:
-    if not isinstance(value, Mapping):
-        raise TypeError(f"an operating point was expected, not {str(value)[:40]}")
-    return {key: _number(item) for key, item in value.items()}
-
-
-def _estimate(e: Mapping[str, Any]) -> Estimate:
-    parts = e["parts"]
-    return Estimate(
-        symbol=_text(e["symbol"]),
-        value=_maybe(e["value"]),
-        unit=_text(e["unit"]),
-        quantity=_text(e["quantity"]),
-        method=_text(e["method"]),
-        at=_point(e["at"]),
-        parts=Parts(
-            repeats=_maybe(parts["repeats"]),
-            method=_maybe(parts["method"]),
-            calibration=_maybe(parts["calibration"]),
-            skew=_number(parts.get("skew", 0.0)),
-            drift=_number(parts.get("drift", 0.0)),
-        ),
-        n=int(_number(e["n"])),
-        bias=_maybe(e["bias"]),
-        corrected=_flag(e["corrected"]),
-        note=_text(e["note"]),
-        trials=tuple(_text(trial) for trial in e["trials"]),
-        coordinate=_text(e["coordinate"]),
-        budget=tuple(_source(s) for s in e.get("budget", ())),
-        withheld=_flag(e.get("withheld", False)),
-    )
-
-
-def _result(r: Mapping[str, Any]) -> Result:
-    texts = {name: _text(r[name]) for name in ("symbol", "title", "quantity", "plot", "unit")}
-    return Result(**texts, headline=_flag(r["headline"]), positive=_flag(r.get("positive", False)))
-
-
-def _source(s: Mapping[str, Any]) -> Source:
-    return Source(_text(s["name"]), _text(s["part"]), _text(s["kind"]), _maybe(s["half"]), _text(s["note"]))
-
-
-def _curve(c: Mapping[str, Any]) -> Curve:
-    low, high = (_number(end) for end in c["domain"])
-    scale = _number(c.get("scale", 1.0))
-    if not scale > 0:
-        raise ValueError(f"the scale of a curve is {scale:g}; a number above 0 is expected")
-    return Curve(
-        symbol=_text(c["symbol"]),
-        form=_text(c["form"]),
-        terms=tuple(_estimate(term) for term in c["terms"]),
-        against=_text(c["against"]),
-        domain=(low, high),
-        r2=_number_or_nan(c["r2"]),
-        residual_rms=_number_or_nan(c["residual_rms"]),
-        method=_text(c["method"]),
-        centre=_number(c.get("centre", 0.0)),
-        scale=scale,
-    )
+def _curve(data: Mapping[str, Any]) -> Curve:
+    """A curve; what was no number is null in JSON."""
+    r2, residual = (math.nan if data[name] is None else _read(float, data[name]) for name in ("r2", "residual_rms"))
+    curve: Curve = _read(Curve, {**data, "r2": 0.0, "residual_rms": 0.0})
+    if not curve.scale > 0:
+        raise ValueError(f"the scale of a curve is {curve.scale:g}; a number above 0 is expected")
+    return replace(curve, r2=r2, residual_rms=residual)
 
 
 def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
     from pmabench.store.arrow import pa, pq
 
-    parts = _text(t["file"]).split("/")
+    parts = _read(str, t["file"]).split("/")
     if len(parts) != 2 or parts[0] != TRACES or not _NAME.fullmatch(parts[1]):
         raise ValueError(f"the file of a trace, {t['file'][:80]!r}, does not lie in {TRACES}/")
     path = folder / TRACES / parts[1]
-    wanted = [_text(name) for name in t["columns"]]
+    wanted = list(_read(tuple[str, ...], t["columns"]))
     try:
         if path.is_symlink() or pq.read_metadata(path).num_rows > MOST_ROWS:
             raise ValueError(f"{t['file']} is a link or too long")
@@ -263,10 +216,8 @@ def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{t['file']} cannot be read: {error}") from error
     return Trace(
-        name=_text(t["name"]),
-        figure=_text(t["figure"]),
-        title=_text(t["title"]),
+        **{name: _read(str, t[name]) for name in ("name", "figure", "title")},
         columns=columns,
-        quantities={_text(key): _text(value) for key, value in t["quantities"].items()},
-        marks=_point(t["marks"]),
+        quantities=_read(Mapping[str, str], t["quantities"]),
+        marks=_read(Mapping[str, float], t["marks"]),
     )

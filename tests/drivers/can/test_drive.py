@@ -236,7 +236,7 @@ def test_a_following_error_stops_the_drive_and_ends_the_samples():
 def test_a_motion_that_would_begin_with_a_jump_is_refused():
     with rig(bus(watchdog=0.0)) as (emulator, _served, driver):
         driver.write(POSITION, 0.0)
-        with pytest.raises(DeviceError, match="stands at 0 counts and cannot jump to 20000"):
+        with pytest.raises(DeviceError, match="is at 0 counts and cannot jump to 20000"):
             driver.follow(POSITION, sine(driver, 20_000, 100, 1.0, 1))
         driver.follow(POSITION, ramp(driver, 0, 10_000, 10_000))
         with pytest.raises(DeviceError, match="still on its way"):
@@ -286,7 +286,7 @@ def test_a_watchdog_that_the_drive_does_not_have_is_refused_at_arming():
     ("fault", "reason"),
     [
         ("emergency", "emergency 5000h: its hardware"),
-        ("restart", "it has started again, or was told to stop"),
+        ("restart", "it has started again, or was commanded to stop"),
         ("silence", "no heartbeat for 0.5 s|no answer to SYNC"),
         ("lost", "no heartbeat for 0.5 s|no answer to SYNC"),
         ("hang-up", "lost slcan:socket"),

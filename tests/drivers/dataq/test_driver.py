@@ -128,16 +128,6 @@ def test_silence_is_soon_an_error(bench):
     assert failure(driver) == "daq: has sent no scan for 0.5 s"
 
 
-def test_a_port_that_is_gone_is_said(bench):
-    device, driver, _ = bench
-    driver.start(500.0)
-    device.faults.set("hang-up")
-    assert failure(driver).startswith(f"daq: lost {device.address}: ")
-    start = time.monotonic()
-    driver.close()
-    assert time.monotonic() - start < 1.0
-
-
 def test_a_scan_that_a_dead_program_left_is_stopped(bench):
     device, driver, _ = bench
     driver.start(4000.0)
@@ -176,16 +166,6 @@ def test_what_does_not_answer_or_is_another_model_is_not_opened(tmp_path):
         device._options = device._options.__class__()
 
     assert refused(other, swap) == 'daq: is "DATAQ emulated unproven 2108", and the bench file says DI-4108'
-
-
-def test_one_port_one_program_and_a_port_that_is_not_there(bench, tmp_path):
-    device, _driver, _ = bench
-    with pytest.raises(DeviceError, match=r"daq: cannot open .*: another program has it open"):
-        Dataq(daq(device.address), RealClock()).open()
-    with pytest.raises(DeviceError, match=r"daq: cannot open .*nothing: "):
-        Dataq(daq(tmp_path / "nothing"), RealClock()).open()
-    with pytest.raises(DeviceError, match="is not open"):
-        Dataq(daq(device.address), RealClock()).collect()
 
 
 @pytest.mark.slow

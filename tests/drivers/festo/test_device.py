@@ -2,7 +2,6 @@
 
 import contextlib
 import socket
-import threading
 import time
 from itertools import pairwise
 
@@ -10,15 +9,7 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import (
-    Device,
-    Follower,
-    Inputs,
-    Rescue,
     Segment,
-    SetPoint,
-    Stream,
-    Switch,
-    Watchdog,
 )
 from tests.drivers.festo.rigs import served
 from tests.drivers.wires.rigs import timed
@@ -37,11 +28,6 @@ def rig():
         rig.inside.timeout = 0
         rig.device.open()
         yield rig
-
-
-def test_it_has_its_capabilities(rig):
-    for capability in (Device, Stream, SetPoint, Follower, Switch, Inputs, Watchdog, Rescue):
-        assert isinstance(rig.device, capability)
 
 
 def test_it_measures_what_it_commands(rig):
@@ -161,35 +147,6 @@ def test_after_the_terminal_has_hung_up_the_next_call_is_done_once(rig):
     assert [entry["raw"] for entry in rig.log("set")] == [500.0 + number for number in range(5)]
 
 
-LATE = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("silence", "delay", "truncated", "garbage", "reset")]
-
-
-@pytest.mark.parametrize("kind", ["lost", "hang-up", "stale", "exception", *LATE])
-def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
-    device = rig.device
-    device.write("ao4.0", 10.0)
-    calls = [
-        lambda: device.write("ao4.0", 20.0),
-        lambda: device.read_back("ao4.0"),
-        lambda: device.switch("do2.0", on=True),
-        lambda: device.switch("do2.0", on=False),
-        lambda: device.is_on("do2.0"),
-        lambda: device.level("di1.0"),
-        lambda: device.arm_watchdog(0.5),
-        device.feed_watchdog,
-        device.disarm_watchdog,
-        lambda: device.rescue("ao4.0", 10.0),
-        lambda: device.rescue("do2.0", 0.0),
-    ]
-    for call in calls:
-        rig.server.faults.set(kind, {"truncated": 3.0, "exception": 3.0, "delay": 0.5}.get(kind))
-        took, outcome = timed(call)
-        rig.well()
-        assert took < BOUND
-        assert outcome is None or isinstance(outcome, DeviceError | bool | float)
-        assert device.read_back("ao4.0") in {10.0, 20.0}
-
-
 # -- eight outputs in one register ----------------------------------------------------------------------------------
 
 
@@ -295,71 +252,4 @@ def test_without_a_sign_of_life_the_outputs_go(rig):
     assert device.read_back("ao4.0") == 0.0
 
 
-def test_polling_alone_does_not_keep_the_watchdog_quiet(rig):
-    rig.device.start(200.0)
-    rig.device.write("ao4.0", 6400.0)
-    rig.device.arm_watchdog(0.2)
-    armed = time.monotonic()
-    time.sleep(0.7)
-    [bite] = rig.log("watchdog")
-    assert bite["t"] - armed < 0.5
-
-
 # -- rescue and silence ---------------------------------------------------------------------------------------------
-
-
-def test_rescue_goes_round_a_call_that_hangs(rig):
-    device = rig.device
-    device.write("ao4.0", 6400.0)
-    device.switch("do2.0", on=True)
-    rig.server.faults.set("delay", 0.5, count=1)
-    hanging = threading.Thread(target=timed, args=(device.read_back, "ao4.0"))
-    hanging.start()
-    time.sleep(0.02)
-    for output in ("ao4.0", "do2.0"):
-        took, outcome = timed(device.rescue, output, 0.0)
-        assert outcome is None
-        assert took < BOUND
-    hanging.join(1.0)
-    assert rig.log("set")[-1]["raw"] == 0
-    assert rig.log("switch")[-1]["on"] is False
-    assert rig.log("set")[-1]["connection"] != rig.log("set")[0]["connection"]
-
-
-def test_rescue_ends_a_ramp(rig):
-    rig.device.follow("ao4.0", Segment("ramp", 0.0, 0.0, 30000.0, rate=5000.0))
-    time.sleep(0.1)
-    rig.device.rescue("ao4.0", 0.0)
-    time.sleep(0.25)
-    raws = [entry["raw"] for entry in rig.log("set")]
-    assert raws[-1] == 0
-
-
-def test_polling_tells_of_a_silent_terminal_and_goes_on_when_it_is_back(rig):
-    device = rig.device
-    device.start(100.0)
-    time.sleep(0.1)
-    rig.server.faults.set("silence")
-    deadline, outcome = time.monotonic() + 3, None
-    while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
-        took, outcome = timed(device.collect)
-        assert took < 0.1  # it never waits for the device
-        time.sleep(0.02)
-    assert "no answer from" in str(outcome)
-    rig.well()
-    time.sleep(0.5)
-    assert len(device.collect().time) > 5
-
-
-def test_names_that_the_terminal_does_not_have(rig):
-    device = rig.device
-    with pytest.raises(DeviceError, match='no output "ao4.9"; did you mean "ao4.0"'):
-        device.write("ao4.9", 1.0)
-    with pytest.raises(DeviceError, match='no input "di1.16"'):
-        device.level("di1.16")
-    with pytest.raises(DeviceError, match="40000 does not fit int16"):
-        device.write("ao4.0", 40000.0)
-    device.close()
-    device.close()
-    with pytest.raises(DeviceError, match="is not open"):
-        device.read_back("ao4.0")

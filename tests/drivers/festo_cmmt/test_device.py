@@ -7,16 +7,7 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import (
-    Device,
-    Follower,
-    Inputs,
-    Motion,
-    Rescue,
     Segment,
-    SetPoint,
-    Stream,
-    Switch,
-    Watchdog,
 )
 from tests.drivers.festo_cmmt.rigs import drive, served
 from tests.drivers.whole_run import until
@@ -46,13 +37,6 @@ def on(rig):
 
 def place(rig):
     return rig.emulator.plant.quantities()["displacement"]
-
-
-def test_it_has_its_capabilities_and_no_others(rig):
-    for capability in (Device, Stream, SetPoint, Follower, Motion, Watchdog):
-        assert isinstance(rig.device, capability)
-    for capability in (Switch, Inputs, Rescue):
-        assert not isinstance(rig.device, capability)
 
 
 def test_opening_commands_nothing(rig):
@@ -150,8 +134,8 @@ def test_halt_switches_nothing_on(rig):
 def test_a_drive_that_does_not_stop_is_told(rig, monkeypatch):
     device = on(rig)
     device.follow("position", Segment("ramp", device._clock.now(), 0.0, 20000.0, rate=5000.0))
-    monkeypatch.setattr(rig.inside, "_stand", lambda: None)
-    why = "drive.position: was told to stop and still moves"
+    monkeypatch.setattr(rig.inside, "_hold", lambda: None)
+    why = "drive.position: was commanded to stop and still moves"
     assert until(lambda: why in str(timed(device.halt, "position")[1]), 2)
 
 

@@ -63,7 +63,7 @@ def driven(loss=0.0, late=lambda k: 0.0, frequency=1.0, cycles=8):
     """Positions of a drive in steps of 1 ms, and the sine's; a cycle is 10 ms, its command comes late(k) after."""
     now, drive, places, wanted = 0.0, Drive(loss), [], []
     path = Path(lambda: now)
-    path.stand(10000.0)
+    path.rest_at(10000.0)
     segment = Segment("sine", 0.0, 10000.0, amplitude=5000.0, frequency=frequency, cycles=cycles)
     path.follow(segment)
     coming = []
@@ -113,7 +113,7 @@ def test_what_a_drive_loses_by_its_acceleration_is_made_up():
 def test_a_ramp_is_one_target_at_its_start():
     now = 0.0
     path = Path(lambda: now)
-    path.stand(0.0)
+    path.rest_at(0.0)
     path.follow(Segment("ramp", 0.5, 0.0, 10000.0, rate=20000.0))
     assert path.next(0.01) is None
     assert path.now() == 0.0

@@ -169,16 +169,6 @@ def test_another_rate_than_agreed_is_an_error(bench):
     assert why == "laser: measures slower than the 1000 Hz that it was set to"
 
 
-def test_a_port_that_is_gone_is_said(bench):
-    sensor, driver, _ = bench
-    driver.start(1000.0)
-    sensor.faults.set("hang-up")
-    assert failure(driver).startswith(f"laser: lost {sensor.address}: ")
-    start = time.monotonic()
-    driver.close()
-    assert time.monotonic() - start < 1.0
-
-
 def test_a_stream_that_a_dead_program_left_is_quieted(tmp_path):
     """Nobody has read for a while and the terminal is full of measurements: opening takes hold of it all the same."""
     record = laser(tmp_path / "laser", rate="4 kHz")
@@ -226,16 +216,6 @@ def test_another_range_than_the_bench_says_is_refused(tmp_path):
         sensor._options = replace(sensor._options, span=50)
 
     assert refused(record, other) == "laser: is a sensor of 50.00mm, and the bench file says 100 mm"
-
-
-def test_one_port_one_program_and_a_port_that_is_not_there(bench, tmp_path):
-    sensor, _driver, _ = bench
-    with pytest.raises(DeviceError, match=r"laser: cannot open .*: another program has it open"):
-        Ild1420(laser(sensor.address), RealClock()).open()
-    with pytest.raises(DeviceError, match=r"laser: cannot open .*nothing: "):
-        Ild1420(laser(tmp_path / "nothing"), RealClock()).open()
-    with pytest.raises(DeviceError, match="is not open"):
-        Ild1420(laser(sensor.address), RealClock()).collect()
 
 
 def test_a_recorded_stream_is_read_whatever_reads_before_it(tmp_path):

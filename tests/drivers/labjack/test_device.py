@@ -2,7 +2,6 @@
 
 import random
 import struct
-import threading
 import time
 from dataclasses import replace
 
@@ -15,16 +14,7 @@ from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import (
     EMULATED,
-    Device,
-    Follower,
-    Inputs,
-    Rescue,
-    Segment,
-    SetPoint,
-    Stream,
-    Switch,
     ValveRecord,
-    Watchdog,
 )
 from tests.drivers.labjack.rigs import free_port, rig, t7
 from tests.drivers.wires.rigs import Peer, timed
@@ -34,7 +24,6 @@ pytestmark = pytest.mark.realtime
 
 BOUND = 0.3
 """The contract is 0.2 s; the rest is for a busy machine."""
-SLOW = ("silence", "lost", "reset", "delay", "garbage")
 
 
 @pytest.fixture(name="bench")
@@ -54,10 +43,8 @@ def until(condition, within=3.0):
         time.sleep(0.01)
 
 
-def test_it_has_its_capabilities_and_says_who_it_is(bench):
+def test_it_says_who_it_is(bench):
     _emulator, _served, device = bench
-    for capability in (Device, Stream, SetPoint, Follower, Switch, Inputs, Watchdog, Rescue):
-        assert isinstance(device, capability)
     identity = device.open()
     assert (identity.maker, identity.firmware, identity.simulated) == ("LabJack", "1.0331", True)
     assert identity.model.startswith(EMULATED)
@@ -165,27 +152,6 @@ def test_the_emergency_stop_is_read_also_while_the_stream_runs(bench):
         device.level("FIO0")  # reading the valve's line would open the valve
 
 
-def test_names_that_are_not_there(bench):
-    device = bench[2]
-    with pytest.raises(DeviceError, match='no output "DAC1"; did you mean "DAC0"'):
-        device.write("DAC1", 1.0)
-    with pytest.raises(DeviceError, match='no valve output "FIO3"; did you mean "FIO0"'):
-        device.switch("FIO3", on=True)
-    device.close()
-    with pytest.raises(DeviceError, match="is not open"):
-        device.read_back("DAC0")
-
-
-def test_ramps_are_stepped_and_end_on_their_target(bench):
-    emulator, _served, device = bench
-    device.follow("DAC0", Segment("ramp", 0.0, 0.5, 1.0, rate=2.0))
-    until(lambda: sent(emulator) and sent(emulator)[-1]["raw"] == 1.0)
-    values = [entry["raw"] for entry in sent(emulator)]
-    assert values == sorted(values)
-    assert len(values) > 5
-    assert min(values) >= 0.5 - 1e-6
-
-
 # -- lost answers ---------------------------------------------------------------------------------------------------
 
 
@@ -200,34 +166,6 @@ def test_a_switch_without_answer_is_settled_by_the_terminal(bench):
     served.faults.set("lost")
     with pytest.raises(DeviceError, match="whether it took 0 is not known"):
         device.switch("FIO0", on=False)
-
-
-@pytest.mark.parametrize(
-    "kind", ["hang-up", "stale", "truncated", *(pytest.param(kind, marks=pytest.mark.slow) for kind in SLOW)]
-)
-def test_every_call_ends_in_time_and_the_next_one_is_right(bench, kind):
-    _emulator, served, device = bench
-    device.write("DAC0", 0.5)
-    calls = [
-        lambda: device.write("DAC0", 1.0),
-        lambda: device.read_back("DAC0"),
-        lambda: device.switch("FIO0", on=True),
-        lambda: device.is_on("FIO0"),
-        lambda: device.level("FIO1"),
-        lambda: device.arm_watchdog(1.0),
-        lambda: device.start(200.0),
-        device.stop,
-        device.feed_watchdog,
-        device.disarm_watchdog,
-        lambda: device.rescue("DAC0", 0.0),
-    ]
-    for call in calls:
-        served.faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
-        took, outcome = timed(call)
-        served.faults.set("clear")
-        assert took < BOUND
-        assert outcome is None or isinstance(outcome, DeviceError | bool | float)
-        assert device.read_back("DAC0") in {0.5, 1.0, 0.0}
 
 
 def test_a_refusal_names_labjacks_own_reason(bench):
@@ -333,24 +271,6 @@ def test_a_watchdog_that_does_not_hold_its_settings_is_no_watchdog(bench):
     served.faults.set("clear")
     with pytest.raises(DeviceError, match="counts whole seconds"):
         device.arm_watchdog(0.5)
-
-
-def test_rescue_goes_round_a_call_that_hangs(bench):
-    emulator, served, device = bench
-    device.switch("FIO0", on=True)
-    device.write("DAC0", 1.0)
-    device.start(200.0)
-    served.faults.set("delay", 0.5, count=1)
-    hanging = threading.Thread(target=timed, args=(device.read_back, "DAC0"))
-    hanging.start()
-    time.sleep(0.02)
-    for output in ("DAC0", "FIO0"):
-        took, outcome = timed(device.rescue, output, 0.0)
-        assert outcome is None
-        assert took < BOUND
-    hanging.join(1.0)
-    assert sent(emulator)[-1]["raw"] == 0.0
-    assert sent(emulator, "switch")[-1]["on"] is False
 
 
 def test_only_this_machine_is_served():

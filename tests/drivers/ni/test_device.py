@@ -1,7 +1,6 @@
 """The driver in front of the emulated USB-6215: who it is, commands, lines, lost answers, who else is there."""
 
 import sys
-import threading
 import time
 from dataclasses import replace
 
@@ -19,16 +18,8 @@ from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import (
     EMULATED,
     UNPROVEN,
-    Device,
-    Follower,
-    Inputs,
-    Rescue,
     Segment,
-    SetPoint,
-    Stream,
-    Switch,
     ValveRecord,
-    Watchdog,
 )
 from tests.drivers.ni.rigs import STEP, at, daq, patiently, rig, start, task
 from tests.drivers.wires.rigs import timed
@@ -67,11 +58,8 @@ def until(condition, within=3.0):
 # -- who it is ------------------------------------------------------------------------------------------------------
 
 
-def test_it_has_its_capabilities_and_says_who_it_is(bench):
+def test_it_says_who_it_is(bench):
     _emulator, _served, device = bench
-    for capability in (Device, Stream, SetPoint, Follower, Switch, Inputs, Rescue):
-        assert isinstance(device, capability)
-    assert not isinstance(device, Watchdog)
     identity = device.open()
     assert (identity.maker, identity.firmware, identity.simulated) == ("NI", "NI-DAQmx 24.5.0", True)
     assert identity.model == f"{UNPROVEN}USB-6215"
@@ -199,38 +187,6 @@ def test_the_emergency_stop_is_read_also_while_it_samples(bench):
     assert device.level("port0/line0") is True
     emulator.plant.fail("e_stop_at")
     assert device.level("port0/line0") is False
-
-
-def test_names_that_are_not_there(bench):
-    device = bench[2]
-    for call, why in (
-        (lambda: device.write("ao1", 1.0), 'no output "ao1"; did you mean "ao0"'),
-        (lambda: device.read_back("ao1"), 'no output "ao1"'),
-        (lambda: device.switch("port1/line1", on=True), 'no valve output "port1/line1"'),
-        (lambda: device.is_on("port0/line0"), 'no valve output "port0/line0"'),
-        (lambda: device.level("port1/line0"), 'no input "port1/line0"'),
-        (lambda: device.write("ao0", 10.1), "cannot be set to 10.1 V"),
-        (lambda: device.write("ao0", float("nan")), "cannot be set to nan V"),
-        (lambda: device.start(0.0), "cannot sample at 0.0 Hz"),
-        (lambda: device.start(100e3), "cannot take 400000 samples a second: at most 250000"),
-        (lambda: device.follow("ao0", Segment("ramp", 0.0, 0.0, 11.0, rate=1.0)), "cannot be set to 11 V"),
-    ):
-        with pytest.raises(DeviceError, match=why):
-            call()
-    device.close()
-    for call in (lambda: device.write("ao0", 0.0), lambda: device.start(10.0), lambda: device.level("port0/line0")):
-        with pytest.raises(DeviceError, match="is not open"):
-            call()
-
-
-def test_ramps_are_stepped_and_end_on_their_target(bench):
-    emulator, _served, device = bench
-    device.follow("ao0", Segment("ramp", device._clock.now(), 0.5, 1.0, rate=0.5))
-    until(lambda: sent(emulator) and sent(emulator)[-1]["raw"] == 1.0)
-    values = [entry["raw"] for entry in sent(emulator)]
-    assert values == sorted(values)
-    assert len(values) > 5
-    assert min(values) >= 0.5 - 1e-6
 
 
 def test_a_command_ends_a_ramp_for_good(bench, monkeypatch):
@@ -374,25 +330,6 @@ def test_another_computers_sampling_is_told_as_reserved(bench, monkeypatch):
         other.write("ao0", 0.0)  # but venting is possible
     finally:
         other.close()
-
-
-def test_rescue_goes_round_a_call_that_hangs(prompt):
-    emulator, served, device = prompt
-    patiently(lambda: device.switch("port1/line0", on=True))
-    patiently(lambda: device.write("ao0", 1.0))
-    start(device, 200.0)
-    served.faults.set("delay", 0.5, count=1)
-    hanging = threading.Thread(target=timed, args=(lambda: device.level("port0/line0"),))
-    hanging.start()
-    time.sleep(0.02)
-    for output in ("ao0", "port1/line0"):
-        took, outcome = timed(lambda output=output: device.rescue(output, 0.0))
-        assert outcome is None
-        assert took < BOUND
-    hanging.join(1.0)
-    assert sent(emulator)[-1]["raw"] == 0.0
-    assert sent(emulator, "switch")[-1]["on"] is False
-    assert sent(emulator)[-1]["connection"] != sent(emulator)[0]["connection"]
 
 
 def test_with_nis_driver_on_this_computer_everything_goes_through_it(bench, monkeypatch):

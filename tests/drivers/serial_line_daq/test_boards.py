@@ -219,14 +219,6 @@ def test_garbage_towards_the_board_is_not_obeyed_and_the_next_command_is(address
         assert driver.read_back("o0") == 123.0
 
 
-def test_one_port_belongs_to_one_program(address):
-    with opened(board(address)):
-        took, error = timed(SerialLineDaq(board(address), RealClock()).open)
-    assert isinstance(error, DeviceError)
-    assert "another program has it open" in str(error)
-    assert took < LATE
-
-
 def test_counts_of_32_bits_arrive_whole(program):
     """The compiled sketch reads the lowest count there is on a2, and counts its readings on a1."""
     with sketch(program) as port, opened(board(port)) as driver:

@@ -3,7 +3,6 @@
 import pathlib
 import statistics
 import struct
-import threading
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -16,15 +15,7 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import (
-    Device,
-    Follower,
-    Inputs,
-    Rescue,
     Segment,
-    SetPoint,
-    Stream,
-    Switch,
-    Watchdog,
 )
 from tests.drivers.wires.rigs import MAP, Peer, emulated, opened, regulator, timed
 
@@ -42,11 +33,6 @@ def rig():
 
 def sent(emulator, kind="set"):
     return emulator.log.of(kind, "regulator")
-
-
-def test_it_has_its_capabilities(rig):
-    for capability in (Device, Stream, SetPoint, Follower, Switch, Inputs, Watchdog, Rescue):
-        assert isinstance(rig[2], capability)
 
 
 def test_it_measures_what_it_commands(rig):
@@ -139,48 +125,6 @@ def test_an_unknown_outcome_is_called_unknown(rig):
     assert "whether it took 250 is not known" in str(outcome)
     assert took < BOUND
     assert len(sent(emulator)) == 1
-
-
-@pytest.mark.parametrize("kind", ["silence", "lost", "hang-up", "reset", "delay", "stale", "truncated", "garbage"])
-def test_every_call_ends_in_time_and_the_next_one_is_right(rig, kind):
-    emulator, _record, device = rig
-    device.write("pressure", 10.0)
-    calls = [
-        lambda: device.write("pressure", 20.0),
-        lambda: device.read_back("pressure"),
-        lambda: device.switch("dump", on=True),
-        lambda: device.is_on("dump"),
-        lambda: device.level("e_stop"),
-        lambda: device.arm_watchdog(0.5),
-        device.feed_watchdog,
-        device.disarm_watchdog,
-    ]
-    for call in calls:
-        emulator.devices["regulator"].faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
-        took, outcome = timed(call)
-        emulator.devices["regulator"].faults.set("clear")
-        assert took < BOUND
-        assert outcome is None or isinstance(outcome, DeviceError | bool | float)
-        assert device.read_back("pressure") in {10.0, 20.0}
-    emulator.devices["regulator"].faults.set(kind, {"truncated": 3.0, "delay": 0.5}.get(kind))
-    took, outcome = timed(device.rescue, "pressure", 0.0)
-    assert took < BOUND
-
-
-def test_polling_tells_of_a_silent_device_and_goes_on_when_it_is_back(rig):
-    emulator, _record, device = rig
-    device.start(100.0)
-    time.sleep(0.1)
-    emulator.devices["regulator"].faults.set("silence")
-    deadline, outcome = time.monotonic() + 3, None
-    while time.monotonic() < deadline and not isinstance(outcome, DeviceError):
-        took, outcome = timed(device.collect)
-        assert took < 0.1  # it never waits for the device
-        time.sleep(0.02)
-    assert "no answer from" in str(outcome)
-    emulator.devices["regulator"].faults.set("clear")
-    time.sleep(0.5)
-    assert len(device.collect().time) > 5
 
 
 def test_a_call_gets_its_turn_beside_a_device_that_does_not_answer_to_polls():
@@ -285,17 +229,6 @@ def test_the_devices_watchdog_vents_when_it_hears_nothing(rig):
     assert device.read_back("pressure") == 0.0
 
 
-def test_polling_alone_does_not_keep_the_watchdog_quiet(rig):
-    """Any communication feeds this device: the polling thread falls silent when the program's sign of life is missing."""
-    emulator, _record, device = rig
-    device.start(200.0)
-    device.arm_watchdog(0.2)
-    armed = time.monotonic()
-    time.sleep(0.6)
-    [bite] = sent(emulator, "watchdog")
-    assert bite["t"] - armed < 0.4
-
-
 def test_a_watchdog_is_disarmed(rig):
     emulator, _record, device = rig
     device.arm_watchdog(0.1)
@@ -312,37 +245,6 @@ def test_a_heartbeat_register_is_written_with_a_new_number_each_time():
             device.feed_watchdog()
         beats = [e["raw"] for e in sent(emulator, "watchdog-register") if e["register"] == "heartbeat"]
         assert beats == [1.0, 2.0, 3.0]
-
-
-def test_rescue_goes_round_a_call_that_hangs(rig):
-    """The first connection is stuck in a slow answer; the second one vents meanwhile."""
-    emulator, _record, device = rig
-    device.write("pressure", 200.0)
-    emulator.devices["regulator"].faults.set("delay", 0.5, count=1)
-    hanging = threading.Thread(target=timed, args=(device.read_back, "pressure"))
-    hanging.start()
-    time.sleep(0.02)
-    took, outcome = timed(device.rescue, "pressure", 0.0)
-    assert outcome is None
-    assert took < BOUND
-    hanging.join(1.0)
-    last = sent(emulator)[-1]
-    assert last["raw"] == 0.0
-    assert last["connection"] != sent(emulator)[0]["connection"]
-    took, outcome = timed(device.rescue, "dump", 0.0)
-    assert outcome is None
-    assert sent(emulator, "switch")[-1]["on"] is False
-
-
-def test_rescue_ends_a_ramp(rig):
-    emulator, _record, device = rig
-    device.follow("pressure", Segment("ramp", 0.0, 0.0, 500.0, rate=100.0))
-    time.sleep(0.1)
-    device.rescue("pressure", 0.0)
-    time.sleep(0.2)
-    after = sent(emulator)
-    zero = max(i for i, entry in enumerate(after) if entry["raw"] == 0.0 and i > 3)
-    assert zero == len(after) - 1
 
 
 def test_rescue_has_the_last_word_over_a_step_of_the_first_connection_that_is_carried_out_late():
@@ -363,19 +265,6 @@ def test_rescue_has_the_last_word_over_a_step_of_the_first_connection_that_is_ca
         device.rescue("pressure", 0.0)
     assert written == [0.0, 0.0]
     assert reply.held == struct.pack(">f", 0.0)
-
-
-def test_names_that_the_map_does_not_have(rig):
-    device = rig[2]
-    with pytest.raises(DeviceError, match='no output "presure"; did you mean "pressure"'):
-        device.write("presure", 1.0)
-    with pytest.raises(DeviceError, match='no input "e_stp"; did you mean "e_stop"'):
-        device.level("e_stp")
-    with pytest.raises(DeviceError, match='no valve output "pressure"'):
-        device.switch("pressure", on=True)
-    device.close()
-    with pytest.raises(DeviceError, match="is not open"):
-        device.read_back("pressure")
 
 
 def test_polls_keep_their_pace(rig):

@@ -169,15 +169,6 @@ def test_late_answers_are_never_taken_for_new_ones(tmp_path):
     assert 5 <= taken <= 60
 
 
-def test_a_port_that_is_gone_is_said(rig):
-    emulator, record, device = rig
-    device.start(100.0)
-    fault(emulator, "hang-up")
-    assert str(failure(device)).startswith(f"cell: lost {record.address}: ")
-    took, _ = timed(device.close)
-    assert took < 0.5
-
-
 def test_a_port_that_takes_nothing_ends_in_time(tmp_path):
     """Nobody reads the other end: the terminal's buffer fills, and writing would block."""
     near, far = os.openpty()
@@ -197,18 +188,6 @@ def test_a_port_that_takes_nothing_ends_in_time(tmp_path):
     finally:
         os.close(near)
         os.close(far)
-
-
-def test_one_port_one_program(rig):
-    other = SerialIndicator(rig[1], RealClock())
-    with pytest.raises(DeviceError, match=r"cell: cannot open .*: another program has it open"):
-        other.open()
-
-
-def test_a_port_that_is_not_there(tmp_path):
-    device = SerialIndicator(cell(tmp_path / "nothing"), RealClock())
-    with pytest.raises(DeviceError, match=r"cell: cannot open .*nothing: "):
-        device.open()
 
 
 def test_who_it_is_can_be_asked(tmp_path):
