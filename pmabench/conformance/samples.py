@@ -271,6 +271,8 @@ def values(rig: Rig) -> str:
         pair = [c for c in rig.record.channels if c.name in {output.name, f"{output.name}_command"}]
         if output.quantity == "length" and len(pair) == 2 and pair[0].scale == pair[1].scale:
             why.append(f"whether {pair[0].name} and {pair[1].name} are swapped (this drive follows without any error)")
+    if truth.history and seen and not moved:
+        why.append("whether each sample belongs to its time (nothing moved enough, or this computer is too busy)")
     if not truth.history:
         why.append("whether each sample belongs to its time (this simulation keeps no past to compare with)")
     if why:
