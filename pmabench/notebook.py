@@ -103,8 +103,8 @@ class Run:
         for trial in self.data.trials:
             ends = (float(trial.t[0]), float(trial.t[-1])) if len(trial.t) else (np.nan, np.nan)
             point = {headed(name, POINT_QUANTITIES.get(name, "")): value for name, value in trial.point.items()}
-            told = {"repeat": trial.repeat, "reference": trial.reference, "status": trial.status}
-            rows.append({"trial": trial.number, **point, **told, "begin [s]": ends[0], "end [s]": ends[1]})
+            about = {"repeat": trial.repeat, "reference": trial.reference, "status": trial.status}
+            rows.append({"trial": trial.number, **point, **about, "begin [s]": ends[0], "end [s]": ends[1]})
         return pd.DataFrame(rows, columns=None if rows else ["trial"]).set_index("trial")
 
     def trial(self, number: int) -> pd.DataFrame:
@@ -115,8 +115,8 @@ class Run:
         found = [trial for trial in self.data.trials if trial.number == number]
         if not found:
             numbers = sorted({trial.number for trial in self.data.trials})
-            told = f"it has trials {numbers[0]} to {numbers[-1]}" if numbers else "it has none"
-            raise UsageError(f"{self.id} has no trial {number}; {told}")
+            available = f"it has trials {numbers[0]} to {numbers[-1]}" if numbers else "it has none"
+            raise UsageError(f"{self.id} has no trial {number}; {available}")
         return _samples(found[-1], self.data)
 
     @property

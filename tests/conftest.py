@@ -8,7 +8,6 @@ import os
 import subprocess
 import tempfile
 from collections import Counter
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -52,8 +51,7 @@ SHARE = 12
 CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
-@cache
-def commit():
+def _commit():
     """The hash that chooses: of this commit, or the one that `PMABENCH_COMMIT` names, to repeat what a log shows."""
     named = os.environ.get("PMABENCH_COMMIT", "")
     command = ["git", "rev-parse", "--verify", "-q", named or "HEAD"]
@@ -61,9 +59,12 @@ def commit():
     return asked.stdout.strip() or named or "0"
 
 
+os.environ["PMABENCH_COMMIT"] = COMMIT = _commit()  # the processes of xdist have it from the one that starts them
+
+
 def commit_number():
     """That hash as a number; all that it chooses from is run by `make reliability`."""
-    return int(commit(), 16)
+    return int(COMMIT, 16)
 
 
 def _whole_suite(config):
@@ -131,6 +132,6 @@ def pytest_terminal_summary(terminalreporter, config):
     ]
     chosen = sorted({name for name in ran if any(part in name for part in CHOSEN)})
     if chosen and _whole_suite(config):
-        terminalreporter.section(f"chosen by commit {commit()}; with PMABENCH_COMMIT={commit()} they are chosen again")
+        terminalreporter.section(f"chosen by commit {COMMIT}; PMABENCH_COMMIT={COMMIT} chooses the same")
         for name in chosen:
             terminalreporter.line(name)

@@ -21,8 +21,8 @@ def printable(text: object, longest: int | None = None) -> str:
 
 def clean(text: object, longest: int = 2000) -> str:
     """Text for a page, lines kept: without control and direction characters, cut where it is too long."""
-    told = str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8")
-    return _cut(_CONTROL.sub("", told), longest)
+    text_only = str(text).replace("\r", "").encode("utf-8", "replace").decode("utf-8")
+    return _cut(_CONTROL.sub("", text_only), longest)
 
 
 def spelled(text: str) -> str:

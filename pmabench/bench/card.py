@@ -140,8 +140,8 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
             by = _place(output.high_from)
         for number, trip in enumerate(own or [None]):
             first = number == 0
-            told = ["", "", ""] if trip is None else _trip(trip, mounted)
-            yield [name if first else "", command if first else "", by if first else "", *told]
+            trip_cells = ["", "", ""] if trip is None else _trip(trip, mounted)
+            yield [name if first else "", command if first else "", by if first else "", *trip_cells]
     for key, limit in mounted.bench_file.limits.items():
         if key == "contraction" and limit.trip is not None and not mounted.specimen_file.make:
             after = f" after {seconds(limit.delay)}" if limit.delay else ""
@@ -217,5 +217,5 @@ def _outputs(mounted: Mounted) -> Iterator[list[str]]:
             yield [output.name, f"{device.name} · {output.output}", f"{limits} = {raw}", watchdog]
         for valve in device.valves:
             without = "open" if valve.energised == "closed" else "closed"
-            told = f"{valve.energised} while energised, {without} without power"
-            yield [valve.name.replace("_", " "), f"{device.name} · {valve.output}", told, watchdog]
+            states = f"{valve.energised} while energised, {without} without power"
+            yield [valve.name.replace("_", " "), f"{device.name} · {valve.output}", states, watchdog]

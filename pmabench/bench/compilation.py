@@ -25,7 +25,7 @@ class Compilation:
         """Channel -> lowest and highest value [SI] that its calibration covers."""
         self.extrapolated: list[str] = []
         """Trips beyond what a calibration covers, each with how well it is known there."""
-        self.told_by_drivers: list[str] = []
+        self.driver_lacks: list[str] = []
         """What of devices' options may surprise; each line goes on after "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:

@@ -35,22 +35,10 @@ LONGEST = 2_000_000
 def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     """The device with its map file read; what its driver finds wrong becomes a problem at its place."""
     at: Location = ("devices", device.name)
-    map_document: Document | None = None
-    if isinstance(device.options.get(MAP), str):
-        map_document = _read_map(c, device.options[MAP], (*at, "options", MAP))
-        if map_document is None:
-            return device
-        device = replace(device, options={**device.options, MAP: map_document.data})
-    if isinstance(device.options.get(DBC), str):
-        text = _read_dbc(c, device.options[DBC], (*at, "options", DBC))
-        if text is None:
-            return device
-        device = replace(device, options={**device.options, DBC: text})
-    if isinstance(device.options.get(PLANT), dict) or str(device.options.get(PLANT)).endswith(".yaml"):
-        numbers = _read_plant(c, device, (*at, "options", PLANT))
-        if numbers is None:
-            return device
-        device = replace(device, options={**device.options, PLANT: numbers})
+    options, map_document = _options_with_files(c, device)
+    if any(options[name] is None for name in options if device.options[name] is not None):
+        return device
+    device = replace(device, options=options)
     module, _, name = device.driver.partition(":")
     try:
         driver = getattr(import_module(module), name)
@@ -64,22 +52,41 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     check = getattr(driver, "check", None)
     wrong = list(check(device)) if check is not None else []
     for place, message in wrong:
-        if map_document is not None and place[:2] == ("options", MAP):
-            c.problems.append(map_document.problem(place[2:], message))
-        elif place and place[0] in {"channels", "outputs"}:
-            c.fault(place, message)
-        elif place and place[0] == "interlocks":
-            index = next(i for i, file in enumerate(c.bench.interlocks) if file.name == place[1])
-            c.fault(("interlocks", index, "input", "input"), message)
-        else:
-            c.fault((*at, *place), message)
+        _add_problem(c, at, place, message, map_document)
     if not wrong and hasattr(driver, "lacks"):
-        c.told_by_drivers += driver.lacks(device)
+        c.driver_lacks += driver.lacks(device)
     fastest = getattr(driver, "fastest", None)
     if fastest is None or wrong:
         return device
     source = map_document.where(("rate",)) if map_document is not None else c.place(*at, "options", "rate")
     return replace(device, fastest=fastest(device), fastest_from=source)
+
+
+def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str, Any], Document | None]:
+    """The options with each file that they name replaced by its content, and the map file; None for a faulty file."""
+    options, at = dict(device.options), ("devices", device.name, "options")
+    map_document: Document | None = None
+    if isinstance(options.get(MAP), str):
+        map_document = _read_map(c, options[MAP], (*at, MAP))
+        options[MAP] = None if map_document is None else map_document.data
+    if isinstance(options.get(DBC), str):
+        options[DBC] = _read_dbc(c, options[DBC], (*at, DBC))
+    if isinstance(options.get(PLANT), dict) or str(options.get(PLANT)).endswith(".yaml"):
+        options[PLANT] = _read_plant(c, device, (*at, PLANT))
+    return options, map_document
+
+
+def _add_problem(c: Compilation, at: Location, place: Location, message: str, map_document: Document | None) -> None:
+    """A problem that a driver found, at its place in the map file, among channels and interlocks, or at the device."""
+    if map_document is not None and place[:2] == ("options", MAP):
+        c.problems.append(map_document.problem(place[2:], message))
+    elif place and place[0] in {"channels", "outputs"}:
+        c.fault(place, message)
+    elif place and place[0] == "interlocks":
+        index = next(i for i, file in enumerate(c.bench.interlocks) if file.name == place[1])
+        c.fault(("interlocks", index, "input", "input"), message)
+    else:
+        c.fault((*at, *place), message)
 
 
 def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> bool:
@@ -130,7 +137,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     if not isinstance(name, str):
         c.fault(at, "the name of a plant, or a plant file beside this one, is expected")
         return None
-    path = _beside(c, name, at, "plants/my-muscle.yaml")
+    path = _yaml_path(c, name, at, "plants/my-muscle.yaml")
     if path is None:
         return None
     try:
@@ -145,7 +152,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     return {**plant.numbers, "file": name}
 
 
-def _beside(c: Compilation, name: str, at: Location, example: str) -> Path | None:
+def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
     """The path of a .yaml file beside the file that names it at `at`; None where it is a problem."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
@@ -164,7 +171,7 @@ def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
     """The map file, kept for the run's snapshot; None where it is a problem."""
-    path = _beside(c, name, at, "registers/regulator.yaml")
+    path = _yaml_path(c, name, at, "registers/regulator.yaml")
     if path is None:
         return None
     try:

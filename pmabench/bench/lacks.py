@@ -14,7 +14,7 @@ from pmabench.bench.trips import SUPPLY_MARGIN
 def lacks(c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
     """Each line goes on after "this bench has"; a relief valve that protects nothing is a problem, not a lack."""
     yield from _air(c, outputs)
-    yield from c.told_by_drivers
+    yield from c.driver_lacks
     yield from _calibrations(c, channels)
     if c.bench.weights is not None and c.bench.weights.catch_height is None:
         yield (

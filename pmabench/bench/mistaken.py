@@ -69,20 +69,20 @@ def _other_muscle(c: Compilation, device: str, plant: Any) -> Iterator[str]:
     """The first thing in which the simulated muscle is not the specimen."""
     name = str(plant.get("name") if isinstance(plant, dict) else plant)
     known = SIMULATED.get(name) if isinstance(plant, str) else None
-    told = plant if isinstance(plant, dict) else known._asdict() if known is not None else {}
+    muscle = plant if isinstance(plant, dict) else known._asdict() if known is not None else {}
     place = f"{c.place('devices', device, 'options', 'plant')}  the simulated muscle {name}"
     then = "results are those of the simulated one; take the bench and the specimen that belong together"
-    for differs in (*_by_size(c, told), *(_by_name(c, known) if known is not None else ())):
+    for differs in (*_by_size(c, muscle), *(_by_name(c, known) if known is not None else ())):
         yield f"{place} {differs}: {then}"
         return
 
 
-def _by_size(c: Compilation, told: Mapping[str, Any]) -> Iterator[str]:
-    length, there = told.get("length"), c.specimen.mounted.length
+def _by_size(c: Compilation, muscle: Mapping[str, Any]) -> Iterator[str]:
+    length, there = muscle.get("length"), c.specimen.mounted.length
     if length and abs(there - length) > LENGTH_OFF * length:
         place = c.specimen_place("mounted", "length")
         yield f"is {show(length, 'length')} long, the specimen {show(there, 'length')} ({place})"
-    wide, theirs = told.get("diameter"), c.specimen.inner_diameter
+    wide, theirs = muscle.get("diameter"), c.specimen.inner_diameter
     if wide and abs(theirs - wide) > DIAMETER_OFF * wide:
         place = c.specimen_place("inner_diameter")
         yield f"is {show(wide, 'length')} wide inside, the specimen {show(theirs, 'length')} ({place})"

@@ -116,8 +116,10 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
     """Where a contractor's formulas say nothing (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
-        told = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
-        yield document.problem(("highest_pressure",), f"{told}, not to {show(file.highest_pressure, 'pressure')}")
+        known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
+        yield document.problem(
+            ("highest_pressure",), f"{known_range}, not to {show(file.highest_pressure, 'pressure')}"
+        )
     a, b = 3 / tan(file.braid_angle) ** 2, 1 / sin(file.braid_angle) ** 2
     furthest = (1 - sqrt(b / a)) / (1 + exp(-file.highest_pressure / 1e5))
     if file.reach[1] > furthest:
@@ -184,12 +186,11 @@ class _Curves:
         self._fault(at, f"ends at {show(high, 'pressure')}, but highest_pressure is {highest}; they must agree")
 
     def _polynomial(self, symbol: str, given: Polynomial) -> dict[str, Any]:
-        nothing: dict[str, Any] = {}
         before = len(self.problems)
         unit = self._si((1.0, given.unit), SYMBOLS[symbol], (symbol, "unit"))
         pressure = self._si((1.0, given.pressure), "pressure", (symbol, "pressure"))
         if len(self.problems) > before:
-            return nothing
+            return {}
 
         def printed(reading: tuple[float, str] | None, at: Location, missing: float) -> float:
             """A pressure in the printed unit; as it stands where it is in that unit."""
@@ -206,20 +207,12 @@ class _Curves:
         if given.domain is not None:
             low, high = (printed(end, (symbol, "domain", i), 0.0) for i, end in enumerate(given.domain))
         if len(self.problems) > before:
-            return nothing
+            return {}
         if not 1.0 <= scale * pressure <= 1e9 or abs(centre * pressure) > 1e9:
             self._fault((symbol, "scale" if given.scale else "centre"), "is no pressure that a polynomial is scaled by")
-        rising = [0.0 if low is None else low, *breaks]
-        for i in range(1, len(rising)):
-            if (rising[i] - rising[i - 1]) * pressure < 1.0:
-                self._fault((symbol, "breaks", i - 1), "the breaks must rise, within the domain and above 0 kPa")
-        if low is not None and high is not None:
-            if not 0 <= low < high:
-                self._fault((symbol, "domain"), "the lower end first, and none below zero")
-            elif high * pressure < self._highest * (1 - 1e-9):
-                self._short((symbol, "domain", 1), high * pressure)
+        self._check_range(symbol, breaks, low, high, pressure)
         if len(self.problems) > before:
-            return nothing
+            return {}
         pieces = [list(piece) for piece in given.pieces or [given.coefficients or []]]
         if given.centre is not None or given.scale is not None:
             pieces = [_expanded(piece, centre, scale) for piece in pieces]
@@ -229,8 +222,22 @@ class _Curves:
             breaks.insert(0, low)
         if not all(isfinite(c * unit / pressure**n) for piece in pieces for n, c in enumerate(piece)):
             self._fault((symbol,), "its numbers are out of all range")
-            return nothing
+            return {}
         return {"pieces": pieces, "breaks": breaks, "unit": unit, "pressure": pressure}
+
+    def _check_range(
+        self, symbol: str, breaks: list[float], low: float | None, high: float | None, pressure: float
+    ) -> None:
+        """Breaks and domain, in units of `pressure` [Pa], must rise and reach the highest pressure."""
+        rising = [0.0 if low is None else low, *breaks]
+        for i in range(1, len(rising)):
+            if (rising[i] - rising[i - 1]) * pressure < 1.0:
+                self._fault((symbol, "breaks", i - 1), "the breaks must rise, within the domain and above 0 kPa")
+        if low is not None and high is not None:
+            if not 0 <= low < high:
+                self._fault((symbol, "domain"), "the lower end first, and none below zero")
+            elif high * pressure < self._highest * (1 - 1e-9):
+                self._short((symbol, "domain", 1), high * pressure)
 
     # -- what a muscle can be ------------------------------------------------------------------------------------
 

@@ -119,12 +119,12 @@ def _link(mounted: Mounted) -> Iterator[str]:
 def _sensor(mounted: Mounted) -> Iterator[str]:
     watched = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind in {"stale", "frozen", "off-range"}]
     low = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind == "range" and t.low is not None]
-    told = [f"{_noticed(trip)}: {trip.action}" for trip in watched]
-    told += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
-    if not told:
+    noticed = [f"{_noticed(trip)}: {trip.action}" for trip in watched]
+    noticed += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
+    if not noticed:
         yield "A DEAD SENSOR IS NOT NOTICED."
     else:
-        text = "; ".join(told)
+        text = "; ".join(noticed)
         yield f"{text[0].upper()}{text[1:]}."
 
 

@@ -82,7 +82,7 @@ def command(
     path = None
     if done.fit is not None and done.outcome.exit_code == 0 and done.outcome.folder is not None:
         path = _write(mounted, request, done, into, valid_until.date() if valid_until else None)
-    _tell(ui, request, done, path, quantity)
+    _show_result(ui, request, done, path, quantity)
     return done.outcome.exit_code
 
 
@@ -151,7 +151,7 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
     )
 
 
-def _tell(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
+def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
     from pmabench.cli.run import outcome_json, print_outcome
     from pmabench.report.terminal import print_grid
     from pmabench.session.calibration import REGULATOR, as_json, budget

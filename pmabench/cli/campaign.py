@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.next_steps import tell_next
+from pmabench.cli.next_steps import show_next
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -93,7 +93,7 @@ def run_campaign(
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")
-            tell_next(ui, outcome, mounted.bench, trials=False)
+            show_next(ui, outcome, mounted.bench, trials=False)
             words = shlex.join(["pmabench", "campaign", file, "--out", str(out), "--resume"])
             say(f"the rest of the campaign:  {words}")
             break

@@ -57,12 +57,12 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     at = _moments(moments, plan.duration, out)
     members = [muscle.member() for muscle in plan.muscles]
     times = np.arange(plan.rows) / plan.rate
-    told: dict[str, float] | None = None
+    pace_kept: dict[str, float] | None = None
     if pace:
         course, elapsed = _play(
             ui, times, lambda part: cascade.simulate(members, part), [m.length for m in plan.muscles]
         )
-        told = {"simulated": float(times[-1]), "elapsed": elapsed}
+        pace_kept = {"simulated": float(times[-1]), "elapsed": elapsed}
     else:
         course = cascade.simulate(members, times)
     head = Head(
@@ -72,7 +72,7 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
         plan.fce_eval,
         [(m.name, m.law, m.length, m.radius, m.braid_angle, m.assumed) for m in plan.muscles],
     )
-    _deliver(ui, result(head, course, told), out, at, result_too=True, as_csv=as_csv)
+    _deliver(ui, result(head, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
     return None
 
 
@@ -112,12 +112,12 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
     import numpy as np
 
     from pmabench.base.clock import RealClock
-    from pmabench.cli.cascade_pace import pace_told, paced, show_ended, shower
+    from pmabench.cli.cascade_pace import paced, show_ended, show_pace, shower
     from pmabench.model.cascade import Course
 
     blocks, elapsed = paced(times, step, RealClock(), shower(ui, lengths))
     show_ended(ui)
-    pace_told(ui, float(times[-1]), elapsed)
+    show_pace(ui, float(times[-1]), elapsed)
     t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
     P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
     return Course(t, P, x, F_ce, force), elapsed
@@ -167,14 +167,14 @@ def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, r
             click.echo(csv_text(found), nl=False)
             return
         if not ui.quiet:
-            _tell(ui, found)
+            _show_result(ui, found)
         for path in written:
             click.echo(str(path))
 
     ui.result(data, human)
 
 
-def _tell(ui: Ui, found: Result) -> None:
+def _show_result(ui: Ui, found: Result) -> None:
     """Who is in the chain, and the totals in time."""
     import numpy as np
 

@@ -41,7 +41,7 @@ def paced(times: Array, step: Callable[[Array], Course], clock: Clock, show: Sho
     return blocks, clock.now() - begin
 
 
-def pace_told(ui: Ui, simulated: float, elapsed: float) -> None:
+def show_pace(ui: Ui, simulated: float, elapsed: float) -> None:
     """Say how well the pace was kept."""
     apart = elapsed / simulated - 1
     if abs(apart) <= CLOSE:

@@ -76,8 +76,10 @@ def command(
         from pmabench.report.pages.comparison_page import write_comparison
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
-    told = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
-    ui.result(data, lambda: _print(ui, left, right, found, curves, [*told, *([data["path"]] if output else [])]), told)
+    refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
+    ui.result(
+        data, lambda: _print(ui, left, right, found, curves, [*refusals, *([data["path"]] if output else [])]), refusals
+    )
     return 6 if failed else None
 
 
@@ -94,14 +96,14 @@ def _limit(text: str) -> tuple[str, float]:
     found = _LIMIT.fullmatch(text)
     if found is None:
         raise UsageError(f'--accept "{text}": expected "E_n<=1" or "difference<=2 %"')
-    measure, told = found.groups()
+    measure, limit = found.groups()
     if measure == "difference":
-        value = _quantity("--accept", told, "ratio")
+        value = _quantity("--accept", limit, "ratio")
     else:
         try:
-            value = float(told)
+            value = float(limit)
         except ValueError as error:
-            raise UsageError(f'--accept "{text}": "{told}" is no number; E_n has no unit') from error
+            raise UsageError(f'--accept "{text}": "{limit}" is no number; E_n has no unit') from error
     if not 0 < value < float("inf"):
         raise UsageError(f'--accept "{text}": a limit is above 0')
     return measure, value
@@ -179,12 +181,12 @@ def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) ->
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import load_runs
     from pmabench.cli.report_overlays import read_overlays
-    from pmabench.report.figures.overlays import beside, length_of
+    from pmabench.report.figures.overlays import length_of, with_published
 
     tables = read_overlays([text])
     (table,) = tables
     length = length_of(load_runs(runs)) if "contraction" in table.columns and runs else None
-    _, others, compared = beside(analyses, tables, length)
+    _, others, compared = with_published(analyses, tables, length)
     coefficients = {e.symbol for other in others for e in other.estimates}
     about = f"{table.path}; {table.source}" if table.source else str(table.path)
     side = Side(table.label, tuple(others), about, published=True)

@@ -125,6 +125,17 @@ def probe(
         if specimen is None:
             raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
         return _self_test(ui, bench, specimen, out, operator, yes=yes)
+    name, identities, channels = _read_once(bench)
+    data = {"schema": "pmabench.probe/1", "bench": name, "devices": identities, "channels": channels}
+    ui.result(data, lambda: _print_probe(ui, identities, channels))
+    silent = [row for row in channels if row["value"] is None]
+    if silent:
+        raise DeviceError(str(silent[0]["device"]), "gives no samples", str(silent[0]["channel"]))
+    return None
+
+
+def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[str, Any]]]:
+    """Name of the bench, who answers by device, and a row for each channel with the mean and noise of half a second."""
     from pmabench.bench.compile import mount_alone
     from pmabench.engine.untried import doubt
     from pmabench.files.shipped import find_file
@@ -158,12 +169,7 @@ def probe(
                 "noise": reading.noise if reading else None,
             }
         )
-    data = {"schema": "pmabench.probe/1", "bench": compiled.name, "devices": identities, "channels": channels}
-    ui.result(data, lambda: _print_probe(ui, identities, channels))
-    silent = [row for row in channels if row["value"] is None]
-    if silent:
-        raise DeviceError(str(silent[0]["device"]), "gives no samples", str(silent[0]["channel"]))
-    return None
+    return compiled.name, identities, channels
 
 
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:

@@ -163,7 +163,7 @@ def set_(
     """
     from pmabench.bench.compile import mount
     from pmabench.cli.lines import AtLines
-    from pmabench.cli.run import tell_outcome
+    from pmabench.cli.run import show_outcome
     from pmabench.engine.operator import ConfirmedBeforehand, Operator
     from pmabench.files.quantity import parse_quantity
     from pmabench.files.shipped import find_file
@@ -189,7 +189,7 @@ def set_(
     outcome = hold_at(
         mounted, output, wanted, asked, out, _Lines(ui, paced=seconds is None), seconds=seconds, operator_name=operator
     )
-    tell_outcome(ui, outcome)
+    show_outcome(ui, outcome)
     return outcome.exit_code
 
 

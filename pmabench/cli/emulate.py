@@ -71,15 +71,13 @@ def command(
     A shipped bench is emulated from its truth file, which says from data sheets what is wired and by which scales. For
     another bench without --truth that is taken from the bench file itself: then its scales are not proven.
     """
-    import signal
-    import threading
     from importlib.metadata import entry_points
 
     from pmabench.base.errors import RecordError, UsageError
     from pmabench.base.system import ENGINE, real_time
     from pmabench.bench.compile import mount_alone
     from pmabench.bench.truth import read_truth, truth_of
-    from pmabench.cli.emulated_faults import Faults, Schedule
+    from pmabench.cli.emulated_faults import Faults
     from pmabench.files.shipped import find_file
 
     real_time(ENGINE)  # a device does not wait for other programs
@@ -89,41 +87,19 @@ def command(
     found = entry_points(group="pmabench.emulators")
     if not found:
         raise UsageError("no emulator is installed")
-    muscle = _muscle(plant, mounted.bench.outputs)
     served: Any = next(iter(found)).load()(
         mounted.bench.devices,
         truth=None if real is None else read_truth(real),
         wrong=[_in_si(text) for text in wrong],
-        plant=muscle,
+        plant=_muscle(plant, mounted.bench.outputs),
         preset=preset,
         seed=seed,
         log=log,
         control=control,
         expose=expose,
     )
-    ended = threading.Event()
     try:
-        happenings = Faults(served, mounted.bench.gravity, mounted.bench.carriage)
-        planned = [] if faults is None else happenings.of_file(faults)
-        signal.signal(signal.SIGTERM, lambda *_: ended.set())
-        ui.result(
-            {
-                "schema": "pmabench.emulate/1",
-                "devices": {name: device.address for name, device in served.devices.items()},
-                "control": served.control.address,
-                "truth": None if real is None else str(real),
-                "wrong": served.wrong,
-            },
-            lambda: click.echo("\n".join([*served.lines(), f"control: {served.control.address}"])),
-        )
-        ui.note(f"wiring and scales from {real}" if real is not None else NOT_PROVEN)
-        for sentence in served.wrong:
-            ui.note(f"wrong on purpose: {sentence}")
-        ui.note("serving until Ctrl-C")
-        schedule = Schedule(served.act, ui.note)
-        schedule.add(planned)
-        threading.Thread(target=_typed, args=(ui, happenings, schedule), daemon=True).start()
-        ended.wait()
+        _serve(ui, served, real, Faults(served, mounted.bench.gravity, mounted.bench.carriage), faults)
     except KeyboardInterrupt:
         pass
     finally:
@@ -131,6 +107,36 @@ def command(
     if served.log.problem:
         raise RecordError(served.log.problem)
     return None
+
+
+def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path | None) -> None:
+    """Say what is served and by which wiring, then let what `file` and the keyboard ask happen, until SIGTERM."""
+    import signal
+    import threading
+
+    from pmabench.cli.emulated_faults import Schedule
+
+    planned = [] if file is None else faults.of_file(file)
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    ui.result(
+        {
+            "schema": "pmabench.emulate/1",
+            "devices": {name: device.address for name, device in served.devices.items()},
+            "control": served.control.address,
+            "truth": None if truth is None else str(truth),
+            "wrong": served.wrong,
+        },
+        lambda: click.echo("\n".join([*served.lines(), f"control: {served.control.address}"])),
+    )
+    ui.note(f"wiring and scales from {truth}" if truth is not None else NOT_PROVEN)
+    for sentence in served.wrong:
+        ui.note(f"wrong on purpose: {sentence}")
+    ui.note("serving until Ctrl-C")
+    schedule = Schedule(served.act, ui.note)
+    schedule.add(planned)
+    threading.Thread(target=_typed, args=(ui, faults, schedule), daemon=True).start()
+    ended.wait()
 
 
 def _in_si(text: str) -> str:

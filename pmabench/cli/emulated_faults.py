@@ -41,8 +41,8 @@ class Happening:
 class Schedule:
     """Does what is due, each thing at its time, on a thread of its own."""
 
-    def __init__(self, act: Callable[[Mapping[str, Any]], object], tell: Callable[[str], None]) -> None:
-        self._act, self._tell = act, tell
+    def __init__(self, act: Callable[[Mapping[str, Any]], object], report: Callable[[str], None]) -> None:
+        self._act, self._report = act, report
         self._due: list[tuple[float, int, Happening]] = []
         self._number, self._changed = count(), threading.Condition()
         threading.Thread(target=self._run, name="what happens", daemon=True).start()
@@ -64,9 +64,9 @@ class Schedule:
             try:
                 self._act(item.wanted)
             except ValueError as error:
-                self._tell(f"{item.text}: {error}")
+                self._report(f"{item.text}: {error}")
             else:
-                self._tell(item.text)
+                self._report(item.text)
 
 
 class Faults:

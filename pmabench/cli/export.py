@@ -51,7 +51,7 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int |
             runs = load_runs(without_analyses(ui, others))
             found = Results((*found.analyses, *analyse(runs)), (*found.runs, *runs))
         paths = export_results(found, form, output)
-    told = [str(path) for path in paths]
-    data = {"schema": "pmabench.export/1", "format": form, "written": told}
-    ui.result(data, lambda: click.echo("\n".join(told)), told)
+    written = [str(path) for path in paths]
+    data = {"schema": "pmabench.export/1", "format": form, "written": written}
+    ui.result(data, lambda: click.echo("\n".join(written)), written)
     return None

@@ -29,11 +29,11 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.questions import questions_of
 
-    told = dict(map(_span, spans))
+    time_spans = dict(map(_span, spans))
     if output is not None and output.exists():
         raise UsageError(f"{output} is there already and is not overwritten; give another name")
     found = guess_files(files, importable())
-    text = map_text(found, told)
+    text = map_text(found, time_spans)
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
@@ -127,8 +127,8 @@ def _show(found: Guess) -> None:
         rows = int(early.argmin()) if not early.all() else len(seconds)
         click.echo(f"\nthe first {min(SECONDS, float(seconds[rows - 1] - seconds[0])):.3g} s:")
     for column in found.columns:
-        told = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
-        click.echo("\n" + printable(f"{column.name}: {told}"))
+        role = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
+        click.echo("\n" + printable(f"{column.name}: {role}"))
         shown = column.values[: max(rows or 0, 2)] if rows else column.values
         good = shown[abs(shown) < float("inf")] if len(shown) else shown
         if len(good):

@@ -46,18 +46,18 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     analyses = list(_analyses(ui, folder, {past.run for past in life}))
     series = series_of([*analyses, *leaks], life)
     references = references_of(_loaded(ui, folder, referring), life)
-    told = [*findings(life, chosen(series), references), *notes]
+    remarks = [*findings(life, chosen(series), references), *notes]
     if not series_of(analyses, life):
-        told.append(
+        remarks.append(
             _note("no analysis beside these runs tells a coefficient that is followed: pmabench process makes them")
         )
     title = next(row.specimen for row in rows)
-    data = _json(title, life, series, references, told)
+    data = _json(title, life, series, references, remarks)
     if output is not None:
         from pmabench.report.pages.history_page import write_history
 
-        data["path"] = str(write_history(title, life, series, references, told, output))
-    ui.result(data, lambda: _print(ui, life, series, told, data.get("path")))
+        data["path"] = str(write_history(title, life, series, references, remarks, output))
+    ui.result(data, lambda: _print(ui, life, series, remarks, data.get("path")))
     return None
 
 
@@ -99,8 +99,8 @@ def _names(text: str) -> set[str]:
         return {text}
     if not path.is_file():
         return {text}
-    told = validate(SpecimenFile, read_document(path))
-    return {f"{told.type} {told.serial}"}
+    specimen = validate(SpecimenFile, read_document(path))
+    return {f"{specimen.type} {specimen.serial}"}
 
 
 def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[Row], list[Analysis]]:
@@ -111,7 +111,7 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
     from pmabench.analysis.verdict.life import leak_of, pasts, use_of
     from pmabench.store.reader import RunFiles, events_of
 
-    told: list[tuple[str, str, str, str, str, bool, int, Use]] = []
+    used: list[tuple[str, str, str, str, str, bool, int, Use]] = []
     referring = []
     leaks = []
     for row in rows:
@@ -122,21 +122,21 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
             ui.note(f"{error}; its cycles are not counted")
             continue
         before = _cycles_before(files.manifest)
-        told.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use_of(events)))
+        used.append((row.id, row.date, row.kind, row.bench, row.status, row.simulated, before, use_of(events)))
         if any(event.kind == "trial-begin" and event.data.get("reference") for event in events):
             referring.append(row)
         if (leak := leak_of(row.id, events, simulated=row.simulated)) is not None:
             leaks.append(leak)
-    if not told:
+    if not used:
         raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify tells more")
-    return pasts(told), referring, leaks
+    return pasts(used), referring, leaks
 
 
 def _cycles_before(manifest: Mapping[str, Any]) -> int:
     """Cycles before the run by its specimen file."""
     specimen = manifest.get("specimen")
-    told = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
-    return int(told) if isinstance(told, int) and not isinstance(told, bool) else 0
+    cycles = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
+    return int(cycles) if isinstance(cycles, int) and not isinstance(cycles, bool) else 0
 
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
@@ -147,17 +147,17 @@ def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
     found = {path: path.stat().st_mtime_ns for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
     for path in sorted(found, key=lambda path: (found[path], path)):
         try:
-            if _tells(path, runs):
+            if _is_of(path, runs):
                 yield read_analysis(path.parent)
         except InvalidFile as error:
             ui.note(f"{error}; left out")
 
 
-def _tells(path: Path, runs: set[str]) -> bool:
+def _is_of(path: Path, runs: set[str]) -> bool:
     """Whether the analysis is of one of these runs; its figures' numbers are read for no other. True where damaged."""
     try:
-        told = json.loads(path.read_bytes())["runs"]
-        return any(run in runs for run in told)
+        analysed = json.loads(path.read_bytes())["runs"]
+        return any(run in runs for run in analysed)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return True
 
@@ -178,7 +178,7 @@ def _json(
     life: Sequence[Past],
     series: Sequence[Series],
     references: Sequence[References],
-    told: Sequence[Finding],
+    remarks: Sequence[Finding],
 ) -> dict[str, Any]:
     return {
         "schema": "pmabench.history/1",
@@ -220,7 +220,7 @@ def _json(
             for one in series
         ],
         "references": [_reference(one) for one in references],
-        "findings": [{"level": f.level, "text": f.text} for f in told],
+        "findings": [{"level": f.level, "text": f.text} for f in remarks],
     }
 
 
@@ -238,7 +238,9 @@ def _reference(one: References) -> dict[str, Any]:
     }
 
 
-def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequence[Finding], path: str | None) -> None:
+def _print(
+    ui: Ui, life: Sequence[Past], series: Sequence[Series], remarks: Sequence[Finding], path: str | None
+) -> None:
     from pmabench.plotting.wording import clean
     from pmabench.report.pages.history_tables import run_rows, value_rows
     from pmabench.report.terminal import print_grid
@@ -250,7 +252,7 @@ def _print(ui: Ui, life: Sequence[Past], series: Sequence[Series], told: Sequenc
         if rows:
             print_grid(console, heads, rows, ("date", "kind", "status", "bench"), 1)
             console.print()
-    for finding in told:
+    for finding in remarks:
         console.print(f"{finding.level}: {clean(finding.text)}")
     if path is not None:
         click.echo(path)

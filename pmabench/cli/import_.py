@@ -57,10 +57,10 @@ def command(
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
-    told = [tuple(text.split("=", 1)) for text in answers if "=" in text]
-    if len(told) < len(answers):
+    split = [tuple(text.split("=", 1)) for text in answers if "=" in text]
+    if len(split) < len(answers):
         raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
-    pairs = [(key, value) for key, value in told]
+    pairs = [(key, value) for key, value in split]
     runs = import_files(files, find_file("map", map_name), out, importable(), pairs, unresolved=unresolved)
     asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {

@@ -83,12 +83,12 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
             continue
         yield f"{role}.yaml", _text(path)
         yield from _included(path)
-    beside = paths["bench"].parent
+    bench_folder = paths["bench"].parent
     for name in prepared.mounted.documents:
         if own and name.startswith("calibrations/") and _shipped("bench", paths["bench"]):
-            yield name, _calibration(name, Document(name, _text(beside / name)).data)
+            yield name, _calibration(name, Document(name, _text(bench_folder / name)).data)
         elif "/" in name:
-            yield name, _text(beside / name, depth=name.count("/"))
+            yield name, _text(bench_folder / name, depth=name.count("/"))
     for kind in (*ROLES, "calibration"):
         yield f"{SCHEMAS}/{kind}.schema.json", schema_text(kind)
     yield "README.md", _readme(prepared, paths["bench"].stem)
@@ -176,13 +176,13 @@ def _simulated(prepared: Prepared) -> bool:
 
 
 def _next(folder: Path, prepared: Prepared) -> str:
-    told = "simulated" if _simulated(prepared) else "devices at the addresses in bench.yaml"
+    kind_of_bench = "simulated" if _simulated(prepared) else "devices at the addresses in bench.yaml"
     fill = (
         ""
         if _simulated(prepared)
         else "\nto be filled in where ?? is written: specimen.yaml and calibrations/; check names each place"
     )
-    first = f"{folder}: bench ({told}), specimen, protocol, README.md{fill}"
+    first = f"{folder}: bench ({kind_of_bench}), specimen, protocol, README.md{fill}"
     return f"{first}\nnext: cd {folder} && pmabench check {_check()}"
 
 

@@ -14,7 +14,13 @@ from pmabench.cli.model_simulate import simulate
 from pmabench.cli.model_table import cell, display_unit, print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pmabench.model.library import Model, Parameter
+    from pmabench.model.library.description import Reference
+
+    Check = tuple[Reference, float, bool]
+    """A reference value, what is computed now, and whether they agree."""
 
 
 EXAMPLE = '\b\npmabench model eval tondu-lopez --set "pressure=300 kPa" \\\n    --over "contraction=0 %..25 % by 5 %"'
@@ -65,7 +71,13 @@ def show_model(ui: Ui, name: str) -> int | None:
     for reference in model.references:
         now = float(model.evaluate(reference.at)[reference.output])
         checks.append((reference, now, abs(now - reference.value) <= 1.001 * reference.rounding + 1e-12 * abs(now)))
-    data = {
+    ui.result(_facts(model, checks), lambda: _print_model(ui, model, checks))
+    return None
+
+
+def _facts(model: Model, checks: Sequence[Check]) -> dict[str, Any]:
+    """The model as plain data."""
+    return {
         "schema": "pmabench.model/1",
         "name": model.name,
         "family": model.family,
@@ -100,56 +112,54 @@ def show_model(ui: Ui, name: str) -> int | None:
         "notes": list(model.notes),
     }
 
-    def human() -> None:
-        from textwrap import wrap
 
-        from pmabench.report.terminal import print_grid
+def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
+    from textwrap import wrap
 
-        console = ui.console()
-        click.echo(f"{model.name}: {model.title}\n")
-        for line in model.equation:
-            click.echo(f"  {line}")
-        click.echo(f"\nSource: {model.source}.\n")
-        rows = [
-            [
-                p.name,
-                p.symbol,
-                shown(p, p.value),
-                _domain(p),
-                p.meaning + (f" ({p.origin})" if p.origin != "example" else ""),
-            ]
-            for p in model.parameters
+    from pmabench.report.terminal import print_grid
+
+    console = ui.console()
+    click.echo(f"{model.name}: {model.title}\n")
+    for line in model.equation:
+        click.echo(f"  {line}")
+    click.echo(f"\nSource: {model.source}.\n")
+    rows = [
+        [
+            p.name,
+            p.symbol,
+            shown(p, p.value),
+            _domain(p),
+            p.meaning + (f" ({p.origin})" if p.origin != "example" else ""),
         ]
-        heads = ["input", "symbol", "reference", "domain", "meaning"]
-        print_grid(console, heads, rows, ("input", "symbol", "reference", "domain", "meaning"))
-        if model.fitted:
-            for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
-                click.echo(line)
-        click.echo()
-        rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
-        print_grid(console, ["output", "symbol", "unit", "meaning"], rows, ("output", "symbol", "unit", "meaning"))
-        click.echo()
-        parameters = {p.name: p for p in model.parameters}
-        rows = [
-            [
-                r.output,
-                ", ".join(f"{key} = {shown(parameters[key], value)}" for key, value in r.at.items()) or "reference",
-                f"{r.printed} {r.unit}".strip(),
-                f"{now / r.scale:.7g} {r.unit}".strip(),
-                "" if agrees else "DIFFERS",
-                r.source,
-            ]
-            for r, now, agrees in checks
+        for p in model.parameters
+    ]
+    heads = ["input", "symbol", "reference", "domain", "meaning"]
+    print_grid(console, heads, rows, ("input", "symbol", "reference", "domain", "meaning"))
+    if model.fitted:
+        for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
+            click.echo(line)
+    click.echo()
+    rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
+    print_grid(console, ["output", "symbol", "unit", "meaning"], rows, ("output", "symbol", "unit", "meaning"))
+    click.echo()
+    parameters = {p.name: p for p in model.parameters}
+    rows = [
+        [
+            r.output,
+            ", ".join(f"{key} = {shown(parameters[key], value)}" for key, value in r.at.items()) or "reference",
+            f"{r.printed} {r.unit}".strip(),
+            f"{now / r.scale:.7g} {r.unit}".strip(),
+            "" if agrees else "DIFFERS",
+            r.source,
         ]
-        heads = ["check", "at", "expected", "computed now", "", "expected from"]
-        print_grid(console, heads, rows, ("check", "at", "", "expected from"))
-        click.echo()
-        for note in model.notes:
-            for line in _wrapped(note, console.width):
-                click.echo(line)
-
-    ui.result(data, human)
-    return None
+        for r, now, agrees in checks
+    ]
+    heads = ["check", "at", "expected", "computed now", "", "expected from"]
+    print_grid(console, heads, rows, ("check", "at", "", "expected from"))
+    click.echo()
+    for note in model.notes:
+        for line in _wrapped(note, console.width):
+            click.echo(line)
 
 
 @command.command(name="eval", epilog=EXAMPLE)
@@ -301,9 +311,9 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
 
     parameters = {p.name: p for p in model.parameters}
     for own, word in ((True, "given:"), (False, "at their reference values:")):
-        told = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
-        if told:
-            for line in wrap(f"{word} {', '.join(told)}", width, subsequent_indent="  ", break_on_hyphens=False):
+        settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
+        if settings:
+            for line in wrap(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False):
                 click.echo(line)
     click.echo()
 

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from pmabench.analysis.fitting.model_fit import ModelFit
     from pmabench.cli.model_measured import Measured
-    from pmabench.model.library import Model
+    from pmabench.model.library import Model, Parameter
+    from pmabench.model.library.description import Output
 
 EXAMPLE = (
     "\b\n"
@@ -265,8 +266,8 @@ def _print_csv(data: Mapping[str, Any]) -> None:
     writer.writerow(["name", "value", "unit", "standard_error", "low95", "high95"])
     for u in data["parameters"]:
         low, high = u["ci95"] or (None, None)
-        told = ["" if value is None else repr(value) for value in (u["standard_error"], low, high)]
-        writer.writerow([u["name"], repr(u["value"]), u["unit"], *told])
+        interval = ["" if value is None else repr(value) for value in (u["standard_error"], low, high)]
+        writer.writerow([u["name"], repr(u["value"]), u["unit"], *interval])
 
 
 def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapping[str, Any]) -> None:
@@ -285,23 +286,7 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
     left = f" ({measured.left_out} without a value or outside left out)" if measured.left_out else ""
     click.echo(f"{found.model.name}, {found.output}, fitted to {len(found.measured)} rows of {table}{left}")
     click.echo(f"holds for {ranges}\n")
-    rows = []
-    for u in found.unknowns:
-        scale = QUANTITIES[known[u.name].quantity].scale
-        error = None if u.standard_error is None else u.standard_error / scale
-        ends = None if u.ci95 is None else tuple(None if end is None else end / scale for end in u.ci95)
-        unit = display_unit(known[u.name].quantity)
-        rows.append([u.name, known[u.name].symbol, *_told(u.value / scale, error, ends), unit])
-    for f in found.follows:
-        scale = QUANTITIES[outputs[f.name].quantity].scale
-        told = (f"{f.value / scale:.6g}", "", "")
-        if f.standard_error is not None and f.ci95 is not None:
-            told = _told(f.value / scale, f.standard_error / scale, tuple(end / scale for end in f.ci95))
-        rows.append([f"({f.name})", outputs[f.name].symbol, *told, display_unit(outputs[f.name].quantity)])
-    heads = ["fitted", "symbol", "value", "standard error", "95 % interval", "unit"]
-    print_grid(console, heads, rows, ("fitted", "symbol", "unit"))
-    if found.follows:
-        click.echo("in brackets: follows from the fitted")
+    _print_values(ui, found, known, outputs)
     quantity = outputs[found.output].quantity
     scale, unit = QUANTITIES[quantity].scale, display_unit(quantity)
     largest = float(abs(found.computed - found.measured).max()) / scale
@@ -336,7 +321,31 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
             click.echo(line)
 
 
-def _told(value: float, error: float | None, ends: tuple[float | None, ...] | None) -> tuple[str, str, str]:
+def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outputs: Mapping[str, Output]) -> None:
+    """What was fitted, and what follows from it, with intervals."""
+    from pmabench.base.quantities import QUANTITIES
+    from pmabench.report.terminal import print_grid
+
+    rows = []
+    for u in found.unknowns:
+        scale = QUANTITIES[known[u.name].quantity].scale
+        error = None if u.standard_error is None else u.standard_error / scale
+        ends = None if u.ci95 is None else tuple(None if end is None else end / scale for end in u.ci95)
+        unit = display_unit(known[u.name].quantity)
+        rows.append([u.name, known[u.name].symbol, *_interval_cells(u.value / scale, error, ends), unit])
+    for f in found.follows:
+        scale = QUANTITIES[outputs[f.name].quantity].scale
+        interval = (f"{f.value / scale:.6g}", "", "")
+        if f.standard_error is not None and f.ci95 is not None:
+            interval = _interval_cells(f.value / scale, f.standard_error / scale, tuple(end / scale for end in f.ci95))
+        rows.append([f"({f.name})", outputs[f.name].symbol, *interval, display_unit(outputs[f.name].quantity)])
+    heads = ["fitted", "symbol", "value", "standard error", "95 % interval", "unit"]
+    print_grid(ui.console(), heads, rows, ("fitted", "symbol", "unit"))
+    if found.follows:
+        click.echo("in brackets: follows from the fitted")
+
+
+def _interval_cells(value: float, error: float | None, ends: tuple[float | None, ...] | None) -> tuple[str, str, str]:
     """Value, standard error and interval with the digits that the interval leaves."""
     from math import floor, log10
 

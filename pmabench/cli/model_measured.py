@@ -70,31 +70,14 @@ def read_measured(
     from pmabench.files.table import numbers, read_table
 
     notes: list[str] = []
-    table = read_table(path / "coefficients.csv" if path.is_dir() else path)
-    try:
-        for column_name, text in only:
-            table = table.only(column_name, text)
-    except ValueError as error:
-        raise UsageError(f"--only: {error}") from None
+    table = _only(read_table(path / "coefficients.csv" if path.is_dir() else path), only)
     inputs, outputs, unused, problems = _columns(model, table, renamed)
     if problems:
         raise InvalidFile(problems)
     twice = [name for name in inputs if name in given]
     if twice:
         raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
-    if output is not None and output not in outputs:
-        from pmabench.base.errors import did_you_mean
-
-        known = outputs or [o.name for o in model.outputs]
-        raise UsageError(f"--output {output}: {table.path} has no column of it{did_you_mean(output, known)}")
-    if not outputs:
-        expected = ", ".join(_example(o.name, o.quantity) for o in model.outputs)
-        raise UsageError(f"{table.path} has no column of an output of {model.name}; expected is one of: {expected}")
-    if output is None and len(outputs) > 1:
-        raise UsageError(
-            f"{table.path} has several outputs of {model.name}: {', '.join(outputs)}; choose with --output"
-        )
-    chosen = output or next(iter(outputs))
+    chosen = _chosen_output(model, table, outputs, output)
     if not inputs:
         expected = ", ".join(_example(p.name, p.quantity) for p in model.parameters if not p.choices)
         raise UsageError(f"{table.path} has no column of an input of {model.name}; it takes: {expected}")
@@ -105,15 +88,15 @@ def read_measured(
         table, inputs, outputs = _one_method(model, table, chosen, renamed, notes)
     parameters = {p.name: p for p in model.parameters}
     names = list(inputs)
-    quantities = {o.name: o.quantity for o in model.outputs}
-    chosen_columns = [(inputs[name][0], parameters[name].quantity, inputs[name][1]) for name in names]
-    chosen_columns.append((outputs[chosen][0], quantities[chosen], outputs[chosen][1]))
+    quantities = {p.name: p.quantity for p in model.parameters} | {o.name: o.quantity for o in model.outputs}
+    read = [*inputs.items(), (chosen, outputs[chosen])]
+    chosen_columns = [(column, quantities[name], unit) for name, (column, unit) in read]
     for item, quantity, unit in chosen_columns:
         if quantity == "ratio" and unit in (None, ""):
             notes.append(f'column "{item.head.text}" has no unit: taken as a fraction, not in %')
-    ends = [(ranges or {}).get(name, (-inf, inf)) for name in [*names, chosen]]
+    ends = [(ranges or {}).get(name, (-inf, inf)) for name, _ in read]
     for name in ranges or {}:
-        if name not in [*names, chosen]:
+        if name not in (*names, chosen):
             raise UsageError(f"--within {name}: {table.path} has no column of it")
     found, kept = numbers(
         table,
@@ -129,6 +112,35 @@ def read_measured(
 
 
 Found = dict[str, tuple["Column", "str | None"]]
+
+
+def _only(table: Table, rows: Sequence[tuple[str, str]]) -> Table:
+    """The rows with these texts in these columns. Raises UsageError."""
+    from pmabench.base.errors import UsageError
+
+    try:
+        for column, text in rows:
+            table = table.only(column, text)
+    except ValueError as error:
+        raise UsageError(f"--only: {error}") from None
+    return table
+
+
+def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | None) -> str:
+    """The output to read: the wanted one, else the only one of the table. Raises UsageError."""
+    from pmabench.base.errors import UsageError, did_you_mean
+
+    if wanted is not None and wanted not in outputs:
+        known = outputs or [o.name for o in model.outputs]
+        raise UsageError(f"--output {wanted}: {table.path} has no column of it{did_you_mean(wanted, known)}")
+    if not outputs:
+        expected = ", ".join(_example(o.name, o.quantity) for o in model.outputs)
+        raise UsageError(f"{table.path} has no column of an output of {model.name}; expected is one of: {expected}")
+    if wanted is None and len(outputs) > 1:
+        raise UsageError(
+            f"{table.path} has several outputs of {model.name}: {', '.join(outputs)}; choose with --output"
+        )
+    return wanted or next(iter(outputs))
 
 
 def _columns(
@@ -165,8 +177,8 @@ def _columns(
         else:
             near = get_close_matches(column.name, names, n=1, cutoff=CLOSE)
             if near:
-                told = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
-                problems.append(table.problem(column.head, told))
+                problem = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
+                problems.append(table.problem(column.head, problem))
             unused.append(head)
             continue
         into = inputs if name in own else outputs
@@ -231,9 +243,9 @@ def _outside(known: dict[str, Parameter], names: list[str], place: int, value: f
         return ""
     ends = [show(end, p.quantity) if abs(end) < float("inf") else "" for end in (p.low, p.high)]
     start = f"above {ends[0]}" if p.above else f"from {ends[0]}" if ends[0] else ""
-    told = " ".join(part for part in (start, f"to {ends[1]}" if ends[1] else "") if part)
+    interval = " ".join(part for part in (start, f"to {ends[1]}" if ends[1] else "") if part)
     reason = f": {p.reason}" if p.reason else ""
-    return f"{show(value, p.quantity)} is outside the model's domain, {told}{reason}"
+    return f"{show(value, p.quantity)} is outside the model's domain, {interval}{reason}"
 
 
 def _example(name: str, quantity: str) -> str:

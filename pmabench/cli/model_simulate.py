@@ -121,16 +121,14 @@ def simulate(
         "columns": columns,
     }
 
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        if not ui.quiet:
-            click.echo(f"SIMULATED: plant {plant}, {kind}; true values, no sensors\n")
-        print_table(ui, columns, keys=1)
-
-    ui.result(data, human)
+    ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
     return None
+
+
+def _print(ui: Ui, plant: str, columns: list[dict[str, Any]]) -> None:
+    if not ui.quiet:
+        click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
+    print_table(ui, columns, keys=1)
 
 
 def _simulated(
@@ -171,12 +169,12 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
 
     least = actuator.low if hasattr(setup.muscle, "reach") else 0.0
     if low < least - 1e-9 or high > actuator.high + 1e-9:
-        told = f"{show(low, 'length')} to {show(high, 'length')}"
+        lengths = f"{show(low, 'length')} to {show(high, 'length')}"
         ends = f"{show(least, 'length')} to {show(actuator.high, 'length')}"
         below = (
             "; its law says nothing of a muscle that is stretched beyond its nominal length" if low < least == 0 else ""
         )
-        raise ValueError(f"--drive goes from {told}, and it is driven from {ends}{below}")
+        raise ValueError(f"--drive goes from {lengths}, and it is driven from {ends}{below}")
 
 
 def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:

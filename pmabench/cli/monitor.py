@@ -87,7 +87,7 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.cli.run import tell_outcome
+    from pmabench.cli.run import show_outcome
     from pmabench.session.jog import BLOCK, KEYS, jog
 
     live = _Live(mounted.bench, simulated=False)
@@ -95,11 +95,11 @@ def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | No
     end = time.monotonic() + seconds if seconds is not None else float("inf")
     notices: list[str] = []
 
-    def shown(series: Mapping[str, Series], work: Jog, told: Sequence[str]) -> None:
+    def shown(series: Mapping[str, Series], work: Jog, messages: Sequence[str]) -> None:
         live.page.simulated = work.executor.bench.simulated
         live.update(series, work.executor.clock.now(), work.executor.acquisition.rate)
         live.page.settings = f"{work.settings()}   step {work.steps()}"
-        notices.extend(told)
+        notices.extend(messages)
         live.page.notices = tuple(notices[-NOTICES:])
         if not mounted.bench.realtime:
             time.sleep(BLOCK)
@@ -114,7 +114,7 @@ def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | No
             return taken if time.monotonic() < end else [*taken, "q"]
 
         outcome = jog(mounted, _AtKeys(live.page, keys), out, pressed, shown, operator_name=operator)
-    tell_outcome(ui, outcome)
+    show_outcome(ui, outcome)
     return outcome.exit_code
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 FINISHED = ("finished", "failed")
 
 
-def tell_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:
+def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:
     """A line for each thing to do, each with its command; nothing where the run came to its end.
 
     `trials`: whether the run had any; a session has none, and is done anew. With --quiet only that a bench is tripped.

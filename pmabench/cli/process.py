@@ -79,12 +79,19 @@ def command(
         from pmabench.cli.process_many import process_folders
 
         start = runs[0].resolve()
-        place = out or beside(start if runs[0] in below else start.parent) / ANALYSES / "each"
+        place = out or campaign_folder(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
         return process_folders(ui, wanted, place, jobs or 1, cluster, asked)
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
+    return _process_together(ui, runs, out, asked)
+
+
+def _process_together(
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]]
+) -> int | None:
+    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test."""
     from pmabench.kinds.reduce import verdicts
     from pmabench.plotting.wording import clean
 
@@ -97,7 +104,7 @@ def command(
         )
     analyses = analyse(loaded, asked)
     first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
-    folder = out or beside(Path(first.path).resolve().parent) / "analyses" / first.id
+    folder = out or campaign_folder(Path(first.path).resolve().parent) / "analyses" / first.id
     folders = write(analyses, loaded, folder)
     failed = verdicts(loaded, analyses)
     data: dict[str, Any] = {
@@ -141,7 +148,7 @@ def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed:
     return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
 
 
-def beside(folder: Path) -> Path:
+def campaign_folder(folder: Path) -> Path:
     """Where analyses go: beside a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
     return folder.parent if folder.name == "runs" else folder
 
@@ -216,8 +223,10 @@ def load_runs(paths: Sequence[Path]) -> list[RunData]:
 
     for path in paths:
         if holds_runs(path):
-            told = "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
-            raise invalid(path, told)
+            advice = (
+                "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
+            )
+            raise invalid(path, advice)
     return open_chains(paths)
 
 

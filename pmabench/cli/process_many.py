@@ -32,8 +32,8 @@ def process_folders(
     from pmabench.store.below import tasks_below
 
     tasks = tasks_below(given)
-    with _pool(ui, jobs, cluster) as pool, _progress(ui) as told:
-        many = process_many(tasks, out, pool, told, options)
+    with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:
+        many = process_many(tasks, out, pool, progress, options)
     paths = write_table(many)
     ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
     return many.exit_code or None
@@ -124,9 +124,9 @@ def _human(many: Many, paths: Sequence[Path]) -> None:
     if many.count("skipped"):
         click.echo(f"{many.count('skipped'):,} without trials (sessions, calibrations) were left out")
     since = [
-        f"{run}: {len(told['added'])} added and {len(told['late'])} late files since it was closed, not used"
+        f"{run}: {len(additions['added'])} added and {len(additions['late'])} late files since it was closed, not used"
         for entry in many.results()
-        for run, told in entry["since"].items()
+        for run, additions in entry["since"].items()
     ]
     for line in _first(since, "that something was added to; the table names them"):
         click.echo(line)
@@ -143,15 +143,15 @@ def _failures(many: Many) -> list[str]:
     """A line for each run that is not accepted or could not be processed."""
     refused = [f"NOT ACCEPTED: {entry['run']}: {verdict}" for entry in many.results() for verdict in entry["verdicts"]]
     failed = [entry["error"] for entry in many.of("failed")]
-    told = _first(refused, "not accepted; the table names them")
+    lines = _first(refused, "not accepted; the table names them")
     if failed:
         what = "1 run could" if len(failed) == 1 else f"{len(failed):,} runs could"
-        told += [f"{what} not be processed:", *failed]
-    if not told:
+        lines += [f"{what} not be processed:", *failed]
+    if not lines:
         return []
     from pmabench.plotting.wording import clean
 
-    return [clean(line) for line in told]
+    return [clean(line) for line in lines]
 
 
 def _first(lines: list[str], rest: str) -> list[str]:

@@ -53,7 +53,7 @@ def command(
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
     from pmabench.analysis.verdict.changes import changes
-    from pmabench.cli.process import analyse, beside, load_runs, without_analyses, write
+    from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes
     from pmabench.store.chain import open_chains
@@ -67,30 +67,30 @@ def command(
     if anew.scales:
         refuse_loops(recorded, loops())
     changed = open_chains(given, anew)
-    told = _told(recorded, changed, anew)
+    channels = _described(recorded, changed, anew)
     before = analyse(recorded)
     who = {"at": _now(), "operator": operator or login_name(), "because": because.strip()}
-    after = [_marked(analysis, told) for analysis in analyse(changed)]
+    after = [_marked(analysis, channels) for analysis in analyse(changed)]
     found = changes(before, after)
     after = [_with_changes(analysis, found, who) for analysis in after]
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
-    folder = out or _free(beside(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
+    folder = out or _free(campaign_folder(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
         raise UsageError(f"{folder} exists; give --out the name of a new folder")
     folders = write(after, changed, folder)
-    tables = write_changes(found, told, who, folder)
+    tables = write_changes(found, channels, who, folder)
     data: dict[str, Any] = {
         "schema": "pmabench.recalibrate/1",
         "runs": [run.id for run in recorded],
         "recalibration": who,
-        "channels": told,
+        "channels": channels,
         "folders": [str(path) for path in folders],
         "table": [str(path) for path in tables],
         "changes": [change.to_dict() for change in found],
     }
 
     def human() -> None:
-        for channel in told:
+        for channel in channels:
             click.echo(channel["sentence"])
         print_changes(found, ui.console())
         click.echo("\n".join(str(path) for path in (*folders, *tables)))
@@ -152,12 +152,12 @@ def _scale(file: Path, quantity: str) -> NewScale:
     return NewScale(quantity, read.raw_unit, read.scale.slope, read.scale.offset, asdict(read.record))
 
 
-def _told(before: Sequence[RunData], after: Sequence[RunData], anew: Recalibration) -> list[dict[str, Any]]:
+def _described(before: Sequence[RunData], after: Sequence[RunData], anew: Recalibration) -> list[dict[str, Any]]:
     """Of each changed channel: its scale and calibration before and after, and a sentence for people."""
-    told = []
+    channels = []
     for name, late in anew.late.items():
         sentence = f"{name}: its values are taken as {1e3 * late:.6g} ms older than their time stamps"
-        told.append({"channel": name, "late": late, "sentence": sentence})
+        channels.append({"channel": name, "late": late, "sentence": sentence})
     for name in anew.scales:
         scales: list[dict[str, Any]] = []
         for old, new in zip(before, after, strict=True):
@@ -172,8 +172,8 @@ def _told(before: Sequence[RunData], after: Sequence[RunData], anew: Recalibrati
         sentence = f"{name}: calibration {anew.scales[name].calibration.get('id')} instead of {', '.join(names)}"
         record = anew.scales[name].calibration
         about = {key: record.get(key) for key in ("id", "reference", "date", "sha256")}
-        told.append({"channel": name, "calibration": about, "scales": scales, "sentence": sentence})
-    return told
+        channels.append({"channel": name, "calibration": about, "scales": scales, "sentence": sentence})
+    return channels
 
 
 def _scale_of(info: ChannelInfo) -> dict[str, Any]:
@@ -181,15 +181,15 @@ def _scale_of(info: ChannelInfo) -> dict[str, Any]:
     return {name: getattr(info, name) for name in names}
 
 
-def _marked(analysis: Analysis, told: Sequence[dict[str, Any]]) -> Analysis:
+def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
     """The analysis, which says that its samples were not taken as they were recorded."""
     from pmabench.analysis.results import Finding
 
-    said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in told]
+    said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in channels]
     return replace(
         analysis,
         findings=(*said, *analysis.findings),
-        facts={**analysis.facts, "recalibrated": [dict(channel) for channel in told]},
+        facts={**analysis.facts, "recalibrated": [dict(channel) for channel in channels]},
     )
 
 

@@ -39,7 +39,7 @@ def command(
     xlsx: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
-    **told: str,
+    **issuer: str,
 ) -> int | None:
     """Write the characterisation report of runs (processed now), of analysis folders, or of folders of them."""
     from pmabench.cli.process import analyse, apart, load_runs, since_lines, without_analyses
@@ -65,7 +65,7 @@ def command(
     analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
     for line in since_lines(runs):
         ui.note(line)
-    content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**told))
+    content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
     written = {"path": str(write_page(content, output))}
     if pdf is not None:
         from pmabench.report.document.pdf import write_pdf

@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
-from pmabench.cli.next_steps import tell_next
+from pmabench.cli.next_steps import show_next
 from pmabench.cli.progress import progress_line
 from pmabench.cli.space import needed, too_little
 
@@ -82,8 +82,8 @@ def command(
     outcome = execute(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
-    tell_outcome(ui, outcome)
-    tell_next(ui, outcome, prepared.mounted.bench, trials=True)
+    show_outcome(ui, outcome)
+    show_next(ui, outcome, prepared.mounted.bench, trials=True)
     return outcome.exit_code
 
 
@@ -102,10 +102,8 @@ def execute(
 
     With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
-    from pmabench.cli.checks import print_checks
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
-    from pmabench.session.session import SessionFailed, ensure
 
     steps = prepared.plan.steps if continues is None else continues.steps
     if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
@@ -119,25 +117,7 @@ def execute(
         raise RecordError(lack)
     mounted = prepared.mounted
     if mounted.session is not None:
-        with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
-            tables: list[Sequence[Check]] = []
-            try:
-                mounted = ensure(
-                    mounted,
-                    operator,
-                    out,
-                    operator_name=operator_name,
-                    say=ui.note,
-                    report=tables.append,
-                    **shown,
-                    **(session or {}),
-                )
-            except SessionFailed as error:
-                tell_next(ui, error.outcome, mounted.bench, trials=False)
-                raise
-            finally:
-                for checks in tables if not (ui.quiet or ui.json) else ():
-                    print_checks(ui, checks, err=True)
+        mounted = _in_session(ui, mounted, out, operator_name, session or {}, yes=yes)
     with _operated(ui, mounted, prepared.plan.kind, yes=yes) as (operator, shown):
         return run_plan(
             prepared.plan,
@@ -151,6 +131,34 @@ def execute(
             continues=continues,
             **shown,
         )
+
+
+def _in_session(
+    ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
+) -> Mounted:
+    """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
+    from pmabench.cli.checks import print_checks
+    from pmabench.session.session import SessionFailed, ensure
+
+    with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
+        tables: list[Sequence[Check]] = []
+        try:
+            return ensure(
+                mounted,
+                operator,
+                out,
+                operator_name=operator_name,
+                say=ui.note,
+                report=tables.append,
+                **shown,
+                **options,
+            )
+        except SessionFailed as error:
+            show_next(ui, error.outcome, mounted.bench, trials=False)
+            raise
+        finally:
+            for checks in tables if not (ui.quiet or ui.json) else ():
+                print_checks(ui, checks, err=True)
 
 
 @contextmanager
@@ -218,7 +226,7 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def tell_outcome(ui: Ui, outcome: Outcome) -> None:
+def show_outcome(ui: Ui, outcome: Outcome) -> None:
     """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
     if ui.quiet and not ui.json and outcome.status != "finished":
         say(f"{outcome.status}: {outcome.why}{_vented(outcome)}")

@@ -77,16 +77,21 @@ def _resume(run: Path, row: Mapping[str, Any]) -> str:
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
-    from pmabench.analysis.verdict.record import unresolved_of
-    from pmabench.display.wording import point_text
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
-    from pmabench.store.sampling import sampling
 
     data = open_run(run)
-    taken = sampling(data.trials)
     going_on = _going_on(run, data)
-    summary: dict[str, Any] = {
+    ui.result(plain(_summary(data, going_on)), lambda: _print_run(data, going_on))
+    return None
+
+
+def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
+    """The run as data for programs."""
+    from pmabench.store.sampling import sampling
+
+    taken = sampling(data.trials)
+    return {
         "schema": "pmabench.run-summary/1",
         "id": data.id,
         "kind": data.kind,
@@ -116,48 +121,52 @@ def show_run(ui: Ui, run: Path) -> int | None:
         **going_on,
     }
 
-    def human() -> None:
-        manifest = data.manifest
-        click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
-        for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
-            if manifest.get(name):
-                click.echo(printable(f"  {name:12} {manifest[name]}"))
-        if unproven := manifest.get("scales_not_proven"):
-            click.echo(
-                printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}")
-            )
-        rows = sum(len(t.t) for t in data.trials)
-        states = Counter(t.status for t in data.trials if not t.again)
-        finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
-        others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
-        click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
-        if taken is not None:
-            times = (taken.interval, taken.jitter, taken.longest)
-            every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in times)
-            counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
-            click.echo(
-                f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}"
-            )
-        for t in data.trials:
-            reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
-            click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
-        for channel in data.channels.values():
-            click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-        result = _vented(data)
-        if result:
-            click.echo(f"  {'vent':12} {result}")
-        _print_rest(data)
-        for entry in unresolved_of(data):
-            click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
-        for sentence in data.since.sentences:
-            click.echo(f"  {'since then':12} {sentence}")
-        if going_on["continued_by"]:
-            click.echo(f"  {'continued':12} by {going_on['continued_by']}")
-        elif going_on["resume"]:
-            click.echo(f"  {'to go on':12} {going_on['resume']}")
 
-    ui.result(plain(summary), human)
-    return None
+def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
+    from pmabench.analysis.verdict.record import unresolved_of
+    from pmabench.display.wording import point_text
+
+    manifest = data.manifest
+    click.echo(f"{data.id}\n  {data.kind}, {data.status}{', SIMULATED' if data.simulated else ''}")
+    for name in ("protocol", "source", "bench", "operator", "started_utc", "why"):
+        if manifest.get(name):
+            click.echo(printable(f"  {name:12} {manifest[name]}"))
+    if unproven := manifest.get("scales_not_proven"):
+        click.echo(printable(f"  {'scales':12} not proven: emulated by the bench file itself: {', '.join(unproven)}"))
+    rows = sum(len(t.t) for t in data.trials)
+    states = Counter(t.status for t in data.trials if not t.again)
+    finished, planned = states.pop("finished", 0), manifest.get("trials_planned", "?")
+    others = "".join(f", {count} {status}" for status, count in sorted(states.items()))
+    click.echo(f"  {'trials':12} {finished} of {planned} finished{others}; {rows:,} rows")
+    _print_sampling(data)
+    for t in data.trials:
+        reference = "; reference trial, done again" if t.again else "; reference trial" if t.reference else ""
+        click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
+    for channel in data.channels.values():
+        click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
+    result = _vented(data)
+    if result:
+        click.echo(f"  {'vent':12} {result}")
+    _print_rest(data)
+    for entry in unresolved_of(data):
+        click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
+    for sentence in data.since.sentences:
+        click.echo(f"  {'since then':12} {sentence}")
+    if going_on["continued_by"]:
+        click.echo(f"  {'continued':12} by {going_on['continued_by']}")
+    elif going_on["resume"]:
+        click.echo(f"  {'to go on':12} {going_on['resume']}")
+
+
+def _print_sampling(data: RunData) -> None:
+    from pmabench.store.sampling import sampling
+
+    taken = sampling(data.trials)
+    if taken is not None:
+        times = (taken.interval, taken.jitter, taken.longest)
+        every, spread, most = (f"{round(1e3 * value, 6):.4g} ms" for value in times)
+        counted = f"{taken.late:,} late, {taken.gaps:,} after a gap"
+        click.echo(f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}")
 
 
 def _vented(data: RunData) -> str:
@@ -165,8 +174,8 @@ def _vented(data: RunData) -> str:
     events = [event.data for event in data.events if event.kind == "vent"]
     end = data.manifest.get("end")
     sealed = end.get("vent") if isinstance(end, Mapping) else None
-    told = events[-1] if events else sealed if isinstance(sealed, Mapping) else {}
-    return str(told.get("result") or "")
+    vent = events[-1] if events else sealed if isinstance(sealed, Mapping) else {}
+    return str(vent.get("result") or "")
 
 
 def _going_on(run: Path, data: RunData) -> dict[str, str]:
@@ -195,12 +204,14 @@ def _print_rest(data: RunData) -> None:
     if guard:
         vent = guard.get("vent")
         result = vent.get("result") if isinstance(vent, dict) else None
-        click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not told'}")
+        click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not reported'}")
         click.echo(f"  {'':12} {guard.get('cause', '')}".rstrip())
     for name, clock in data.clocks.items():
         if clock.how != "stated equal":
-            told = f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
-            click.echo(f"  {'clock':12} {name}: {told} ({clock.how})")
+            relation = (
+                f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
+            )
+            click.echo(f"  {'clock':12} {name}: {relation} ({clock.how})")
     for name, how in data.interpolated.items():
         click.echo(f"  {name:18} {how}")
     for note in data.notes:
@@ -234,10 +245,10 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
 
     def human() -> None:
         for run, findings in wrong.items():
-            told = [_counted(len(findings), "finding") if findings else "whole"]
-            told += [f"{len(added[run])} added"] if added[run] else []
-            told += [f"{len(late[run])} late"] if late[run] else []
-            click.echo(f"{run}: {', '.join(told)}")
+            state = [_counted(len(findings), "finding") if findings else "whole"]
+            state += [f"{len(added[run])} added"] if added[run] else []
+            state += [f"{len(late[run])} late"] if late[run] else []
+            click.echo(f"{run}: {', '.join(state)}")
             for finding in (*findings, *added[run]):
                 click.echo(f"  {finding}")
             for name in late[run]:

@@ -14,7 +14,9 @@ from pmabench.cli.common import Ui, common
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
     from pmabench.analysis.tuning import Gains
+    from pmabench.cli.tune_model import Where
     from pmabench.model.loop import Loop
+    from pmabench.model.rules.record import Rule
 
 
 @click.command(name="tune")
@@ -53,56 +55,27 @@ def command(
     lags: tuple[str, ...],
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
-    from pmabench.analysis.tuning import facts, measured_loops, rules_named, tune
+    from pmabench.analysis.tuning import facts, rules_named
     from pmabench.base.errors import UsageError
+    from pmabench.cli.tune_model import Where, holds_model
     from pmabench.model.rules.registry import all_rules
 
-    given = [value is not None for value in (ku, tu)]
-    from_runs = steps or model
-    if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
-        way = "--model" if model and not steps else "--steps"
-        raise UsageError(f"{way} takes runs and nothing else: pmabench tune {way} RUN...")
-    if not from_runs and (any(given) if analysis is not None else not all(given)):
-        raise UsageError(
-            'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN..., '
-            "or --model RUN..."
-        )
-    from pmabench.cli.tune_model import Where, by_folder, by_runs, holds_model
-
+    _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
     where = Where.read(setpoints, load, period)
-    contractions = analysis if analysis is not None and holds_model(analysis) else None
-    if where.told and not model and contractions is None:
+    if where.given and not model and (analysis is None or not holds_model(analysis)):
         raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
         rules = all_rules() if rule is None else rules_named(rule)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    notes: list[str] = []
-    reduced = None
-    if from_runs:
-        reduced = _reduced(ui, runs) if steps else by_runs(ui, runs, where)
-    elif contractions is not None:
-        reduced = by_folder(contractions, where)
-    if reduced is not None:
-        notes = [f"{finding.level}: {finding.text}" for finding in reduced.findings]
-        pairs = measured_loops(reduced)
-    elif analysis is not None:
-        pairs = _measured(analysis)
+    if analysis is not None or runs:
+        pairs, notes = _measured_pairs(ui, runs, analysis, where, steps=steps)
     else:
-        pairs = [(_gain(ui, ku or ""), _time(ui, tu or ""), None)]
+        pairs, notes = [(_gain(ui, ku or ""), _time(ui, tu or ""), None)], []
     if dead_time is not None or lags:
-        pairs, said = _beside(pairs, dead_time, lags)
+        pairs, said = _with_loop(pairs, dead_time, lags)
         notes += said
-    found: list[tuple[Estimate, Estimate, tuple[Gains, ...]]] = []
-    for gain, time, loop in pairs:
-        try:
-            found.append((gain, time, tune(gain, time, rules, loop)))
-        except ValueError as error:
-            raise UsageError(str(error)) from error
-    if found and not any(gains for _, _, gains in found):
-        raise UsageError(
-            f"{rules[0].name} needs the loop itself: give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
-        )
+    found = _tuned(pairs, rules)
     data = {
         "schema": "pmabench.tune/1",
         "ultimate": [estimate.to_dict() for gain, period, _ in found for estimate in (gain, period)],
@@ -113,13 +86,62 @@ def command(
     def human() -> None:
         for gain, period, gains in found:
             if gain.at:
-                click.echo(_told(gain, period))
+                click.echo(_ultimate_text(gain, period))
             _print(ui, gains)
         for note in notes:
             click.echo(note)
 
     ui.result(data, human)
     return None if found else 6
+
+
+def _check_one_source(
+    runs: tuple[Path, ...], given: list[bool], analysis: Path | None, *, steps: bool, model: bool
+) -> None:
+    """Raise UsageError unless there is one source of K_u and T_u; `given`: whether --ku and --tu are."""
+    from pmabench.base.errors import UsageError
+
+    from_runs = steps or model
+    if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
+        way = "--model" if model and not steps else "--steps"
+        raise UsageError(f"{way} takes runs and nothing else: pmabench tune {way} RUN...")
+    if not from_runs and (any(given) if analysis is not None else not all(given)):
+        raise UsageError(
+            'give --ku and --tu, for instance --ku "7.1 bar/cm" --tu "9 s", or --analysis FOLDER, or --steps RUN..., '
+            "or --model RUN..."
+        )
+
+
+def _measured_pairs(
+    ui: Ui, runs: tuple[Path, ...], analysis: Path | None, where: Where, *, steps: bool
+) -> tuple[Pairs, list[str]]:
+    """K_u, T_u and the loop where it is known, from runs or else from an analysis, with what was found on the way."""
+    from pmabench.analysis.tuning import measured_loops
+    from pmabench.cli.tune_model import by_folder, by_runs, holds_model
+
+    if analysis is None:
+        reduced = _reduced(ui, runs) if steps else by_runs(ui, runs, where)
+    elif holds_model(analysis):
+        reduced = by_folder(analysis, where)
+    else:
+        return _measured(analysis), []
+    return measured_loops(reduced), [f"{finding.level}: {finding.text}" for finding in reduced.findings]
+
+
+def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estimate, tuple[Gains, ...]]]:
+    """Each K_u and T_u with its gains by rule. Raises UsageError."""
+    from pmabench.analysis.tuning import tune
+    from pmabench.base.errors import UsageError
+
+    try:
+        found = [(gain, time, tune(gain, time, rules, loop)) for gain, time, loop in pairs]
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if found and not any(gains for _, _, gains in found):
+        raise UsageError(
+            f"{rules[0].name} needs the loop itself: give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
+        )
+    return found
 
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
@@ -144,7 +166,7 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     return reduced
 
 
-def _told(gain: Estimate, period: Estimate) -> str:
+def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.analysis.results import POINT_QUANTITIES
     from pmabench.base.quantities import show
@@ -221,7 +243,7 @@ def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
 Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 
 
-def _beside(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
+def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
     from pmabench.analysis.tuning import loop_of
     from pmabench.base.errors import UsageError

@@ -30,7 +30,7 @@ class Where:
     load: float
     mass: float
     period: float | None
-    told: bool
+    given: bool
     """Whether any of it was given."""
 
     @classmethod

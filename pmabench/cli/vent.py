@@ -141,9 +141,9 @@ def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: flo
 def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vented:
     guard = station.read("guard")
     if guard:
-        told = _by_guard(ui, saved.get("name", station.folder.name), guard, began)
-        if told is not None:
-            return told
+        by_guard = _by_guard(ui, saved.get("name", station.folder.name), guard, began)
+        if by_guard is not None:
+            return by_guard
     from pmabench.bench.records import CompiledBench
     from pmabench.guard.direct import vent_directly
 

@@ -42,7 +42,7 @@ def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
     """The run folder that is meant; raises InvalidFile where there is none."""
     from pmabench.base.errors import invalid
 
-    told = False
+    noted = False
     while True:
         if (place / "manifest.json").exists():
             return place
@@ -52,9 +52,9 @@ def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
         if not wait:
             why = "holds no run" if place.is_dir() else "there is no such run"
             raise invalid(place, f"{why}; `pmabench runs list` shows those that are there, --wait waits for one")
-        if not told:
+        if not noted:
             ui.note(f"no run in {place} yet; waiting for it, Ctrl-C ends")
-            told = True
+            noted = True
         time.sleep(0.25)
 
 

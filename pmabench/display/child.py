@@ -93,9 +93,9 @@ class Display:
         self._asked, self._sent = None, False
         self._push()
 
-    def tell(self, text: str) -> bool:
+    def log(self, text: str) -> bool:
         """A line for the log; False where it was dropped because the display does not read."""
-        return self._link.send({"tell": text}) if self._link is not None else False
+        return self._link.send({"log": text}) if self._link is not None else False
 
     def live(self, values: Mapping[str, float]) -> None:
         """Values [SI] by channel while nothing is recorded; dropped where older ones still wait."""

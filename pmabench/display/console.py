@@ -112,13 +112,13 @@ class Painter:
 
     def draw(self, lines: Sequence[Text], size: tuple[int, int]) -> None:
         """Bring the screen to these lines."""
-        told = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
+        drawn = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
         before = self._drawn if size == self._size else []
         out = "" if before else "\x1b[0m\x1b[2J"
-        for row, line in enumerate(told):
+        for row, line in enumerate(drawn):
             if row >= len(before) or before[row] != line:
                 out += f"\x1b[{row + 1};1H\x1b[2K{line}"
-        self._drawn, self._size = told, size
+        self._drawn, self._size = drawn, size
         self._write(out.encode("ascii" if self._ascii else "utf-8", "replace"))
 
     def _write(self, data: bytes) -> None:
@@ -157,14 +157,16 @@ def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool
         markup=False,
         emoji=False,
     )
-    told = []
+    texts = []
     for line in lines:
         with rich.capture() as captured:
             rich.print(line, end="", no_wrap=True, overflow="crop", crop=True)
-        told.append(captured.get())
+        texts.append(captured.get())
     if ascii_only:
-        told = ["".join(_ASCII.get(c) or (_dots(c) if "\u2800" <= c <= "\u28ff" else c) for c in line) for line in told]
-    return told
+        texts = [
+            "".join(_ASCII.get(c) or (_dots(c) if "\u2800" <= c <= "\u28ff" else c) for c in line) for line in texts
+        ]
+    return texts
 
 
 def _dots(character: str) -> str:
@@ -269,8 +271,8 @@ class Console:
             lines = [*lines, Text(last_line(self.state))]
         elif self._orphaned:
             files = self.state.files
-            told = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
-            lines += [Text(clean(text.format(**told))) for text in ORPHANED[: None if self.state.trials else -1]]
+            fields = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
+            lines += [Text(clean(text.format(**fields))) for text in ORPHANED[: None if self.state.trials else -1]]
         ascii_only = "utf" not in (self._stream.encoding or "").lower()
         for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
             self._print(line)
@@ -307,11 +309,11 @@ class Console:
                 self._typed = self._refused = ""
                 self._note = None
                 if self._asked is not None and self._plain:
-                    self.state.tell(
+                    self.state.log(
                         f"asked: {self._asked.get('text')} (no terminal here: it cannot be answered)", "doubt"
                     )
-            if "tell" in message:
-                self.state.tell(str(message["tell"]))
+            if "log" in message:
+                self.state.log(str(message["log"]))
             if isinstance(message.get("live"), dict):
                 self.state.live(message["live"])
             if "end" in message:
@@ -364,13 +366,13 @@ class Console:
         elif key.lower() in PRESSED:
             self._send({"key": key.lower()}, f"{key.lower()} pressed: {PRESSED[key.lower()]}")
 
-    def _send(self, message: dict[str, Any], told: str, *, comes_back: bool = False) -> None:
+    def _send(self, message: dict[str, Any], text: str, *, comes_back: bool = False) -> None:
         """Send a message and tell it in the log, unless the run's own record of it will be shown."""
         taken = self._link is not None and self._link.send(message)
         if not taken:
-            self.state.tell(f"{told}; the run did not take it", "fault")
+            self.state.log(f"{text}; the run did not take it", "fault")
         elif not comes_back:
-            self.state.tell(told)
+            self.state.log(text)
 
     def _answer(self, key: str) -> None:
         """One key of an answer; only one of the words counts."""

@@ -16,11 +16,11 @@ def read_expected(folder: Path) -> Expected | None:
     from pmabench.files.document import read_document, validate
 
     try:
-        told = validate(SpecimenFile, read_document(folder / "specimen.yaml")).expected
+        expected = validate(SpecimenFile, read_document(folder / "specimen.yaml")).expected
     except InvalidFile:
         return None
-    if told is None:
+    if expected is None:
         return None
-    points = sorted(told.points, key=lambda point: point.pressure)
+    points = sorted(expected.points, key=lambda point: point.pressure)
     columns = {name: np.array([getattr(p, name) for p in points]) for name in ("pressure", "F_ce", "K", "B_c", "B_r")}
-    return Expected(source=told.source, F_c=told.F_c, **columns)
+    return Expected(source=expected.source, F_c=expected.F_c, **columns)

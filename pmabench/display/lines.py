@@ -86,13 +86,13 @@ def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 
         used += len(part)
     if not parts:
         return []
-    told, legend = Text(_heading(lines, names), FAINT), Text(_legend(lines[-len(parts) :]), FAINT)
+    heading, legend = Text(_heading(lines, names), FAINT), Text(_legend(lines[-len(parts) :]), FAINT)
     below = []
-    if told.cell_len + legend.cell_len <= width:
-        told.append_text(legend)
+    if heading.cell_len + legend.cell_len <= width:
+        heading.append_text(legend)
     elif legend and spare and legend.cell_len <= width:
         below = [legend]
-    return [told, *(row for part in reversed(parts) for row in part), *below]
+    return [heading, *(row for part in reversed(parts) for row in part), *below]
 
 
 def _legend(lines: Sequence[TrialLine]) -> str:

@@ -19,11 +19,11 @@ def plain_line(item: Notice | TrialLine, trials: int) -> str:
     if isinstance(item, Notice):
         mark = {"info": "", "doubt": "! ", "fault": "!! "}[item.level]
         return f"{clock(item.t) + ' ' if item.t is not None else ''}{mark}{clean(item.text)}"
-    told = ", ".join(_number(number) for number in item.numbers)
+    numbers = ", ".join(_number(number) for number in item.numbers)
     verdict = "ok" if item.ok else "DOUBT: " + "; ".join(clean(doubt) for doubt in item.doubts)
     point = point_text(item.point)
     which = "reference trial again" if item.again else f"trial {item.number} of {trials}"
-    return f"{which} ({point}): {told}{'; ' if told else ''}{verdict}"
+    return f"{which} ({point}): {numbers}{'; ' if numbers else ''}{verdict}"
 
 
 def _number(number: Number) -> str:

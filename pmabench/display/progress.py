@@ -9,7 +9,7 @@ from typing import Any
 from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step, WaitUntil
 from pmabench.store.records import Event
 
-_TOLD = ("set", "ramp", "follow", "record", "ask", "seek")
+_WITH_EVENT = ("set", "ramp", "follow", "record", "ask", "seek")
 """Steps whose beginning is an event."""
 ENOUGH = 0.02
 """Share of the plan after which the pace so far says how long the rest takes [1]."""
@@ -110,7 +110,7 @@ class Progress:
     def _behind(self, t: float) -> float:
         """Duration of what is done by the plan [s]; the step under way counts no more than its own."""
         after = range(self._at + self._begun, len(self._steps))
-        ends = next((i for i in after if self._steps[i].kind in _TOLD), len(self._steps))
+        ends = next((i for i in after if self._steps[i].kind in _WITH_EVENT), len(self._steps))
         now = t if self._aside is None else self._aside
         since = 0.0 if self._asked is not None else max(0.0, now - self._t)
         return self._until[self._at] + min(since, self._until[ends] - self._until[self._at])

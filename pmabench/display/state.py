@@ -85,7 +85,7 @@ class RunState:
         self.lines: list[TrialLine] = []
         self.fresh: list[Notice | TrialLine] = []
         """What is new since somebody last emptied it."""
-        self.told_end: dict[str, Any] | None = None
+        self.end_event: dict[str, Any] | None = None
         """What the `end` event said."""
         self.progress: Progress | None = None
         self._verdicts = Verdicts()
@@ -111,17 +111,17 @@ class RunState:
             for block in blocks:
                 self._keep(stream, block)
         for text in self.files.notes():
-            self.tell(f"note: {text}")
+            self.log(f"note: {text}")
         fault = self.files.journal.fault
         if fault and fault != self._fault:
             self._fault = fault
-            self.tell(f"the events cannot be read on: {fault}", "fault")
+            self.log(f"the events cannot be read on: {fault}", "fault")
         self._judge()
         self._forget()
         self._ages(now)
         return self.files.behind
 
-    def tell(self, text: str, level: str = "info", t: float | None = None) -> None:
+    def log(self, text: str, level: str = "info", t: float | None = None) -> None:
         """Add a sentence to the log."""
         notice = Notice(t, text, level)
         self.notices.append(notice)
@@ -171,13 +171,21 @@ class RunState:
             self.progress.take(event)
         if "phase" in data and kind in ("command", "prompt", "found"):
             self.phase = str(data["phase"])
-        if kind == "trial-begin" and isinstance(data.get("trial"), int):
-            point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
-            self._close_trial(event)
-            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0), bool(data.get("again")))
-        elif kind == "command":
+        if kind == "command":
             self._command(event)
-        elif kind == "prompt":
+        elif kind == "live" and isinstance(data.get("values"), dict):
+            self.live(data["values"], self.files.journal.written)
+        elif kind == "end":
+            self.end_event = dict(data)
+        self._take_of_operator(kind, data)
+        self._take_of_trial(event)
+        sentence = event_text(event)
+        if sentence is not None:
+            self.log(sentence[0], sentence[1], event.t)
+
+    def _take_of_operator(self, kind: str, data: Mapping[str, Any]) -> None:
+        """What is asked, which keys wait, and what holds or pauses the run."""
+        if kind == "prompt":
             self.prompt = str(data.get("text", ""))
         elif kind in ("answer", "trip", "ended-early", "end"):
             self.prompt = ""
@@ -188,20 +196,23 @@ class RunState:
         elif kind in ("pause", "goes-on"):
             self.paused = kind == "pause"
             self.wanted.discard("pause")
-        elif kind == "live" and isinstance(data.get("values"), dict):
-            self.live(data["values"], self.files.journal.written)
-        if kind == "limit-reached" and self.trial is not None:
-            self.trial.at_limit.append(str(data.get("reason", "limit reached")))
-        if kind == "end":
-            self.told_end = dict(data)
-        if self.trial is not None:
-            self.trial.events.append(event)
-        if kind == "trial-end":
-            self._close_trial(event)
+        elif kind == "trial-end":
             self.wanted.discard("repeat")
-        told = event_text(event)
-        if told is not None:
-            self.tell(told[0], told[1], event.t)
+
+    def _take_of_trial(self, event: Event) -> None:
+        """The beginning and end of a trial, and what happens in it."""
+        data = event.data
+        if event.kind == "trial-begin" and isinstance(data.get("trial"), int):
+            point = {str(k): float(v) for k, v in (data.get("point") or {}).items() if isinstance(v, int | float)}
+            self._close_trial(event)
+            self.trial = Trial(data["trial"], event.t, point, int(data.get("repeat") or 0), bool(data.get("again")))
+        if self.trial is None:
+            return
+        if event.kind == "limit-reached":
+            self.trial.at_limit.append(str(data.get("reason", "limit reached")))
+        self.trial.events.append(event)
+        if event.kind == "trial-end":
+            self._close_trial(event)
 
     def _command(self, event: Event) -> None:
         output = str(event.data.get("output", ""))
@@ -316,8 +327,12 @@ class RunState:
     @property
     def specimen(self) -> str:
         """Type and serial."""
-        told = self.files.manifest.get("specimen")
-        return f"{told.get('type', '')} {told.get('serial', '')}".strip() if isinstance(told, dict) else str(told or "")
+        specimen = self.files.manifest.get("specimen")
+        return (
+            f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
+            if isinstance(specimen, dict)
+            else str(specimen or "")
+        )
 
     @property
     def trials(self) -> int:
@@ -332,16 +347,16 @@ class RunState:
     @property
     def before(self) -> frozenset[int]:
         """Trials that were finished in the runs that this one continues."""
-        told = self.files.manifest.get("continues")
-        done = told.get("trials_done") if isinstance(told, dict) else None
+        continues = self.files.manifest.get("continues")
+        done = continues.get("trials_done") if isinstance(continues, dict) else None
         return frozenset(index for index in done if isinstance(index, int)) if isinstance(done, list) else frozenset()
 
     @property
     def status(self) -> str:
         """`waiting`, `running`, or how the run ended."""
         status = self.files.status
-        if status == "running" and self.told_end is not None:
-            return str(self.told_end.get("status", status))
+        if status == "running" and self.end_event is not None:
+            return str(self.end_event.get("status", status))
         return status
 
     @property
@@ -353,16 +368,16 @@ class RunState:
     @property
     def why(self) -> str:
         """Why the run ended as it did."""
-        told = self.files.seal or self.told_end or {}
+        end = self.files.seal or self.end_event or {}
         if self.status == "interrupted":
             return "the program that wrote it died"
-        return str(told.get("why") or "")
+        return str(end.get("why") or "")
 
     @property
     def vent(self) -> str:
         """How the safe state ended: `confirmed` or else; empty before."""
-        told = (self.files.seal or {}).get("end") or self.told_end or {}
-        vent = told.get("vent") if isinstance(told, dict) else None
+        end = (self.files.seal or {}).get("end") or self.end_event or {}
+        vent = end.get("vent") if isinstance(end, dict) else None
         return str(vent.get("result", "")) if isinstance(vent, dict) else ""
 
     @property

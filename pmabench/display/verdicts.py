@@ -122,13 +122,13 @@ class Verdicts:
         if trial.status == "finished":
             kept = {m.symbol: m.value for m in measured if m.value is not None and not m.pooled and isfinite(m.value)}
             before[trial.index] = kept
-        told = tuple(numbers), tuple(doubts), trial.again
-        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, *told)
+        judged = tuple(numbers), tuple(doubts), trial.again
+        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, *judged)
 
 
 def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:
     """A number with its reference, and a doubt where it lies far from it; repeats count more than a prediction."""
-    value, reference, told = item.value, item.expected, "expected" if item.expected is not None else ""
+    value, reference, source = item.value, item.expected, "expected" if item.expected is not None else ""
     doubt = ""
     if earlier and not item.pooled:
         mean = sum(earlier) / len(earlier)
@@ -139,13 +139,13 @@ def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:
         if value is not None and abs(value - mean) > max(allowed, item.noise):
             doubt = f"{item.symbol} {_away(value, mean)} its repeats ({show(mean, item.quantity, 3)})"
         if reference is None:
-            reference, told = mean, "repeats"
+            reference, source = mean, "repeats"
     elif value is not None and reference is not None and not item.assumed:
         far = abs(value - reference) > max(FAR * abs(reference), item.tolerance)
         doubt = (
             "" if not far else f"{item.symbol} {_away(value, reference)} expected ({show(reference, item.quantity, 3)})"
         )
-    return Number(item.symbol, item.quantity, value, reference, told, item.assumed), doubt
+    return Number(item.symbol, item.quantity, value, reference, source, item.assumed), doubt
 
 
 def _away(value: float, reference: float) -> str:

@@ -135,25 +135,25 @@ def _doing(state: RunState) -> Text:
 def _done(state: RunState) -> str:
     doubtful = sum(not line.ok for line in state.lines)
     earlier = f" ({len(state.before)} before this run)" if state.before else ""
-    told = f"{state.done} of {state.trials} trials done{earlier}"
-    return f"{told}, {doubtful} in doubt" if doubtful else told
+    progress = f"{state.done} of {state.trials} trials done{earlier}"
+    return f"{progress}, {doubtful} in doubt" if doubtful else progress
 
 
 def _time(state: RunState, width: int) -> Text:
     """Elapsed, left, and how far."""
     t = state.t
-    told = Text(f"{clock(t)} elapsed")
+    line = Text(f"{clock(t)} elapsed")
     if state.progress is None or not state.progress.length or state.status != "running":
-        return told
+        return line
     done, left = state.progress.done(t), state.progress.left(t)
     if left is not None:
-        told.append(
+        line.append(
             f", {'about' if left[1] else 'by the plan'} {clock(left[0])} left{', paused' if state.paused else ''}"
         )
-    room = max(5, min(40, width - told.cell_len - 8))
+    room = max(5, min(40, width - line.cell_len - 8))
     full = round(room * done)
-    told.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")
-    return told
+    line.append("  ").append("━" * full, "bold").append("─" * (room - full), FAINT).append(f" {100 * done:3.0f} %")
+    return line
 
 
 def _channels(state: RunState, width: int) -> list[Text]:
@@ -221,12 +221,12 @@ def _settings(state: RunState) -> Text:
 
 def _setting(setting: Setting) -> str:
     q, data = quantity(setting.quantity), setting.data
-    told = f"{clean(setting.output)} {q.show(setting.value, 4)}"
+    setting_text = f"{clean(setting.output)} {q.show(setting.value, 4)}"
     if setting.how == "ramp" and isinstance(data.get("rate"), int | float):
-        return f"{told} at {data['rate'] / q.scale:.4g} {q.shown_in}/s"
+        return f"{setting_text} at {data['rate'] / q.scale:.4g} {q.shown_in}/s"
     if setting.how == "sine" and isinstance(data.get("amplitude"), int | float):
-        return f"{told} ± {q.show(float(data['amplitude']), 4)}, {data.get('frequency', 0):.4g} Hz"
-    return told
+        return f"{setting_text} ± {q.show(float(data['amplitude']), 4)}, {data.get('frequency', 0):.4g} Hz"
+    return setting_text
 
 
 def _counts(state: RunState) -> Text:

@@ -76,14 +76,14 @@ def point_text(point: Mapping[str, float]) -> str:
     for name, value in point.items():
         if name in _HIDDEN and "load" in point:
             continue
-        told = quantity(POINT[name][1]).show(value, 4) if name in POINT else f"{value:.4g}"
-        shown.append(f"{clean(name)} {told}")
+        value_text = quantity(POINT[name][1]).show(value, 4) if name in POINT else f"{value:.4g}"
+        shown.append(f"{clean(name)} {value_text}")
     return ", ".join(shown)
 
 
 _ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key", "live")
 """Events that are shown in another way than in the log."""
-_TOLD = {
+_IN_LOG = {
     "armed": ("armed: ", "bench", "info"),
     "prompt": ("asked: ", "text", "info"),
     "answer": ("answered: ", "answer", "info"),
@@ -108,20 +108,20 @@ def event_text(event: Event) -> tuple[str, str] | None:
         held = data["action"] == "hold"
         reason = clean(str(data.get("reason", "")))
         return ("held, nothing new is commanded: " if held else "") + reason, "doubt" if held else "info"
-    if kind in _TOLD:
-        words, entry, level = _TOLD[kind]
+    if kind in _IN_LOG:
+        words, entry, level = _IN_LOG[kind]
         lines = str(data.get(entry, "")).strip().splitlines() if entry else []
         return words + clean(lines[-1] if lines else ""), level  # of a traceback the last line says what it was
     if kind == "load":
         force, mass = data.get("force"), data.get("mass")
-        told = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
-        return told + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
+        text = f"load {quantity('force').show(float(force), 4)}" if isinstance(force, int | float) else "load"
+        return text + (f", {float(mass):.4g} kg moving" if isinstance(mass, int | float) else ""), "info"
     if kind in _OF_SESSIONS:
         return _OF_SESSIONS[kind](data)
     if kind == "proof-test":
         asked, filled, vented = (float(data.get(key) or 0.0) for key in ("pressure", "filled_in", "vented_in"))
-        told = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, empty {vented:.2g} s after venting"
-        return f"proof test of the vent path: {told}", "info"
+        text = f"filled to {quantity('pressure').show(asked, 4)} in {filled:.2g} s, empty {vented:.2g} s after venting"
+        return f"proof test of the vent path: {text}", "info"
     if kind == "vent":
         result = clean(data.get("result", ""))
         return f"vent {result}", "info" if result == "confirmed" else "fault"
@@ -129,8 +129,8 @@ def event_text(event: Event) -> tuple[str, str] | None:
         why, status = clean(data.get("why", "")), clean(data.get("status", ""))
         return f"{status}{f': {why}' if why else ''}", "info" if status == "finished" else "fault"
     level = "doubt" if data.get("ok") is False or "warn" in kind or "lost" in kind else "info"
-    told = data.get("text") or data.get("reason") or ", ".join(f"{key} {_short(value)}" for key, value in data.items())
-    return clean(f"{kind}: {told}" if told else kind), level
+    text = data.get("text") or data.get("reason") or ", ".join(f"{key} {_short(value)}" for key, value in data.items())
+    return clean(f"{kind}: {text}" if text else kind), level
 
 
 def _session(data: Mapping[str, Any]) -> tuple[str, str]:
@@ -143,10 +143,10 @@ def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
     """How many of the checks came out how; what failed in full."""
     checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
     counts = Counter(str(check.get("verdict")) for check in checks)
-    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
     wrong = [check for check in checks if check.get("verdict") not in ("ok", "not measured", "not checked")]
-    told += "".join(f"; {check.get('name')}: {check.get('value')}, {check.get('hint')}" for check in wrong)
-    return clean(f"self-test: {told}"), "fault" if wrong else "info"
+    verdicts += "".join(f"; {check.get('name')}: {check.get('value')}, {check.get('hint')}" for check in wrong)
+    return clean(f"self-test: {verdicts}"), "fault" if wrong else "info"
 
 
 def _zeros(data: Mapping[str, Any]) -> tuple[str, str]:
@@ -160,12 +160,12 @@ def _zero_check(data: Mapping[str, Any]) -> tuple[str, str]:
 
 def _by_channel(data: Mapping[str, Any], entry: str) -> str:
     """One number of each channel."""
-    told = []
+    zeros = []
     for name, zero in (data.get("channels") or {}).items():
         if isinstance(zero.get(entry), int | float):
             q = quantity(CHANNEL_QUANTITY.get(str(name), ""))
-            told.append(f"{name} {q.show(float(zero[entry]), 3)}")
-    return ", ".join(told) or "nothing that was measured"
+            zeros.append(f"{name} {q.show(float(zero[entry]), 3)}")
+    return ", ".join(zeros) or "nothing that was measured"
 
 
 def _warm_up(data: Mapping[str, Any]) -> tuple[str, str]:

@@ -81,15 +81,7 @@ def read_table(path: Path) -> Table:
 
     Raises InvalidFile with every row that has not as many cells as the head.
     """
-    try:
-        if path.is_file() and path.stat().st_size > LARGEST:
-            raise invalid(path, f"is larger than {LARGEST // 1_000_000} MB; give a table, not a record")
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise invalid(path, "is no text in UTF-8; save it as CSV in UTF-8") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(number, line) for number, line in enumerate(_text(path).splitlines(), 1) if line.strip()]
     source = []
     while lines and lines[0][1].lstrip().startswith("#"):
         source.append(lines.pop(0)[1].lstrip("# \t").strip())
@@ -107,8 +99,8 @@ def read_table(path: Path) -> Table:
             rows.append(cells)
             continue
         hint = "; a decimal comma? write a point" if mark == "," and len(cells) > len(heads) else ""
-        told = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
-        problems.append(Problem(str(path), number, 1, told))
+        problem = f"{len(cells)} cells, {len(heads)} are expected as in the head{hint}"
+        problems.append(Problem(str(path), number, 1, problem))
     names = [head.text for head in heads]
     for place, head in enumerate(heads):
         if head.text and head.text in names[:place]:
@@ -120,6 +112,17 @@ def read_table(path: Path) -> Table:
         name, unit = split_head(head.text)
         columns.append(Column(head, name, unit, tuple(row[place] for row in rows)))
     return Table(path, " ".join(source), tuple(columns))
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.is_file() and path.stat().st_size > LARGEST:
+            raise invalid(path, f"is larger than {LARGEST // 1_000_000} MB; give a table, not a record")
+        return path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise invalid(path, "is no text in UTF-8; save it as CSV in UTF-8") from None
 
 
 def split_head(head: str) -> tuple[str, str | None]:

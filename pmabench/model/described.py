@@ -34,20 +34,20 @@ class Described:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
-        told = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
+        muscle = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
         return {
             "source": self.source,
             "domain": list(self.domain),
             "regulator": asdict(self.regulator),
             **({} if self.air is None else {"air": asdict(self.air)}),
-            **{name: _plain(value) for name, value in told.items() if value is not None},
+            **{name: _plain(value) for name, value in muscle.items() if value is not None},
         }
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Described:
         """The inverse of `to_dict`; what it did not tell (plans of earlier versions) is as a muscle has it."""
-        told = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
-        muscle = Muscle(**{"name": str(data["source"]), **told})
+        values = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
+        muscle = Muscle(**{"name": str(data["source"]), **values})
         low, high = data["domain"]
         air = Air(**data["air"]) if "air" in data else None
         return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air)

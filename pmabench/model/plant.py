@@ -280,7 +280,7 @@ class Plant:
         self._horizon = min(max(1.2 * (moment - self._since), SHORT), HORIZON)
         self._since = moment
         if lands or self.muscle.friction.knee == 0:
-            self._stand(fine_course, lands)
+            self._stop(fine_course, lands)
         else:
             self.v = self.way * self.muscle.friction.knee * (1 - 1e-9)
 
@@ -314,7 +314,7 @@ class Plant:
         moment = to_nanosecond(moment if moment - self.time > 1e-9 else float(t[i]))
         return moment, min(max(place, 0.0), stop), bound is not None
 
-    def _stand(self, course: Course, lands: bool) -> None:
+    def _stop(self, course: Course, lands: bool) -> None:
         """With the speed just come to 0: stay, or slide back."""
         drive = self._drive(course.value(self.time))
         if lands and drive * self.way > 0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from pmabench.model.air import Air
 from pmabench.model.arm import Arm, ArmPlant
@@ -26,6 +26,8 @@ from pmabench.model.sensors import Noise
 if TYPE_CHECKING:
     from pmabench.model.contractor_muscle import ContractorMuscle
     from pmabench.model.daerden_muscle import DaerdenMuscle
+
+    AnyMuscle: TypeAlias = Muscle | DaerdenMuscle | ContractorMuscle | Arm
 
 N_PER_MM = 1e3
 
@@ -106,7 +108,7 @@ KINDS = ("ideal", "bench")
 class Setup:
     """All parameters of a simulated bench."""
 
-    muscle: Muscle | DaerdenMuscle | ContractorMuscle | Arm
+    muscle: AnyMuscle
     regulator: Regulator
     noise: Noise
     follow_lag: float
@@ -200,33 +202,59 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         raise ValueError(f'no preset "{kind}"; known: {", ".join(KINDS)}')
     real = kind == "bench"
     change = overrides or Overrides()
-
-    def chosen(name: str, bench: float, ideal: float = 0.0) -> float:
-        value = getattr(change, name)
-        return float(value) if value is not None else bench if real else ideal
-
+    chosen = _Chosen(change, real)
     share = 1.0 if change.friction is None else change.friction
     if share < 0:
         raise ValueError("the factor on friction cannot be negative")
-    muscle, hysteresis = setup.muscle, setup.hysteresis
-    if isinstance(muscle, Muscle):
-        muscle = _rubbed(muscle, change, share, real=real)
-    elif isinstance(muscle, Arm):
-        if change.b_relax:
-            raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
-        muscle = replace(muscle, friction=_friction(muscle.friction, change, share, real=real))
-    else:
-        for name in ("F_s", "F_c", "b_relax"):
-            if getattr(change, name) is not None:
-                raise ValueError(
-                    f"{name} is not for the muscle {muscle.name}: it has no friction and no damping by speed"
-                )
+    muscle = _muscle(setup.muscle, change, share, real=real)
+    hysteresis = setup.hysteresis
     if hysteresis is not None:
         height = hysteresis.height if change.hysteresis is None else change.hysteresis
         hysteresis = replace(hysteresis, height=share * height)
     elif change.hysteresis is not None:
         raise ValueError(f"hysteresis is not for the muscle {muscle.name}; it is for the plant daerden")
-    given = setup.regulator
+    regulator = _regulator(setup.regulator, chosen)
+    air = None if setup.air is None else _air(setup.air, chosen)
+    if setup.air is None:
+        if change.conductance_fill is not None or change.conductance_vent is not None:
+            raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
+        if change.polytropic is not None:
+            raise ValueError(f"polytropic is not for the muscle {muscle.name}: its volume is not known")
+    regulator = regulator if air is None else replace(regulator, leak=0.0)
+    noise = setup.noise.scaled(chosen("noise", 1.0))
+    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis, air)
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Takes the value of a parameter: the user's, else that of the bench, or of an ideal one."""
+
+    change: Overrides
+    real: bool
+
+    def __call__(self, name: str, bench: float, ideal: float = 0.0) -> float:
+        """The value of `name` [SI]."""
+        value = getattr(self.change, name)
+        return float(value) if value is not None else bench if self.real else ideal
+
+
+def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -> AnyMuscle:
+    """The muscle with its friction times `share` and changed; ValueError for what it does not have."""
+    if isinstance(muscle, Muscle):
+        return _rubbed(muscle, change, share, real=real)
+    if isinstance(muscle, Arm):
+        if change.b_relax:
+            raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
+        return replace(muscle, friction=_friction(muscle.friction, change, share, real=real))
+    for name in ("F_s", "F_c", "b_relax"):
+        if getattr(change, name) is not None:
+            raise ValueError(f"{name} is not for the muscle {muscle.name}: it has no friction and no damping by speed")
+    return muscle
+
+
+def _regulator(given: Regulator, chosen: _Chosen) -> Regulator:
+    """The regulator; a lag that is given makes it first order, a natural frequency second order."""
+    change = chosen.change
     lag, natural_frequency = chosen("regulator_lag", given.lag), chosen("natural_frequency", given.natural_frequency)
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),
@@ -238,26 +266,22 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         leak=chosen("leak", given.leak),
     )
     if change.damping_ratio is not None and not regulator.natural_frequency:
-        raise ValueError("damping_ratio is for a regulator of second order; give natural_frequency beside it")
-    air = setup.air
-    if air is not None:
-        air = replace(
-            air,
-            fill=chosen("conductance_fill", air.fill),
-            vent=chosen("conductance_vent", air.vent),
-            leak=chosen("leak", air.leak),
-            polytropic=chosen("polytropic", air.polytropic, air.polytropic),
-        )
-        if not 1.0 <= air.polytropic <= 1.4:
-            raise ValueError(f"polytropic {air.polytropic:g} is no exponent of air: 1 to 1.4 are expected")
-        air = air if air.fill or air.vent else None
-    elif change.conductance_fill is not None or change.conductance_vent is not None:
-        raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
-    elif change.polytropic is not None:
-        raise ValueError(f"polytropic is not for the muscle {muscle.name}: its volume is not known")
-    regulator = regulator if air is None else replace(regulator, leak=0.0)
-    noise = setup.noise.scaled(chosen("noise", 1.0))
-    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis, air)
+        raise ValueError("damping_ratio is for a regulator of second order; give natural_frequency too")
+    return regulator
+
+
+def _air(air: Air, chosen: _Chosen) -> Air | None:
+    """The air path; None without any conductance. ValueError for an exponent that air cannot have."""
+    air = replace(
+        air,
+        fill=chosen("conductance_fill", air.fill),
+        vent=chosen("conductance_vent", air.vent),
+        leak=chosen("leak", air.leak),
+        polytropic=chosen("polytropic", air.polytropic, air.polytropic),
+    )
+    if not 1.0 <= air.polytropic <= 1.4:
+        raise ValueError(f"polytropic {air.polytropic:g} is no exponent of air: 1 to 1.4 are expected")
+    return air if air.fill or air.vent else None
 
 
 def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:

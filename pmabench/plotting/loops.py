@@ -43,7 +43,7 @@ def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         slow_last = sorted(list(groups.values())[-1], key=lambda t: -t.marks.get("speed", 0.0))
         members = {t.marks.get(mark, float(i)): t for i, t in enumerate(slow_last)}
         chosen = spread([members[at] for at in sorted(members)], MOST_TOGETHER)
-        names = [_told(t, mark) for t in chosen]
+        names = [_loop_name(t, mark) for t in chosen]
         panels = [panel(t, {"x": first, "y": second}, name) for t, name in zip(chosen, names, strict=True)]
         labels = (label(chosen[0], first), label(chosen[0], second))
         where = clean(chosen[0].title.partition(", ")[2], 60) if kind == "loop" else ""
@@ -57,7 +57,7 @@ def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     return []
 
 
-def _told(trace: Trace, mark: str) -> str:
+def _loop_name(trace: Trace, mark: str) -> str:
     """What sets a loop apart, with its unit."""
     if mark not in trace.marks:
         return head(trace)
@@ -201,7 +201,7 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     for trace in traces:
         place = 0 if trace.figure == "oscillation" else 1
         pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
-    rows, told = [], []
+    rows, named = [], []
     labels = {
         "t": "time [s]",
         "measured": "contraction [mm]",
@@ -216,11 +216,11 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             marks = {k: v / scale for k, v in swing.marks.items() if k == "setpoint"}
             left = Panel(base.title, base.columns, marks)
             labels |= {"t": label(swing, "t"), "measured": label(swing, "displacement")}
-            told.append((f"swings, {_setpoint(swing)}", swing))
+            named.append((f"swings, {_setpoint(swing)}", swing))
         if growth is not None:
             right = _growth_panel(growth)
             labels["gain"] = label(growth, "gain")
-            told.append((f"growth, {_setpoint(growth)}", growth))
+            named.append((f"growth, {_setpoint(growth)}", growth))
         rows.append((left, right))
     if not any(left or right for left, right in rows):
         return []
@@ -232,7 +232,7 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points. {'; '.join(gains)}."
     )
     draw = bound(time_plots.oscillations, rows, labels)
-    table = numbers(told)
+    table = numbers(named)
     return [
         picture(
             draw,

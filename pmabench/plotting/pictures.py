@@ -124,13 +124,13 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
     columns = {new: column(trace, old) for new, old in names.items()}
     stride = max(1, -(-len(next(iter(columns.values()))) // DRAWN))
     first, *others = names.values()
-    beside = tuple(
+    published = tuple(
         (clean(b.label, 60), b.columns[first] / unit_of(trace, first).scale, b.columns[y] / unit_of(trace, y).scale)
-        for b in trace.beside
+        for b in trace.published
         for y in others
         if first in b.columns and y in b.columns
     )
-    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), beside)
+    return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
 
 
 def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> pd.DataFrame:
@@ -140,8 +140,8 @@ def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> 
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
         length = len(trace.columns[names[0]]) if names else 0
         rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
-        told = {label(trace, name): _texts(column(trace, name), rows) for name in names}
-        frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **told}))
+        texts = {label(trace, name): _texts(column(trace, name), rows) for name in names}
+        frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **texts}))
     return pd.concat(frames, ignore_index=True).fillna("") if frames else pd.DataFrame()
 
 

@@ -57,7 +57,7 @@ class Panel:
     title: str
     columns: dict[str, Array]
     marks: dict[str, float]
-    beside: tuple[tuple[str, Array, Array], ...] = ()
+    published: tuple[tuple[str, Array, Array], ...] = ()
     """Published points: label, x, y."""
 
 
@@ -102,8 +102,8 @@ def fit_labels(figure: Figure) -> None:
     for _, place, box in places:
         if box is None:
             continue
-        beside = [p.x1 * width for _, p, _ in places if p.x1 < place.x0 and p.y0 < place.y1 and place.y0 < p.y1]
-        lack = max(beside, default=0.0) + 2.0 - box.x0
+        neighbours = [p.x1 * width for _, p, _ in places if p.x1 < place.x0 and p.y0 < place.y1 and place.y0 < p.y1]
+        lack = max(neighbours, default=0.0) + 2.0 - box.x0
         key = round(place.x0, 4)
         columns[key] = max(columns.get(key, 0.0), lack)
     for axes, place, _ in places:
@@ -132,7 +132,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
     reach = np.concatenate([p.x for p in points]) if points else np.zeros(1)
     step = 0.012 * float(np.ptp(reach))
     order = sorted(range(len(points)), key=lambda i: points[i].primary)
-    beside = [i for i in range(len(points)) if not points[i].primary and not points[i].published]
+    compared = [i for i in range(len(points)) if not points[i].primary and not points[i].published]
     for i in order:
         p = points[i]
         color = PALETTE[p.group % len(PALETTE)]
@@ -144,7 +144,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
         if p.published:
             axes.plot(p.x, p.y, CROSSES[p.mark % len(CROSSES)], color=INK, markersize=4.5, label=p.label, zorder=3)
             continue
-        shift = 0.0 if p.primary else step * (1 + beside.index(i) // 2) * (-1) ** beside.index(i)
+        shift = 0.0 if p.primary else step * (1 + compared.index(i) // 2) * (-1) ** compared.index(i)
         drawn: list[tuple[Any, Array]] = [(axes, p.y)] + ([] if strip is None else [(strip, apart[i])])
         for place, y in drawn:
             place.errorbar(
@@ -173,15 +173,10 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
     (strip or axes).set_xlabel(x_label)
     if len(points) > 1:
         handles, labels = axes.get_legend_handles_labels()
-        place = [labels.index(p.label) for p in points]
-        figure.legend(
-            [handles[i] for i in place],
-            [labels[i] for i in place],
-            loc="upper left",
-            bbox_to_anchor=(0.03, 1 - 0.13 / height),
-            ncols=2,
-            handletextpad=0.3,
-        )
+        shown = [labels.index(p.label) for p in points]
+        named = [handles[i] for i in shown], [labels[i] for i in shown]
+        corner = (0.03, 1 - 0.13 / height)
+        figure.legend(*named, loc="upper left", bbox_to_anchor=corner, ncols=2, handletextpad=0.3)
     return figure
 
 
@@ -217,12 +212,12 @@ def _frame(axes: Axes, points: Sequence[Points]) -> None:
         axes.set_ylim(min(known) - room, max(known) + room)
 
 
-def published(axes: Axes, panel: Panel, told: dict[str, int]) -> None:
-    """Published points of a panel as crosses, named in the first panel that has them; `told` counts the labels."""
+def published(axes: Axes, panel: Panel, marks: dict[str, int]) -> None:
+    """Published points of a panel as crosses, named in the first panel that has them; `marks` counts the labels."""
     new = []
-    for name, x, y in panel.beside:
-        first = name not in told
-        mark = CROSSES[told.setdefault(name, len(told)) % len(CROSSES)]
+    for name, x, y in panel.published:
+        first = name not in marks
+        mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
         (drawn,) = axes.plot(x, y, mark, color=INK, markersize=4.5, markeredgewidth=1.0, label=name, zorder=4)
         new += [drawn] if first else []
     if new:
@@ -244,7 +239,7 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     rows = ceil(len(panels) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 1.97 * rows)
     cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.62)
-    told: dict[str, int] = {}
+    marks: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
@@ -253,7 +248,7 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         axes.plot(_closed(x), _closed(y), color=FAINT, linewidth=2.4, label="measured")
         if "model" in panel.columns:
             axes.plot(_closed(x), _closed(panel.columns["model"]), color=RED, linewidth=1.0, label="model")
-        published(axes, panel, told)
+        published(axes, panel, marks)
         axes.set_title(panel.title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:
@@ -269,17 +264,17 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def loops_together(panels: Sequence[Panel], x_label: str, y_label: str, height: float = 2.55) -> Figure:
     """Measured loops on common axes, columns x, y."""
     figure = blank(HALF, height)
-    rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.beside})) / 3)
+    rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.published})) / 3)
     axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
-    told: dict[str, int] = {}
+    marks: dict[str, int] = {}
     for i, panel in enumerate(panels):
         color = PALETTE[i % len(PALETTE)]
         axes.plot(
             _closed(panel.columns["x"]), _closed(panel.columns["y"]), color=color, linewidth=1.1, label=panel.title
         )
     for panel in panels:
-        for name, x, y in panel.beside:
-            mark = CROSSES[told.setdefault(name, len(told)) % len(CROSSES)]
+        for name, x, y in panel.published:
+            mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
             axes.plot(x, y, mark, color=INK, markersize=4.5, label=name, zorder=4)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
@@ -337,7 +332,7 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     rows = ceil(len(panels) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.3 + 2.15 * rows)
     cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.65)
-    told: dict[str, int] = {}
+    marks: dict[str, int] = {}
     first: Axes | None = None
     for i, panel in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
@@ -352,7 +347,7 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             if len(known):
                 ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
                 axes.plot(x[ends], panel.columns["fit"][ends], color=INK, linewidth=1.3)
-        published(axes, panel, told)
+        published(axes, panel, marks)
         axes.set_title(panel.title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:

@@ -40,7 +40,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
     cells = grid(figure, rows, columns, top=0.5, left=0.6, across=0.22, down=0.52)
     first: Axes | None = None
     named: dict[str, Artist] = {}
-    told: dict[str, int] = {}
+    marks: dict[str, int] = {}
     for i, (title, lines, mean) in enumerate(panels):
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
         first = first or axes
@@ -52,7 +52,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
             named.setdefault(name, drawn)
         if mean is not None:
             axes.plot(mean.columns["x"], mean.columns["y"], color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-        published(axes, mean or lines[0][1], told)
+        published(axes, mean or lines[0][1], marks)
         axes.set_title(title)
         axes.tick_params(labelleft=i % columns == 0)
         if i % columns == 0:
@@ -106,7 +106,7 @@ def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
     stride = max(1, len(x) // 25)
     axes.plot(x, panel.columns["model"], color=RED, linewidth=1.1, label="fitted", zorder=1)
     axes.plot(x[::stride], panel.columns["y"][::stride], "o", color=INK, markerfacecolor="white", label="measured")
-    for i, (name, at, y) in enumerate(panel.beside):
+    for i, (name, at, y) in enumerate(panel.published):
         axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])

@@ -88,10 +88,12 @@ def lean(text: str) -> str:
     names = {name: f"{n:x}" for n, name in enumerate(dict.fromkeys(found))}
 
     def tag(match: re.Match[str]) -> str:
-        told = re.sub(r' d="([^"]*)"', lambda m: f' d="{shortened(m[1])}"', match[0])
-        told = re.sub(r' transform="rotate\(-?0 [^)]*\)"', "", told)
-        told = PLACES.sub(lambda m: re.sub(r"-?\d+\.\d+", lambda n: _number(round(100 * float(n[0]))), m[0]), told)
-        return re.sub(r'(id="|href="#|url\(#)([^")]*)', lambda m: m[1] + names.get(m[2], m[2]), told)
+        shorter = re.sub(r' d="([^"]*)"', lambda m: f' d="{shortened(m[1])}"', match[0])
+        shorter = re.sub(r' transform="rotate\(-?0 [^)]*\)"', "", shorter)
+        shorter = PLACES.sub(
+            lambda m: re.sub(r"-?\d+\.\d+", lambda n: _number(round(100 * float(n[0]))), m[0]), shorter
+        )
+        return re.sub(r'(id="|href="#|url\(#)([^")]*)', lambda m: m[1] + names.get(m[2], m[2]), shorter)
 
     return MARKS.sub(_marks, re.sub(r"<[a-zA-Z][^>]*>", tag, text))
 
@@ -103,23 +105,23 @@ def _marks(run: re.Match[str]) -> str:
 def shortened(path: str) -> str:
     """Path data (absolute M, L, Q, C and z) as differences with two decimals; what rounding leaves does not add up."""
     here = start = (0, 0)
-    told: list[tuple[str, list[int]]] = []
+    commands: list[tuple[str, list[int]]] = []
     for command, numbers in re.findall(r"([MLQCz])([^A-Za-z]*)", path):
         values = [round(100 * float(value)) for value in numbers.split()]
         points = list(zip(values[::2], values[1::2], strict=True))
         if command == "M":
-            told.append(("M", values))
+            commands.append(("M", values))
             start = points[0]
         elif command != "z":
             moved = [value for x, y in points for value in (x - here[0], y - here[1])]
-            if told[-1][0] == command.lower():
-                told[-1][1].extend(moved)
+            if commands[-1][0] == command.lower():
+                commands[-1][1].extend(moved)
             else:
-                told.append((command.lower(), moved))
+                commands.append((command.lower(), moved))
         else:
-            told.append(("z", []))
+            commands.append(("z", []))
         here = start if command in "Mz" else points[-1]
-    return "".join(command + _joined(values) for command, values in told)
+    return "".join(command + _joined(values) for command, values in commands)
 
 
 def _joined(values: list[int]) -> str:
@@ -135,12 +137,12 @@ def _number(hundredths: int) -> str:
 
 def _subscripts(text: str) -> str:
     """Escaped text with symbols in italics and their subscripts lowered, as tspans."""
-    told = []
+    spans = []
     for kind, part in symbol_parts(text):
         if kind == "symbol":
-            told.append(f'<tspan font-style="italic">{part}</tspan>')
+            spans.append(f'<tspan font-style="italic">{part}</tspan>')
         elif kind == "sub":
-            told.append(f'<tspan dy="0.22em" font-size="75%">{part}</tspan><tspan dy="-0.165em">\u200b</tspan>')
+            spans.append(f'<tspan dy="0.22em" font-size="75%">{part}</tspan><tspan dy="-0.165em">\u200b</tspan>')
         else:
-            told.append(part)
-    return "".join(told)
+            spans.append(part)
+    return "".join(spans)

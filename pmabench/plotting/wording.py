@@ -138,13 +138,13 @@ def spoken(name: str) -> str:
 
 def point_text(at: Mapping[str, float]) -> str:
     """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out where the load is told."""
-    told = []
+    parts = []
     for name in in_order(at, POINTS):
         if name == "mass" and "load" in at:
             continue
         label, unit = point_shown(name)
-        told.append(f"{label} = {number(at[name] / unit.scale)} {unit.unit}".rstrip())
-    return ", ".join(told)
+        parts.append(f"{label} = {number(at[name] / unit.scale)} {unit.unit}".rstrip())
+    return ", ".join(parts)
 
 
 def number(value: float) -> str:

@@ -35,23 +35,23 @@ def _wider_than_nothing(value: float) -> float:
     return value
 
 
-def _above_nothing(value: float) -> float:
+def _above_zero(value: float) -> float:
     if not value > 0:
         raise ValueError(f'{show(value, "ratio")}: a limit is above 0 %, for instance "5 %"')
     return value
 
 
-def _size_above_nothing(told: tuple[str, float]) -> tuple[str, float]:
-    quantity, value = told
+def _size_above_zero(limit: tuple[str, float]) -> tuple[str, float]:
+    quantity, value = limit
     if not value > 0:
         raise ValueError(f'{show(value, quantity)}: a limit is above 0, for instance "3 %" or "15 N"')
-    return told
+    return limit
 
 
-Limit = Annotated[Ratio, AfterValidator(_above_nothing)]
+Limit = Annotated[Ratio, AfterValidator(_above_zero)]
 
 
-StaticLimit = Annotated[ShareOrForce, AfterValidator(_size_above_nothing)]
+StaticLimit = Annotated[ShareOrForce, AfterValidator(_size_above_zero)]
 
 
 class Accept(Strict):
@@ -106,22 +106,22 @@ def find_faults(
             c.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(able)}', key=True)
             continue
         fitting = measures_of(name)
-        told = [measure for measure in Accept.model_fields if getattr(limits, measure) is not None]
-        if not told:
+        measures = [measure for measure in Accept.model_fields if getattr(limits, measure) is not None]
+        if not measures:
             c.fault(("accept", name), f"says no limit; expected {' or '.join(fitting)}", key=True)
-        for measure in told:
+        for measure in measures:
             if measure not in fitting:
                 c.fault(
                     ("accept", name, measure), f"{name} has no {measure}; expected {' or '.join(fitting)}", key=True
                 )
         for measure in ("of_static", "static_E_n"):
-            if measure in told and name == "F_ce" and not with_static:
+            if measure in measures and name == "F_ce" and not with_static:
                 c.fault(
                     ("accept", name, measure),
                     f'compares F_ce with that of static load; "{kind}" has no such comparison',
                     key=True,
                 )
-        if "of_specimen" in told and name in COEFFICIENTS:
+        if "of_specimen" in measures and name in COEFFICIENTS:
             _needs_expected(c, name)
 
 
@@ -137,7 +137,9 @@ def for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
     """The section as the plan holds it: widest relative intervals by coefficient, and all `limits`; empty for none."""
     if not accept:
         return {}
-    widest = {str(name): told.relative_interval for name, told in accept.items() if told.relative_interval is not None}
+    widest = {
+        str(name): limits.relative_interval for name, limits in accept.items() if limits.relative_interval is not None
+    }
     return {**widest, "limits": list(_limits(c, accept))}
 
 
@@ -146,9 +148,9 @@ def _limits(c: Compilation, accept: Acceptance) -> Iterator[dict[str, Any]]:
 
     `expected` is a list of (pressure [Pa], value [SI]), or a single value without a pressure.
     """
-    for name, told in accept.items():
+    for name, limits in accept.items():
         for measure in Accept.model_fields:
-            limit = getattr(told, measure)
+            limit = getattr(limits, measure)
             if limit is None:
                 continue
             where = c.document.problem(("accept", name, measure), "", key=True)

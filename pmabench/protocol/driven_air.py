@@ -99,8 +99,8 @@ def not_pushed_together(
         return
     tube = Tube(specimen.inner_diameter, specimen.nominal_length, specimen.braid_angle)
     air = c.mounted.bench_file.air
-    told = air.conductance
-    supply = None if told is None else Supply(told.fill, told.vent, air.atmosphere)
+    conductance = air.conductance
+    supply = None if conductance is None else Supply(conductance.fill, conductance.vent, air.atmosphere)
     if supply is None and motion(1.0)[1] >= SLOW:
         return
     limit, source = specimen.limits.pressure.never_above, "never_above of the specimen"

@@ -24,7 +24,7 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
     for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
-        shown_estimates, beside = _without_comparison(analysis)
+        shown_estimates, compared = _without_comparison(analysis)
         results = declared([analysis])
         groups = _for_terminal(shown_estimates, results)
         for names, (members, constant) in groups.items():
@@ -46,21 +46,21 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         if more:
             others = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
             console.print(Text(f"  more in the tables of the analysis folder: {others}"))
-        if beside:
-            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(beside)}"))
+        if compared:
+            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(compared)}"))
         console.print()
 
 
 def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
     """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
     first: dict[tuple[str, str, tuple[str, ...]], str] = {}
-    kept, beside = [], []
+    kept, compared = [], []
     for e in analysis.estimates:
         if first.setdefault((e.symbol, e.coordinate, tuple(sorted(e.at))), e.method) == e.method:
             kept.append(e)
         else:
-            beside.append(clean(e.method))
-    return kept, list(dict.fromkeys(beside))
+            compared.append(clean(e.method))
+    return kept, list(dict.fromkeys(compared))
 
 
 def _reasons(estimates: Sequence[Estimate]) -> list[str]:
@@ -81,10 +81,10 @@ def _for_terminal(
     for e in estimates:
         if e.withheld or results[e.symbol].headline:
             groups.setdefault(tuple(sorted(e.at)), []).append(e)
-    told: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
+    shown_groups: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
     for names, members in groups.items():
         moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
         kept = moving or in_order(names, POINTS)[:1]
         constant = {name: members[0].at[name] for name in names if name not in kept and name != "mass"}
-        told[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
-    return told
+        shown_groups[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
+    return shown_groups

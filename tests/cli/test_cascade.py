@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import InvalidFile
 from pmabench.cli import cascade_pace
-from pmabench.cli.cascade_pace import drawn, pace_told, paced
+from pmabench.cli.cascade_pace import drawn, paced, show_pace
 from pmabench.cli.common import Ui
 from pmabench.cli.main import main
 from pmabench.model import cascade
@@ -218,9 +218,9 @@ def test_paced_time_is_simulated_time_within_2_percent(cost):
 def test_a_computer_that_does_not_keep_up_is_told(capsys):
     _, elapsed, _ = at_pace(0.08)
     assert elapsed > 11
-    pace_told(Ui(), 10.0, elapsed)
+    show_pace(Ui(), 10.0, elapsed)
     assert "does not keep up" in capsys.readouterr().err
-    pace_told(Ui(), 10.0, 10.1)
+    show_pace(Ui(), 10.0, 10.1)
     assert "+1.00 %" in capsys.readouterr().err
 
 

@@ -230,7 +230,7 @@ def test_sessions_are_left_out_and_runs_that_others_continue_belong_to_those(tmp
     twice = tasks_below([runs / "deeper", alone, last])
     assert [task.place for task in twice] == ["two", "two-2"]
     many = process_many(tasks, tmp_path / "analyses")
-    assert [state for _, state, _ in many.told].count("skipped") == 1
+    assert [state for _, state, _ in many.entries].count("skipped") == 1
     assert next(many.of("skipped"))["skipped"] == "is a run of kind session"
 
 

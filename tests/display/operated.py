@@ -26,7 +26,7 @@ def main(folder, log, die=""):
                 if message.get("key") == "v":
                     if die:
                         os._exit(9)
-                    display.tell("[/dev/ttyUSB0] says [/]")
+                    display.log("[/dev/ttyUSB0] says [/]")
                 if message.get("key") == "q":
                     display.close()
             time.sleep(0.02)

@@ -63,7 +63,7 @@ def busy(display, count=2000):
     begun = time.monotonic()
     taken = 0
     for number in range(count):
-        taken += display.tell(f"line {number} " + "x" * 200)
+        taken += display.log(f"line {number} " + "x" * 200)
         display.live({"pressure": 1e5})
         display.ask("again?", ("yes",))
         display.poll()
@@ -91,14 +91,14 @@ def test_a_display_that_is_killed_holds_up_nothing_and_is_noticed(display):
 def test_an_end_that_never_reads_gets_what_fits_and_the_question_comes_through_in_the_end(ends):
     ours, theirs = ends
     link = Link(ours)
-    sent = [n for n in range(5000) if link.send({"tell": n, "pad": "x" * 500})]
+    sent = [n for n in range(5000) if link.send({"log": n, "pad": "x" * 500})]
     assert 10 < len(sent) < 5000
     theirs.setblocking(False)
     other, got = Link(theirs), []
     while len(got) < len(sent):
         link.flush()
         got += other.receive()
-    assert [message["tell"] for message in got] == sent
+    assert [message["log"] for message in got] == sent
 
 
 def test_rubbish_on_the_link_is_left_out(ends):
@@ -111,7 +111,7 @@ def test_rubbish_on_the_link_is_left_out(ends):
     assert got == [{"key": "r"}, {"key": "p"}]
     theirs.close()
     until(lambda: (link.receive(), link.closed)[1])
-    assert not link.send({"tell": "x"})
+    assert not link.send({"log": "x"})
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_without_a_terminal_there_are_plain_lines(folder, ends):
     theirs.close()
     link = Link(ours)
     link.send({"ask": {"id": 1, "text": "Put 6 kg on.", "words": ["clear"]}})
-    link.send({"tell": "half way"})
+    link.send({"log": "half way"})
     told = ""
     while "half way" not in told:
         told += child.stderr.readline()

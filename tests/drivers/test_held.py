@@ -23,7 +23,7 @@ from tests.drivers.wires import rigs as wires
 from tests.realtime import opened as opened_mock
 from tests.realtime import plant_server
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
 LONGEST = 0.4
 """A call takes 0.2 s at most, and so much on a machine that has much else to do [s]."""

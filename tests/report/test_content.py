@@ -15,7 +15,7 @@ from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import deviations
 from pmabench.report.document.front import verdict_of
 from pmabench.report.document.grids import grid
-from pmabench.report.document.parents import trials_told
+from pmabench.report.document.parents import trial_ranges
 from pmabench.report.figures import coefficient_figures
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
@@ -110,7 +110,7 @@ def test_the_checklist_names_what_is_missing_and_takes_what_is_told():
 
 
 def test_every_value_leads_to_its_trials():
-    assert trials_told(("a/1", "a/2", "a/3", "a/7", "b/2", "odd"), {"a": "R1", "b": "R2"}) == "R1: 1–3, 7; R2: 2; odd"
+    assert trial_ranges(("a/1", "a/2", "a/3", "a/7", "b/2", "odd"), {"a": "R1", "b": "R2"}) == "R1: 1–3, 7; R2: 2; odd"
     many = tuple(f"a/{n}" for n in range(1, 60, 2))
     analysis = samples.static_load()
     estimates = tuple(replace(e, trials=many) for e in analysis.estimates)

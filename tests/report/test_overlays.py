@@ -12,7 +12,7 @@ from pmabench.cli.main import main
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.report.document.content import content_of
 from pmabench.report.document.html import render
-from pmabench.report.figures.overlays import Published, beside, comparison_table, matchable
+from pmabench.report.figures.overlays import Published, comparison_table, matchable, with_published
 from pmabench.store.analyses.folder import write_analysis
 from tests.report.samples import all_analyses, contraction, static_load, truth
 
@@ -39,7 +39,7 @@ def ramps(*traces):
 
 def test_a_coefficient_is_compared_at_the_published_pressures_within_its_range():
     """(K - 1.1 K) / (1.1 K) is -1/11; 100 and 700 kPa are outside of 150 to 500 kPa."""
-    _, (theirs,), (row,) = beside([contraction()], [BOOK], None)
+    _, (theirs,), (row,) = with_published([contraction()], [BOOK], None)
     assert [e.at["pressure"] for e in theirs.estimates] == P.tolist()
     assert {e.method for e in theirs.estimates} == {"Book"}
     assert (row.name, row.label, row.points, row.places) == ("K", "Book", 3, "200 to 400 kPa")
@@ -54,12 +54,12 @@ def test_values_that_stand_in_another_figure_are_not_compared():
         Estimate("K", 1e4 * n, "N/m", "stiffness", "local", {"pressure": 3e5, "contraction": 0.01 * n}) for n in (1, 2)
     ]
     with pytest.raises(InvalidFile, match="these runs have none"):
-        beside([Analysis("isobaric-ramp", (), simulated=False, estimates=tuple(local))], [BOOK], None)
+        with_published([Analysis("isobaric-ramp", (), simulated=False, estimates=tuple(local))], [BOOK], None)
 
 
 def test_own_results_stay_what_they_are():
     own = all_analyses()
-    told, theirs, _ = beside(own, [BOOK], None)
+    told, theirs, _ = with_published(own, [BOOK], None)
     assert [a.to_dict() for a in told] == [a.to_dict() for a in own]
     assert [a.kind for a in theirs] == ["published"]
 
@@ -69,14 +69,14 @@ def test_force_over_contraction_is_matched_by_pressure_and_the_length_of_the_spe
     pressure = np.array([3e5, 3e5, 3e5, 3.01e5, 3e5, 4e5, 3e5])
     own = 1000 - 1e4 * 0.25 * eps
     table = Published("Chart", "", Path("c.csv"), {"contraction": eps, "pressure": pressure, "force": own / 0.8})
-    (told,), _, (row,) = beside([ramps(mean_curve())], [table], 0.25)
-    (points,) = told.traces[0].beside
+    (told,), _, (row,) = with_published([ramps(mean_curve())], [table], 0.25)
+    (points,) = told.traces[0].published
     assert points.columns["displacement"].tolist() == pytest.approx([0, 0.0125, 0.025, 0.05])  # 3.01 bar is near
     assert row.points == 4
     assert row.mean == pytest.approx(-0.2)
     assert row.over == "contraction at pressure 300 kPa"
     with pytest.raises(InvalidFile, match="force"):
-        beside([ramps(mean_curve(2e5))], [table], 0.25)
+        with_published([ramps(mean_curve(2e5))], [table], 0.25)
 
 
 def test_branches_count_by_their_mean():
@@ -88,7 +88,7 @@ def test_branches_count_by_their_mean():
     fast = Trace("loop-2", "loop", "", {"displacement": x, "force": 2 * force}, {}, {**marks, "frequency": 2.0})
     at = np.linspace(0, 0.05, 6)
     columns = {"displacement": at, "pressure": np.full(6, 3e5), "force": 1000 - 1e4 * at}
-    _, _, rows = beside([ramps(fast, loop)], [Published("Line", "", Path("l.csv"), columns)], None)
+    _, _, rows = with_published([ramps(fast, loop)], [Published("Line", "", Path("l.csv"), columns)], None)
     (row,) = rows  # the slowest alone
     assert row.over.endswith("300 kPa, 0.5 Hz")
     assert row.points == 6
@@ -98,7 +98,7 @@ def test_branches_count_by_their_mean():
 def test_a_table_that_matches_nothing_is_told_what_could_be():
     table = Published("Chart", "", Path("c.csv"), {"contraction": np.zeros(2), "force": np.ones(2)})
     with pytest.raises(InvalidFile) as caught:
-        beside([ramps(mean_curve())], [BOOK, table], 0.25)
+        with_published([ramps(mean_curve())], [BOOK, table], 0.25)
     (problem,) = caught.value.problems
     assert problem.path == "c.csv"
     assert "matches no figure of this report: it holds contraction, force" in problem.message

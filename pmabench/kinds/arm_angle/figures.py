@@ -74,7 +74,7 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             axes.plot([0.985 * end, 1.015 * end], [printed, printed], color=INK, linewidth=1.2, zorder=4)
         if gap is not None and "above" in one.columns:
             gap.plot(P, one.columns["above"] - one.columns["below"], "o-", color=color, markersize=2.5, linewidth=0.7)
-        for name, at, y in one.beside:
+        for name, at, y in one.published:
             axes.plot(at, y, "x", color=INK, markersize=4, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])

@@ -60,7 +60,7 @@ def drawing_of(data: Panel, labels: dict[str, str]) -> Figure:
     for name in both or ["length"]:
         mark, words = STYLES[name]
         axes.plot(P, data.columns[name], mark, color=INK, markerfacecolor="white", markersize=3.5, label=words)
-    for i, (name, at, y) in enumerate(data.beside):
+    for i, (name, at, y) in enumerate(data.published):
         axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
     axes.set_xlabel(labels["x"])
     axes.set_ylabel(labels["y"])

@@ -15,14 +15,18 @@ import numpy as np
 from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.cell import GainCell
-from pmabench.kinds.ultimate_gain.relay_levels import RelayFound, RelayLevel, examine, search_of
+from pmabench.kinds.ultimate_gain.relay_levels import RUBS, RelayFound, RelayLevel, examine, search_of
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.records import RunData, TrialData
 
 FITTED, DESCRIBED = "relay-fit", "relay-describing-function"
 LONGEST_TRACE = 1500
+OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
+"""What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
+over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
 FORM = {"K_u": 0.012, "T_u": 0.0045}
 """Half width, over the value, of what the form of the fitted loop is worth with damping alike in both directions."""
 UNLIKE = {"K_u": 0.08, "T_u": 0.035}
@@ -87,28 +91,49 @@ def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
             between = float(student.ppf(0.975, len(best) - 1) * values.std(ddof=1) / sqrt(len(best)))
             repeats = max(between, repeats or 0.0)
         scaled = (pressure, "displacement") if symbol == "K_u" else ()
-        found.append(
-            replace(
-                empty,
-                value=value,
-                parts=Parts(
-                    repeats=repeats,
-                    method=_method_part(cell, best, symbol, method),
-                    calibration=scales.part(dict.fromkeys(scaled, value)),
-                ),
-                n=len(best),
-                note=sentences(
-                    *(doubt for i, _ in best for doubt in cell.found[i].doubts),
-                    "one trial: the repeats part is the scatter between its periods" if len(best) == 1 else "",
-                    "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
-                    if method == DESCRIBED
-                    else "the method part is the difference between the amplitudes, and what the loop's form is worth",
-                    scales.lack(scaled),
-                ),
-                trials=tuple(cell.trials[i].name for i, _ in best),
-            )
+        told = replace(
+            empty,
+            value=value,
+            parts=Parts(
+                repeats=repeats,
+                method=_method_part(cell, best, symbol, method),
+                calibration=scales.part(dict.fromkeys(scaled, value)),
+            ),
+            n=len(best),
+            note=sentences(
+                *(doubt for i, _ in best for doubt in cell.found[i].doubts),
+                "one trial: the repeats part is the scatter between its periods" if len(best) == 1 else "",
+                "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
+                if method == DESCRIBED
+                else "the method part is the difference between the amplitudes, and what the loop's form is worth",
+                scales.lack(scaled),
+            ),
+            trials=tuple(cell.trials[i].name for i, _ in best),
         )
+        found.append(weighed(told, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else told)
     return found
+
+
+def _doubts(trials: Sequence[RelayFound], value: float) -> list[Doubt]:
+    """What friction or play in the balance of pressures, and another form of the loop, are worth of a value.
+
+    Friction is alike at all amplitudes: what a bend makes of it at the largest one alone does not count.
+    """
+    rubs, shape = 0.0, 0.0
+    for trial in trials:
+        known = [level for level in trial.levels if isfinite(level.coulomb)]
+        least = min((level.coulomb for level in known), default=0.0)
+        rubs = max(rubs, least / max((level.amplitude for level in known), default=1.0))
+        if trial.best is not None and isfinite(trial.best.shape):
+            shape = max(shape, trial.best.shape)
+    reason = (
+        f"dry friction or play takes {rubs:.1%} of the relay's amplitude, at most {RUBS:.1%} is accepted: the loop is "
+        "not linear. Take a larger amplitude"
+    )
+    return [
+        Doubt("friction in the balance", "method", OF_FRICTION * rubs * value, rubs > RUBS, reason),
+        Doubt("form of the loop", "method", OF_SHAPE * shape * value, seen=False),
+    ]
 
 
 def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol: str, method: str) -> float | None:
@@ -134,7 +159,7 @@ def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol
         name = "gain" if symbol == "K_u" else "period"
         later = ultimate(replace(cell.loop, dead_time=cell.loop.dead_time + late))
         shift = abs(getattr(later, name) - getattr(ultimate(cell.loop), name))
-    return sqrt(max(apart) ** 2 + shift**2 + form**2)
+    return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)
 
 
 def findings(cell: RelayCell) -> list[Finding]:

@@ -10,8 +10,8 @@ from pmabench.plotting.wording import clean, point_text, shown, symbol_text
 from pmabench.report.document.tables import Table, least
 from pmabench.report.words.names import kind_title
 
-TOLD = 0.01
-"""Sources with a smaller share of the variance are told together."""
+NAMED_ALONE = 0.01
+"""Sources with a smaller share of the variance are given as one sum."""
 
 
 def budget_table(analysis: Analysis) -> Table | None:
@@ -45,13 +45,13 @@ def budget_table(analysis: Analysis) -> Table | None:
 
 
 def _shares(e: Estimate) -> str:
-    told = [
+    shares = [
         (share, clean(s.name, 80)) for s, share in zip(e.budget, e.shares, strict=True) if share is not None and s.half
     ]
-    large = sorted((entry for entry in told if entry[0] >= TOLD), reverse=True)
+    large = sorted((entry for entry in shares if entry[0] >= NAMED_ALONE), reverse=True)
     words = [f"{name} {100 * share:.0f} %" for share, name in large]
-    rest = sum(share for share, _ in told) - sum(share for share, _ in large)
-    others = len(told) - len(large)
+    rest = sum(share for share, _ in shares) - sum(share for share, _ in large)
+    others = len(shares) - len(large)
     if others:
         words.append(f"{others} other{'s' if others > 1 else ''} {f'{100 * rest:.1f}' if rest >= 5e-4 else '< 0.1'} %")
     return ", ".join(words)

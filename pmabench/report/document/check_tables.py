@@ -30,8 +30,8 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
     ]
     if rows:
         yield Table("Checks beside the residual", pd.DataFrame(rows, dtype=object))
-    told = analysis.facts.get("free_run")
-    runs = [row for entry in (told if isinstance(told, list | tuple) else ()) if (row := _run(entry))]
+    free_runs = analysis.facts.get("free_run")
+    runs = [row for entry in (free_runs if isinstance(free_runs, list | tuple) else ()) if (row := _run(entry))]
     if runs:
         caption = (
             "The fitted muscle run freely through whole trials with the measured pressure: NRMSE = "

@@ -6,13 +6,16 @@ writes the report gives them (`Issuer`). Nothing here says that a laboratory is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pmabench.analysis.results import Analysis
+from pmabench.analysis.results import Analysis, Estimate
 from pmabench.plotting.wording import clean
 from pmabench.report.document.provenance import get
 from pmabench.store.records import RunData
+
+Answer = tuple[str, str, bool, str]
+"""Clause, what it asks for, whether that is there, and where, or what to do."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,7 @@ def checklist(
 ) -> list[Item]:
     """Every clause that applies to tests; sampling (7.8.5) and calibration certificates (7.8.4) do not."""
     estimates = [e for a in analyses for e in a.estimates if e.value is not None]
-    without = sum(e.ci95 is None for e in estimates)
     sources = all(run.manifest.get("source") or run.manifest.get("protocol") for run in runs) and bool(runs)
-    measured = {c for run in runs for c in run.channels.values() if not c.name.endswith("_command")}
-    uncalibrated = sorted({clean(c.name, 40) for c in measured if not c.calibration})
     mounted = all(get(run.manifest, "specimen", "mounted") for run in runs) and bool(runs)
     session = all(run.manifest.get("session") for run in runs) and bool(runs)
     items = [
@@ -92,27 +92,35 @@ def checklist(
             True,
             "What was found" if accepted else "not asked for: the protocols set no acceptance limits (`accept`)",
         ),
-        _either(
-            "7.8.3.1 c",
-            "measurement uncertainty",
-            bool(estimates) and without == 0,
-            "Intervals in parts",
-            f"{without} of {len(estimates)} values have no interval; Intervals in parts says why",
-        ),
-        _either(
-            "6.5",
-            "calibrations of the channels",
-            bool(runs) and not uncalibrated,
-            "Provenance",
-            f"without calibration: {', '.join(uncalibrated)}" if uncalibrated else "the runs are not at hand",
-        ),
+        *_measurement(estimates, runs),
     ]
     return [Item(clause, asked, there, said) for clause, asked, there, said in items]
 
 
-def _asked(clause: str, asked: str, told: str, option: str) -> tuple[str, str, bool, str]:
-    return clause, asked, bool(told), told or f"not told; give {option}, or write it by hand"
+def _measurement(estimates: Sequence[Estimate], runs: Sequence[RunData]) -> Iterator[Answer]:
+    """Uncertainty of the values, and calibration of the channels behind them."""
+    without = sum(e.ci95 is None for e in estimates)
+    yield _either(
+        "7.8.3.1 c",
+        "measurement uncertainty",
+        bool(estimates) and without == 0,
+        "Intervals in parts",
+        f"{without} of {len(estimates)} values have no interval; Intervals in parts says why",
+    )
+    measured = {c for run in runs for c in run.channels.values() if not c.name.endswith("_command")}
+    uncalibrated = sorted({clean(c.name, 40) for c in measured if not c.calibration})
+    yield _either(
+        "6.5",
+        "calibrations of the channels",
+        bool(runs) and not uncalibrated,
+        "Provenance",
+        f"without calibration: {', '.join(uncalibrated)}" if uncalibrated else "the runs are not at hand",
+    )
 
 
-def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> tuple[str, str, bool, str]:
+def _asked(clause: str, asked: str, answer: str, option: str) -> Answer:
+    return clause, asked, bool(answer), answer or f"not told; give {option}, or write it by hand"
+
+
+def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> Answer:
     return clause, asked, there, where if there else otherwise

@@ -16,35 +16,35 @@ from pmabench.store.records import RunData
 
 def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
     """Specimen, bench, each test with its points, the primary method of each, what was left out."""
-    told = []
+    sentences = []
     for name, about in provenance.specimens(runs):
-        told.append(f"The specimen was a {name}" + (f" ({about})" if about else "") + ".")
+        sentences.append(f"The specimen was a {name}" + (f" ({about})" if about else "") + ".")
     for name, about in provenance.benches(runs):
-        told.append(f"It was tested on the bench “{name}”" + (f" ({about})" if about else "") + ".")
+        sentences.append(f"It was tested on the bench “{name}”" + (f" ({about})" if about else "") + ".")
     if any(a.simulated for a in analyses) or any(run.simulated for run in runs):
         alone = all(a.simulated for a in analyses) and all(run.simulated for run in runs)
-        told.append(f"{'All' if alone else 'Some'} of the tests are simulated; no real muscle moved in them.")
+        sentences.append(f"{'All' if alone else 'Some'} of the tests are simulated; no real muscle moved in them.")
     for row in provenance.protocol_table(runs, {}).to_dict("records"):
         points = f" at {row['operating points']}" if row["operating points"] else ""
         rate = f", sampled at {row['rate']}" if row["rate"] else ""
-        told.append(f"{row['test']}, protocol “{row['protocol']}”{points}{rate}; {row['trials']} trials finished.")
+        sentences.append(f"{row['test']}, protocol “{row['protocol']}”{points}{rate}; {row['trials']} trials finished.")
     seen: set[str] = set()
     for analysis in (a for a in analyses if a.kind != AGREEMENT and a.estimates):
         method = analysis.estimates[0].method
         how = described(method)
         named = f"{kind_title(analysis.kind)} was evaluated by the method “{clean(method, 120)}”"
-        told.append(f"{named}: {how.rstrip('.')}." if how and method not in seen else f"{named}.")
+        sentences.append(f"{named}: {how.rstrip('.')}." if how and method not in seen else f"{named}.")
         seen.add(method)
     dropped = sum(len(a.dropped) for a in analyses)
     if any(e.ci95 for a in analyses for e in a.estimates):
-        told.append(
+        sentences.append(
             "Intervals are 95 % intervals: the scatter between trials, what the estimator itself adds and the "
             "calibration of the channels, added as squares as far as each was assessed."
         )
     if dropped:
-        told.append(f"{dropped} trials did not enter a fit; the report lists each with its reason.")
-    told.append(f"Tests were run and evaluated with pmabench {__version__}.")
-    return clean(" ".join(told), 12_000)
+        sentences.append(f"{dropped} trials did not enter a fit; the report lists each with its reason.")
+    sentences.append(f"Tests were run and evaluated with pmabench {__version__}.")
+    return clean(" ".join(sentences), 12_000)
 
 
 def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:

@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pmabench import __version__
 from pmabench.analysis.results import AGREEMENT, Analysis
@@ -137,82 +138,96 @@ def content_of(
     figures, parents = _Figures(), Parents(names)
     identity = _identity(analyses, runs, published)
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
-    analyses, theirs, compared = overlays.beside(distinct(analyses), published, overlays.length_of(runs))
+    analyses, theirs, compared = overlays.with_published(distinct(analyses), published, overlays.length_of(runs))
     front, used = front_pictures([*analyses, *theirs])
     first_page = [figures.add(p) for p in front]
     sections = _together(analyses, figures)
     sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
-    limits = {run.id: limits_of(run) for run in runs}
-    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits[run.id]))
-    findings = tables.findings_table(analyses)
-    findings["finding"] = [_named(text, names) for text in findings["finding"]]
-    shown, more = first_findings(findings)
-    specimens = provenance.specimens(runs)
+    judged = _judged(analyses, runs, names, failed)
+    about_runs = _about_runs(runs, names)
+    when = about_runs["when"]
+    specimen = next((specimen for specimen, _ in about_runs["specimens"]), "")
     kinds = [kind_title(a.kind) for a in analyses if a.kind != AGREEMENT]
-    name = (
-        wording.clean(title, 200)
-        if title
-        else f"Characterisation of {specimens[0][0] if specimens else 'a pneumatic muscle'}"
-    )
-    when = provenance.when(runs)
-    told = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
-    remarks = [*dict.fromkeys(told), *deviations(runs, names)]
+    name = wording.clean(title, 200) if title else f"Characterisation of {specimen or 'a pneumatic muscle'}"
+    changed = [f"{', '.join(names.get(run, '?') for run in where)}: {text}" for where, text in who_changed(analyses)]
+    remarks = [*dict.fromkeys(changed), *deviations(runs, names)]
     who = (issuer or Issuer()).cleaned()
-    details = provenance.run_table(runs, names).to_dict("records")
     return Content(
         title=name,
         version=__version__,
         report_id=identity,
         simulated=any(simulated),
         mixed=any(simulated) and not all(simulated),
-        specimens=specimens,
-        benches=provenance.benches(runs),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
-        when=when,
-        operators=provenance.operators(runs),
-        statuses=provenance.statuses(runs),
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
-        verdict=verdict_of(analyses, runs, failed, accepted=bool(accept)),
-        failed=failed,
-        accept=accept,
-        verdicts=shown,
-        more_findings=more,
-        findings=findings.to_numpy().tolist(),
-        tiles=tiles_of(analyses),
         front=first_page,
-        protocol=grid(provenance.protocol_table(runs, names)),
         deviations=remarks,
-        notes=notes_of(runs, names),
-        coefficients=_primary(analyses),
-        compared=[grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
-        curves=grid(tables.curves_table(analyses), group=True),
-        polynomials=grid(tables.polynomials_table(analyses), group=True),
         sections=sections,
         published=grid(overlays.comparison_table(compared)),
         publishers=[(wording.clean(p.label, 80), wording.clean(p.source, 600)) for p in published],
-        tuning=_tuning(analyses),
-        dropped=_dropped(analyses, names),
-        methods=_methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
-        run_details=[[(str(head), str(text)) for head, text in row.items()] for row in details],
         calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
-        versions=provenance.versions(runs),
-        parents=[
-            grid(parents.trials.table(), "Sets of trials that the values come from"),
-            grid(parents.notes.table(), "Notes"),
-        ],
         issuer=who,
         checklist=checklist(
-            analyses,
-            runs,
-            who,
-            specimen=specimens[0][0] if specimens else "",
-            when=when,
-            deviations=remarks,
-            accepted=bool(accept),
+            analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=bool(judged["accept"])
         ),
         paragraph=methods_paragraph(analyses, runs),
         cite=citation(name, identity, when, any(simulated)),
+        **judged,
+        **about_runs,
+        **_results(analyses, names, parents),
     )
+
+
+def _judged(
+    analyses: Sequence[Analysis], runs: Sequence[RunData], names: Mapping[str, str], failed: list[str]
+) -> dict[str, Any]:
+    """Fields of `Content` that say what the results are worth; `failed`: why they are not accepted."""
+    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits_of(run)))
+    findings = tables.findings_table(analyses)
+    findings["finding"] = [_named(text, names) for text in findings["finding"]]
+    shown, more = first_findings(findings)
+    return {
+        "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
+        "failed": failed,
+        "accept": accept,
+        "verdicts": shown,
+        "more_findings": more,
+        "findings": findings.to_numpy().tolist(),
+        "tiles": tiles_of(analyses),
+    }
+
+
+def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
+    """Fields of `Content` that the runs alone give."""
+    details = provenance.run_table(runs, names).to_dict("records")
+    return {
+        "specimens": provenance.specimens(runs),
+        "benches": provenance.benches(runs),
+        "when": provenance.when(runs),
+        "operators": provenance.operators(runs),
+        "statuses": provenance.statuses(runs),
+        "protocol": grid(provenance.protocol_table(runs, names)),
+        "notes": notes_of(runs, names),
+        "run_details": [[(str(head), str(text)) for head, text in row.items()] for row in details],
+        "versions": provenance.versions(runs),
+    }
+
+
+def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Parents) -> dict[str, Any]:
+    """Fields of `Content` with coefficients, curves and methods."""
+    return {
+        "coefficients": _primary(analyses),
+        "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
+        "curves": grid(tables.curves_table(analyses), group=True),
+        "polynomials": grid(tables.polynomials_table(analyses), group=True),
+        "tuning": _tuning(analyses),
+        "dropped": _dropped(analyses, names),
+        "methods": _methods(list(dict.fromkeys(e.method for a in analyses for e in a.estimates))),
+        "parents": [
+            grid(parents.trials.table(), "Sets of trials that the values come from"),
+            grid(parents.notes.table(), "Notes"),
+        ],
+    }
 
 
 class _Figures:
@@ -246,8 +261,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
     section = Section(kind_title(analysis.kind), analysis.simulated, counts)
     values = [part for table in tables.other_tables(analysis) for part in narrow(table)]
-    told = (*values, *check_tables(analysis), *change_tables(analysis))
-    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in told]
+    shown = (*values, *check_tables(analysis), *change_tables(analysis))
+    section.tables = [grid(t.frame, wording.clean(t.caption)) for t in shown]
     section.figures = [figures.add(p) for p in kind_pictures(analysis, used) if p.svg not in figures.drawn]
     parts = tables.parts_table(analysis, parents.of)
     section.parts = grid(parts) if len(parts) else None
@@ -258,8 +273,8 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
 
 def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
     """The coefficients of the primary methods, in as many tables as a page needs."""
-    frame, told = tables.primary_table(analyses)
-    caption = "Primary methods, by pressure" + (f"; {told}" if told else "")
+    frame, methods = tables.primary_table(analyses)
+    caption = "Primary methods, by pressure" + (f"; {methods}" if methods else "")
     return [grid(part.frame, part.caption) for part in narrow(tables.Table(caption, frame)) if len(part.frame)]
 
 
@@ -294,9 +309,9 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
     """Names and descriptions; methods with one description stand together."""
     found: dict[str, list[str]] = {}
     for method in methods:
-        told = described(method) or "Not described here."
-        found.setdefault(told, []).append(wording.clean(method, 120))
-    return [("; ".join(names), told) for told, names in found.items()]
+        description = described(method) or "Not described here."
+        found.setdefault(description, []).append(wording.clean(method, 120))
+    return [("; ".join(names), description) for description, names in found.items()]
 
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:

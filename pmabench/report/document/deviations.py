@@ -25,19 +25,19 @@ def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
     """What did not go as the protocol says, and what the bench lacks, a sentence each, with the runs in front."""
     lines: dict[str, list[str]] = {}
     for run in runs:
-        for text in [*_told(run), *_trials(run), *_samples(run), *_end(run)]:
+        for text in [*_recorded(run), *_trials(run), *_samples(run), *_end(run)]:
             lines.setdefault(clean(text, 500), []).append(names.get(run.id, "?"))
     return [f"{', '.join(where)}: {text}" for text, where in lines.items()]
 
 
-def _told(run: RunData) -> Iterator[str]:
+def _recorded(run: RunData) -> Iterator[str]:
     """What the program that recorded the run says itself."""
     if run.status != "finished":
         why = text_of(run.manifest.get("why"))
         yield f"ended “{run.status}”" + (f": {why}" if why else "")
     for key, words in (("deviations", ""), ("hazards", "hazard: "), ("lacks", "the bench lacks: ")):
-        told = run.manifest.get(key)
-        for item in told if isinstance(told, list | tuple) else [told] if told else []:
+        entries = run.manifest.get(key)
+        for item in entries if isinstance(entries, list | tuple) else [entries] if entries else []:
             yield f"{words}{text_of(item)}"
 
 
@@ -88,8 +88,8 @@ def _samples(run: RunData) -> Iterator[str]:
     off, most, where = _pressure_off(run)
     if most > 0 and off > PRESSURE_OFF * most:
         unit = shown("pressure")
-        told = f"{number(float(f'{off / unit.scale:.2g}'))} {unit.unit}"
-        yield f"the pressure at rest was up to {told} off its command (trial {where})"
+        distance = f"{number(float(f'{off / unit.scale:.2g}'))} {unit.unit}"
+        yield f"the pressure at rest was up to {distance} off its command (trial {where})"
     for channel, how in run.interpolated.items():
         yield f"{text_of(channel)}: {how}"
 

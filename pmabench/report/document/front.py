@@ -50,8 +50,8 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
     analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]  # differences, no values
     for symbol, result in declared(analyses).items():
         for analysis in (a for a in analyses if is_headline(a, symbol)):
-            told = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
-            primary = [e for e in told if e.method == told[0].method]
+            values = [e for e in analysis.estimates if e.symbol == symbol and "frequency" not in e.at]
+            primary = [e for e in values if e.method == values[0].method]
             known = [e for e in primary if e.value is not None]
             members = [e for e in known if set(e.at) == set(known[0].at)]
             held = sum(e.withheld for e in primary)
@@ -115,16 +115,18 @@ def verdict_of(
     """
     faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
     unfinished = sum(run.status != "finished" for run in runs)
-    told = [_many(len(failed), "reason, which comes first below", "reasons, which come first below")] if failed else []
-    told += [_many(faults, "fault", "faults")] if faults else []
-    told += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
-    told += [_many(doubts, "doubt", "doubts")] if doubts else []
+    reasons = (
+        [_many(len(failed), "reason, which comes first below", "reasons, which come first below")] if failed else []
+    )
+    reasons += [_many(faults, "fault", "faults")] if faults else []
+    reasons += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
+    reasons += [_many(doubts, "doubt", "doubts")] if doubts else []
     if not any(e.value is not None or e.withheld for a in analyses for e in a.estimates):
-        return Verdict("fault", "No result", "; ".join(["no coefficient came out", *told]) + ".")
+        return Verdict("fault", "No result", "; ".join(["no coefficient came out", *reasons]) + ".")
     if failed or faults:
-        return Verdict("fault", "Not accepted" if failed else "Faults were found", "; ".join(told) + ".")
-    if told:
-        return Verdict("doubt", "Usable with care", "; ".join(told) + ".")
+        return Verdict("fault", "Not accepted" if failed else "Faults were found", "; ".join(reasons) + ".")
+    if reasons:
+        return Verdict("doubt", "Usable with care", "; ".join(reasons) + ".")
     limits = "The acceptance limits of the protocol are met" if accepted else "The protocol sets no acceptance limits"
     return Verdict("good", "Accepted" if accepted else "No doubt", f"{limits}; no fault and no doubt was found.")
 

@@ -21,13 +21,13 @@ class Codes:
         self.letter, self.head, self.brief = letter, head, brief
         self.codes: dict[str, str] = {}
 
-    def of(self, told: str) -> str:
+    def of(self, text: str) -> str:
         """The text itself where it is brief, else its code."""
-        return told if len(told) <= self.brief else self.codes.setdefault(told, f"{self.letter}{len(self.codes) + 1}")
+        return text if len(text) <= self.brief else self.codes.setdefault(text, f"{self.letter}{len(self.codes) + 1}")
 
     def table(self) -> pd.DataFrame:
         """One row for each code."""
-        rows = [{"code": code, self.head: told} for told, code in self.codes.items()]
+        rows = [{"code": code, self.head: text} for text, code in self.codes.items()]
         return pd.DataFrame(rows, columns=["code", self.head], dtype=object)
 
 
@@ -41,10 +41,10 @@ class Parents:
 
     def of(self, estimate: Estimate) -> tuple[str, str]:
         """Trials and note of an estimate."""
-        return self.trials.of(trials_told(estimate.trials, self.names)), self.notes.of(note_text(estimate))
+        return self.trials.of(trial_ranges(estimate.trials, self.names)), self.notes.of(note_text(estimate))
 
 
-def trials_told(trials: Sequence[str], names: Mapping[str, str]) -> str:
+def trial_ranges(trials: Sequence[str], names: Mapping[str, str]) -> str:
     """Trials, named `run/number`, as `R1: 1–8, 11; R2: 3`."""
     runs: dict[str, list[int]] = {}
     others = []
@@ -54,8 +54,8 @@ def trials_told(trials: Sequence[str], names: Mapping[str, str]) -> str:
             runs.setdefault(names.get(run) or clean(run, 60), []).append(int(index))
         else:
             others.append(clean(trial, 60))
-    told = [f"{run}: {_ranges(sorted(set(indices)))}" for run, indices in runs.items()]
-    return "; ".join(told + others)
+    parts = [f"{run}: {_ranges(sorted(set(indices)))}" for run, indices in runs.items()]
+    return "; ".join(parts + others)
 
 
 def _ranges(numbers: Sequence[int]) -> str:

@@ -49,8 +49,8 @@ def pdf_bytes(content: Content) -> bytes:
 
     with TemporaryDirectory(prefix="pmabench-pdf-") as place:
         folder = Path(place)
-        told = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
-        (folder / "content.json").write_text(told, encoding="utf-8")
+        content_json = json.dumps(_Data(content, folder).all(), ensure_ascii=False)
+        (folder / "content.json").write_text(content_json, encoding="utf-8")
         source = files("pmabench.report").joinpath("templates", "report.typ").read_text(encoding="utf-8")
         (folder / "report.typ").write_text(source, encoding="utf-8")
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
@@ -62,7 +62,7 @@ def pdf_bytes(content: Content) -> bytes:
                         str(folder / "report.typ"),
                         root=str(folder),
                         font_paths=[str(fonts)],
-                        ignore_system_fonts=all(ord(sign) in known for sign in set(told)),
+                        ignore_system_fonts=all(ord(sign) in known for sign in set(content_json)),
                         format="pdf",
                         pdf_standards="ua-1",
                         timestamp=0,
@@ -87,12 +87,6 @@ class _Data:
         facts += [("Bench", "; ".join(name for name, _ in c.benches)), ("Tested", c.tested or "nothing")]
         facts += [("Date", c.when), ("Laboratory", c.issuer.laboratory), ("Customer", c.issuer.customer)]
         facts += [("Operator", c.operators), ("Record", c.statuses)]
-        front = [("fault", "Not accepted", text) for text in c.failed]
-        if c.accept and not c.failed:
-            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
-        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
-        if c.more_findings:
-            front.append(("note", "", f"{c.more_findings} more under Findings."))
         return {
             "title": c.title,
             "report_id": c.report_id,
@@ -101,7 +95,7 @@ class _Data:
             "banner": f"{banner} from a simulated bench, not from a real muscle.",
             "verdict": vars(c.verdict),
             "facts": self.pairs(facts),
-            "front_findings": [{"level": _level(level), "word": w, "text": symbol_parts(t)} for level, w, t in front],
+            "front_findings": self.front_findings(),
             "tiles": [
                 {**vars(tile), "symbol": symbol_parts(tile.symbol), "where": symbol_parts(tile.where)}
                 for tile in c.tiles
@@ -146,13 +140,24 @@ class _Data:
             "parents": [self.grid(grid) for grid in c.parents],
         }
 
+    def front_findings(self) -> list[dict[str, Any]]:
+        """Level, word and text of what the first page says of the results."""
+        c = self.content
+        front = [("fault", "Not accepted", text) for text in c.failed]
+        if c.accept and not c.failed:
+            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
+        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
+        if c.more_findings:
+            front.append(("note", "", f"{c.more_findings} more under Findings."))
+        return [{"level": _level(level), "word": word, "text": symbol_parts(text)} for level, word, text in front]
+
     def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
 
     def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
-        told = "; ".join(part for part in (caption, grid.caption) if part)
+        full_caption = "; ".join(part for part in (caption, grid.caption) if part)
         return {
-            "caption": symbol_parts(told),
+            "caption": symbol_parts(full_caption),
             "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
             "groups": [
                 {
@@ -174,8 +179,7 @@ class _Data:
             head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" '
             (self.folder / name).write_text(p.svg.replace("<svg ", head, 1), encoding="utf-8")
             title, caption = symbol_parts(p.title), symbol_parts(p.caption)
-            told = {"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide}
-            found.append(told)
+            found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide})
         return found
 
     def note(self, note: Said) -> dict[str, Any]:

@@ -51,30 +51,30 @@ def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name and description of every specimen."""
     found: dict[str, str] = {}
     for run in runs:
-        told = run.manifest.get("specimen")
-        if isinstance(told, Mapping):
-            name = " ".join(text_of(told.get(key)) for key in ("make", "type") if told.get(key))
-            serial = text_of(told.get("serial"))
+        specimen = run.manifest.get("specimen")
+        if isinstance(specimen, Mapping):
+            name = " ".join(text_of(specimen.get(key)) for key in ("make", "type") if specimen.get(key))
+            serial = text_of(specimen.get("serial"))
             name = f"{name}, serial {serial}" if serial and name else name or serial
-            found.setdefault(name or "not named", _specimen(told))
-        elif told:
-            found.setdefault(text_of(told), "")
+            found.setdefault(name or "not named", _specimen(specimen))
+        elif specimen:
+            found.setdefault(text_of(specimen), "")
     return list(found.items())
 
 
-def _specimen(told: Mapping[str, Any]) -> str:
+def _specimen(specimen: Mapping[str, Any]) -> str:
     lines = []
     for key, words, quantity in SPECIMEN:
-        value = told.get(key)
+        value = specimen.get(key)
         if isinstance(value, int | float) and not isinstance(value, bool):
             unit = shown(quantity)
             lines.append(f"{words} {number(value / unit.scale)} {unit.unit}")
-    length = get(told, "mounted", "length")
+    length = get(specimen, "mounted", "length")
     if isinstance(length, int | float):
-        at = text_of(get(told, "mounted", "at"))
+        at = text_of(get(specimen, "mounted", "at"))
         lines.append(f"mounted at {number(length / shown('length').scale)} mm" + (f" ({at})" if at else ""))
-    if isinstance(told.get("cycles_before"), int | float):
-        lines.append(f"{number(told['cycles_before'])} cycles before these runs")
+    if isinstance(specimen.get("cycles_before"), int | float):
+        lines.append(f"{number(specimen['cycles_before'])} cycles before these runs")
     return ", ".join(lines)
 
 
@@ -82,8 +82,8 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name of every bench, and its devices."""
     found: dict[str, str] = {}
     for run in runs:
-        told = run.manifest.get("bench")
-        name = text_of(told.get("name") if isinstance(told, Mapping) and told.get("name") else told)
+        bench = run.manifest.get("bench")
+        name = text_of(bench.get("name") if isinstance(bench, Mapping) and bench.get("name") else bench)
         if not name:
             continue
         devices = run.manifest.get("devices")
@@ -120,8 +120,8 @@ def statuses(runs: Sequence[RunData]) -> str:
     counts: dict[str, int] = {}
     for run in runs:
         counts[clean(run.status, 40)] = counts.get(clean(run.status, 40), 0) + 1
-    told = ", ".join(f"{count} {status}" for status, count in counts.items())
-    return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {told}" if runs else "the runs are not at hand"
+    ended = ", ".join(f"{count} {status}" for status, count in counts.items())
+    return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {ended}" if runs else "the runs are not at hand"
 
 
 def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
@@ -146,8 +146,8 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
 
 
 def _protocol(run: RunData) -> str:
-    told = run.manifest.get("protocol")
-    name = text_of(told.get("name") if isinstance(told, Mapping) and told.get("name") else told)
+    protocol = run.manifest.get("protocol")
+    name = text_of(protocol.get("name") if isinstance(protocol, Mapping) and protocol.get("name") else protocol)
     source = text_of(run.manifest.get("source"))
     return f"{name} (after: {source})" if source else name
 
@@ -159,7 +159,7 @@ def _duration(value: Any) -> str:
 
 
 def _points(run: RunData) -> str:
-    told = []
+    ranges = []
     points = [trial.point for trial in run.trials]
     for name in in_order((key for point in points for key in point), POINTS):
         if name in ("mass", "cycles"):
@@ -169,9 +169,9 @@ def _points(run: RunData) -> str:
         listed = ", ".join(number(value) for value in values)
         if len(values) > LISTED:
             listed = f"{number(values[0])} to {number(values[-1])} ({len(values)} values)"
-        told.append(f"{label} = {listed} {unit.unit}".rstrip())
+        ranges.append(f"{label} = {listed} {unit.unit}".rstrip())
     repeats = {trial.repeat for trial in run.trials}
-    return "; ".join(told) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
+    return "; ".join(ranges) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
 
 
 def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:

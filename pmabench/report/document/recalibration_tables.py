@@ -32,30 +32,30 @@ def reduced_with(analyses: Sequence[Analysis]) -> dict[tuple[str, str], str]:
                 scales = _mappings(channel.get("scales"))
                 places = [(str(s.get("run", "")), _calibration(channel.get("calibration"), s)) for s in scales]
             for run, words in places:
-                told = found.setdefault((run, name), [])
-                if words not in told:
-                    told.append(words)
-    return {place: "; ".join(told) for place, told in found.items()}
+                reasons = found.setdefault((run, name), [])
+                if words not in reasons:
+                    reasons.append(words)
+    return {place: "; ".join(reasons) for place, reasons in found.items()}
 
 
 def _calibration(record: Any, scale: Mapping[str, Any]) -> str:
     """The new calibration in words: id, date, reference and hash."""
     about = record if isinstance(record, Mapping) else {}
     after = scale.get("after")
-    told = [str(about.get("id") or (after.get("calibration") if isinstance(after, Mapping) else "") or "not named")]
-    told += [str(about[key]) for key in ("date", "reference") if about.get(key)]
+    parts = [str(about.get("id") or (after.get("calibration") if isinstance(after, Mapping) else "") or "not named")]
+    parts += [str(about[key]) for key in ("date", "reference") if about.get(key)]
     if about.get("sha256"):
-        told.append(f"sha256 {str(about['sha256'])[:12]}")
-    return clean(", ".join(told), 200)
+        parts.append(f"sha256 {str(about['sha256'])[:12]}")
+    return clean(", ".join(parts), 200)
 
 
 def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
     """The runs of each recalibration, and a sentence: what, when, by whom and why."""
     for analysis in analyses:
-        told, channels = analysis.facts.get("recalibration"), _mappings(analysis.facts.get("recalibrated"))
+        recalibration, channels = analysis.facts.get("recalibration"), _mappings(analysis.facts.get("recalibrated"))
         if not channels:
             continue
-        about = told if isinstance(told, Mapping) else {}
+        about = recalibration if isinstance(recalibration, Mapping) else {}
         when, by, because = (clean(about.get(key) or "", 300) for key in ("at", "operator", "because"))
         day = f" on {when[:16].replace('T', ' ')} UTC" if when else ""
         why = f"because {because}" if because else "no reason was given"
@@ -65,9 +65,11 @@ def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
 
 def change_tables(analysis: Analysis) -> Iterator[Table]:
     """Every coefficient before and after; one table, none without a recalibration."""
-    told = analysis.facts.get("recalibration")
+    recalibration = analysis.facts.get("recalibration")
     rows = [
-        row for entry in _mappings(told.get("changes") if isinstance(told, Mapping) else None) if (row := _row(entry))
+        row
+        for entry in _mappings(recalibration.get("changes") if isinstance(recalibration, Mapping) else None)
+        if (row := _row(entry))
     ]
     if rows:
         caption = (
@@ -104,8 +106,8 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
             row[head] = rounded(value / unit.scale, reach)
     if len(values) == 2:
         difference, size = values["after"] - values["before"], abs(values["before"])
-        told, small = entry.get("half_width"), abs(difference) <= SAME * size
-        half = float(told) / unit.scale if _is_number(told) and told else None
+        half_width, small = entry.get("half_width"), abs(difference) <= SAME * size
+        half = float(half_width) / unit.scale if _is_number(half_width) and half_width else None
         row["difference"] = "0" if small else rounded(difference / unit.scale, half)
         row["%"] = "" if not size else "0" if small else f"{100 * difference / size:+.2f}".replace("-", "\u2212")
     return row

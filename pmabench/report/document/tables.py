@@ -93,7 +93,9 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
-    frame = _beside(slim, declared(analyses), lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else ""))
+    frame = _by_point(
+        slim, declared(analyses), lambda e: _column(e) + (f" {e.method}" if len(by[e.symbol]) > 1 else "")
+    )
     methods = ", ".join(dict.fromkeys(e.method for e in chosen if set(e.at) & set(alike)))
     return frame, f"{clean(methods)} at {point_text(alike)}" if alike else ""
 
@@ -107,11 +109,11 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
         members = [e for e in chosen if e.symbol == symbol]
         if symbol in COEFFICIENTS and len({e.method for e in members}) > 1:
             name = ", ".join(part for part in (_column(members[0]), clean(result.title)) if part)
-            tables.append(Table(name, _beside(members, results, lambda e: clean(e.method))))
+            tables.append(Table(name, _by_point(members, results, lambda e: clean(e.method))))
     return tables
 
 
-def _beside(
+def _by_point(
     estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]
 ) -> pd.DataFrame:
     """One row per operating point, the columns in the order of `results`."""
@@ -146,9 +148,11 @@ def other_tables(analysis: Analysis) -> list[Table]:
         constant = {name: members[0].at[name] for name in names if len({e.at[name] for e in members}) == 1}
         if len(constant) == len(names):
             del constant[in_order(names, POINTS)[0]]
-        told = point_text(constant)
+        constant_text = point_text(constant)
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
-        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (f", at {told}" if told else "")
+        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (
+            f", at {constant_text}" if constant_text else ""
+        )
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
         tables.append(Table(caption, pivot_table(_merged(slim), results)))
     return tables
@@ -222,7 +226,7 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
         bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
         if e.bias and abs(e.bias) / unit.scale < least(e):
             bias = UNRESOLVED
-        told = parents(e) if parents else ("", note_text(e))
+        behind = parents(e) if parents else ("", note_text(e))
         rows.append(
             {
                 "method": clean(e.method),
@@ -236,8 +240,8 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
                 **({"skew": half(None if e.value is None else e.parts.skew)} if skewed else {}),
                 "bias": bias if e.corrected or not bias else f"{bias} left",
                 "trials": str(e.n),
-                "from": told[0],
-                "note": told[1],
+                "from": behind[0],
+                "note": behind[1],
             }
         )
     return pd.DataFrame(rows, dtype=object)

@@ -25,9 +25,9 @@ def narrow(table: Table) -> list[Table]:
     if _width(table.frame, values) <= MOST:
         return [table]
     for key in (key for key in keys if key != "method"):
-        told = table.frame[key] != ""
-        if told.any() and not told.all():
-            parts = [replace(table, frame=table.frame[rows]) for rows in (~told, told)]
+        filled = table.frame[key] != ""
+        if filled.any() and not filled.all():
+            parts = [replace(table, frame=table.frame[rows]) for rows in (~filled, filled)]
             return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
     if "method" in keys and table.frame["method"].nunique() > 1:
         groups: dict[tuple[str, ...], list[str]] = {}
@@ -37,8 +37,8 @@ def narrow(table: Table) -> list[Table]:
         if len(groups) > 1:
             return [
                 part
-                for told, methods in groups.items()
-                for part in narrow(_part(table, keys, told, f"{table.caption}: {clean(', '.join(methods))}", methods))
+                for used, methods in groups.items()
+                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
             ]
     chunks: list[list[str]] = []
     for symbol in dict.fromkeys(_symbol(value) for value in values):

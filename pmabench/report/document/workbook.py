@@ -77,9 +77,9 @@ def workbook_bytes(content: Content, analyses: Sequence[Analysis]) -> bytes:
     sheets.rows("Runs", [dict(run) for run in content.run_details])
     sheets.grid("Calibrations", content.calibrations)
     sheets.rows("Methods", [{"method": name, "what it does": text} for name, text in content.methods])
-    told = [(i.clause, i.asked, "there" if i.there else "missing", i.said) for i in content.checklist]
+    checklist = [(i.clause, i.asked, "there" if i.there else "missing", i.said) for i in content.checklist]
     heads = ("clause", "asked for", "here", "where, or what to do")
-    sheets.rows("Checklist", [dict(zip(heads, row, strict=True)) for row in told])
+    sheets.rows("Checklist", [dict(zip(heads, row, strict=True)) for row in checklist])
     book.close()
     return buffer.getvalue()
 
@@ -121,8 +121,8 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
             scale = shown(e.quantity, e.unit).scale
             for source, share in zip(e.budget, e.shares, strict=True):
                 half = None if source.half is None else source.half / scale
-                told = {"source": source.name, "type": source.kind, "half width 95 %": half, "share": share}
-                rows.append(where | told | {"note": source.note})
+                entry = {"source": source.name, "type": source.kind, "half width 95 %": half, "share": share}
+                rows.append(where | entry | {"note": source.note})
     return rows
 
 

@@ -49,7 +49,7 @@ class _Model:
         self.words = ""
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
         for method, words in MODELS:
-            told: dict[str, dict[float, float]] = {
+            known: dict[str, dict[float, float]] = {
                 symbol: {
                     e.at["pressure"]: e.value
                     for a in analyses
@@ -61,11 +61,11 @@ class _Model:
                 }
                 for symbol in ("F_ce", "K")
             }
-            both = sorted(set(told["F_ce"]) & set(told["K"]))
+            both = sorted(set(known["F_ce"]) & set(known["K"]))
             if len(both) > 1:
                 self.words = words
                 self.P = np.array(both)
-                self.F_ce, self.K = (np.array([told[symbol][P] for P in both]) for symbol in ("F_ce", "K"))
+                self.F_ce, self.K = (np.array([known[symbol][P] for P in both]) for symbol in ("F_ce", "K"))
                 return
 
     def force(self, P: float, x: Array) -> Array:
@@ -123,10 +123,10 @@ def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
     both = np.array([model.at(float(P)) for P in through]).reshape(-1, 2)
     free = np.where(both[:, 1] > 0, np.maximum(both[:, 0], 0.0) / np.where(both[:, 1] > 0, both[:, 1], 1.0), np.nan)
     kPa, mm = shown("pressure"), shown("length")
-    told = f" Lines: F_ce and F_ce/K of {model.words}." if model.words else ""
+    line_words = f" Lines: F_ce and F_ce/K of {model.words}." if model.words else ""
     caption = (
         "Left: force at the nominal length, no contraction allowed. Right: contraction without load, in mm and as a "
-        f"share of the nominal length of {nominal / mm.scale:.4g} mm. Marks with 95 % intervals.{told}"
+        f"share of the nominal length of {nominal / mm.scale:.4g} mm. Marks with 95 % intervals.{line_words}"
     )
     alt = (
         f"Blocked force over pressure, up to {F.max():.4g} N at {P_F[int(np.argmax(F))] / kPa.scale:.4g} kPa, beside "
@@ -208,16 +208,16 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
             line = np.column_stack([x, model.force(P, x)])
         levels.append((P, marks, ramps, zero, line))
         for x_one, F_one in marks:
-            told = float(model.force(P, np.array([x_one]))[0])
-            known = np.isfinite(told) and told > 0
-            off += [F_one - told] if known else []
+            F_model = float(model.force(P, np.array([x_one]))[0])
+            known = np.isfinite(F_model) and F_model > 0
+            off += [F_one - F_model] if known else []
             numbers = {
                 "P [kPa]": (P / 1e3, "g"),
                 "x [mm]": (x_one * 1e3, ".2f"),
                 "eps [%]": (100 * x_one / nominal, ".2f"),
                 "F measured [N]": (F_one, ".1f"),
-                "F model [N]": (told if known else np.nan, ".1f"),
-                "difference [N]": (F_one - told if known else np.nan, ".2f"),
+                "F model [N]": (F_model if known else np.nan, ".1f"),
+                "difference [N]": (F_one - F_model if known else np.nan, ".2f"),
             }
             rows.append({head: _number(value, form) for head, (value, form) in numbers.items()})
     caption = "Circles: isometric tests, held at one length (mean of filling and emptying), where the muscle pulls."
@@ -243,8 +243,8 @@ def _number(value: float, form: str) -> str:
     """A number with a real minus sign, and none before 0; empty where there is none."""
     if not np.isfinite(value):
         return ""
-    told = f"{value:{form}}"
-    return told.lstrip("-") if float(told) == 0 else told.replace("-", "−")
+    text = f"{value:{form}}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
 
 
 def _chosen(every: Sequence[float], wanted: Sequence[float]) -> list[float]:

@@ -96,77 +96,83 @@ def _figure(
     if all(abs(e.value or 0.0) < least(e) * shown(e.quantity, e.unit).scale for e in known):
         return None
     unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
-    series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
-    for analysis, e in members:
-        if e.value is not None:
-            series.setdefault((e.symbol, e.coordinate, e.method), []).append((analysis, e))
-    several = len({(symbol, coordinate) for symbol, coordinate, _ in series}) > 1
-    variants = list(dict.fromkeys(key[:2] for key in series))
-    methods = list(dict.fromkeys(key[2] for key in series))
-    first = {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
-    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
-    theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
-    keys = [key for key in keys if key not in theirs][:MOST_SERIES] + theirs
-    points: list[Points] = []
-    for key in keys:
-        symbol, coordinate, method = key
-        told = symbol_text(symbol, coordinate)
-        name = clean(method, 60)
-        at = sorted(series[key], key=lambda member: member[1].at[over])
-        reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
-        x = np.array([e.at[over] for _, e in at])
-        points.append(
-            Points(
-                label=(told if len(methods) == 1 else f"{told}, {name}") if several else name,
-                x=x / x_unit.scale,
-                y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
-                below=reach_of[:, 0],
-                above=reach_of[:, 1],
-                primary=key not in theirs and (method in first or len(methods) == 1),
-                group=variants.index(key[:2]) if several else methods.index(method),
-                mark=theirs.index(key)
-                if key in theirs
-                else methods.index(method)
-                if several and len(methods) > 1
-                else len(points),
-                curve=_curve(at, over, unit.scale, x_unit.scale),
-                published=key in theirs,
-            )
-        )
+    points = _points(members, over, unit, x_unit)
     titled = {e.symbol: results.get(e.symbol) for e in known}
     names = _and([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
     y_label = unit.label(", ".join(clean(s) for s in in_order(titled, results)))
-    simulated = any(analysis.simulated for analysis, _ in members)
     ends = sorted(e.at[over] / x_unit.scale for e in known)
     values = sorted((e.value or 0.0) / unit.scale for e in known)
     reach = f"from {number(ends[0])} to {number(ends[-1])} {x_unit.unit}".rstrip()
+    methods = dict.fromkeys(clean(e.method, 60) for e in known)
     alt = (
         f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
-        f"by {_and([clean(m, 60) for m in methods])}. The numbers are in the table below the figure."
+        f"by {_and(list(methods))}. The numbers are in the table below the figure."
     )
-    bars = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
-    caption = f"{bars}; filled: primary method of each test, open: others."
-    if all(p.primary or p.published for p in points):
-        caption = f"{bars}."
-    if theirs:
-        caption += f" Crosses: {_and(list(dict.fromkeys(clean(key[2], 60) for key in theirs)))}, not measured here."
-    for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
-        missing = [e for _, e in members if e.value is None and e.withheld == withheld]
-        if missing:
-            where = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
-            caption += f" {word}: {_and(where)}{' and others' if len(missing) > 6 else ''}."
     leading = next(iter(titled.values()))
     named = names[:1].upper() + names[1:] if leading and leading.title else names
     title = f"{clean(leading.plot) if leading and leading.plot else named} over {spoken(over)}"
     return picture(
         lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
         title,
-        caption,
+        _caption(points, members, over, x_unit),
         alt,
         _table([e for _, e in members], over),
         wide=False,
-        simulated=simulated,
+        simulated=any(analysis.simulated for analysis, _ in members),
     )
+
+
+def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown, x_unit: Shown) -> list[Points]:
+    """What is drawn: at most `MOST_SERIES` series of symbol and method, then the published ones."""
+    series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
+    for analysis, e in members:
+        if e.value is not None:
+            series.setdefault((e.symbol, e.coordinate, e.method), []).append((analysis, e))
+    variants = list(dict.fromkeys(key[:2] for key in series))
+    methods = list(dict.fromkeys(key[2] for key in series))
+    several = len(variants) > 1
+    first = {a.estimates[0].method for a, _ in members if a.kind != PUBLISHED}
+    keys = sorted(series, key=lambda key: (variants.index(key[:2]), methods.index(key[2])))
+    theirs = [key for key in keys if series[key][0][0].kind == PUBLISHED]
+    points: list[Points] = []
+    for key in [key for key in keys if key not in theirs][:MOST_SERIES] + theirs:
+        symbol, coordinate, method = key
+        name_text = symbol_text(symbol, coordinate)
+        name = clean(method, 60)
+        at = sorted(series[key], key=lambda member: member[1].at[over])
+        reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
+        mark = methods.index(method) if several and len(methods) > 1 else len(points)
+        points.append(
+            Points(
+                label=(name_text if len(methods) == 1 else f"{name_text}, {name}") if several else name,
+                x=np.array([e.at[over] for _, e in at]) / x_unit.scale,
+                y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
+                below=reach_of[:, 0],
+                above=reach_of[:, 1],
+                primary=key not in theirs and (method in first or len(methods) == 1),
+                group=variants.index(key[:2]) if several else methods.index(method),
+                mark=theirs.index(key) if key in theirs else mark,
+                curve=_curve(at, over, unit.scale, x_unit.scale),
+                published=key in theirs,
+            )
+        )
+    return points
+
+
+def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str, x_unit: Shown) -> str:
+    """What marks and bars mean, whose the published values are, and what is missing."""
+    caption = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
+    mixed = not all(p.primary or p.published for p in points)
+    caption += "; filled: primary method of each test, open: others." if mixed else "."
+    theirs = [clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None]
+    if theirs:
+        caption += f" Crosses: {_and(list(dict.fromkeys(theirs)))}, not measured here."
+    for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
+        missing = [e for _, e in members if e.value is None and e.withheld == withheld]
+        if missing:
+            where = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
+            caption += f" {word}: {_and(where)}{' and others' if len(missing) > 6 else ''}."
+    return caption
 
 
 def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
@@ -175,8 +181,8 @@ def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
     if largest == 0 or 1e-3 <= largest < 1e5:
         return unit
     power = 3 * floor(log10(largest) / 3)
-    told = f"10{str(power).translate(RAISED)}"
-    return Shown(f"{told} {unit.unit}".rstrip(), unit.scale * 10.0**power)
+    power_text = f"10{str(power).translate(RAISED)}"
+    return Shown(f"{power_text} {unit.unit}".rstrip(), unit.scale * 10.0**power)
 
 
 def _and(words: Sequence[str]) -> str:

@@ -46,12 +46,12 @@ def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
     series: list[Series] = []
     for place in kept:
         for symbol in SYMBOLS:
-            told = sorted((e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place),
+            members = sorted((e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place),
                           key=lambda e: e.at[rate])  # fmt: skip
-            scales = [shown(e.quantity, e.unit).scale for e in told]
-            values = np.array([(e.value or 0.0) / s for e, s in zip(told, scales, strict=True)])
-            halves = np.array([(e.parts.combined or 0.0) / s for e, s in zip(told, scales, strict=True)])
-            at = np.array([e.at[rate] / point_shown(rate)[1].scale for e in told])
+            scales = [shown(e.quantity, e.unit).scale for e in members]
+            values = np.array([(e.value or 0.0) / s for e, s in zip(members, scales, strict=True)])
+            halves = np.array([(e.parts.combined or 0.0) / s for e, s in zip(members, scales, strict=True)])
+            at = np.array([e.at[rate] / point_shown(rate)[1].scale for e in members])
             series.append((place, symbol, at, values, halves))
     label, unit = point_shown(rate)
     x_label = unit.label(label)

@@ -110,8 +110,8 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         draw = bound(time_plots.lines, "", data[x], label(trace, x), columns)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
-        told = ", ".join(_word(name) for name in rest)
-        alt = f"{told} over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}."
+        columns_text = ", ".join(_word(name) for name in rest)
+        alt = f"{columns_text} over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}."
         found.append(picture(draw, title, "", alt, numbers([("", trace)]), wide=True, simulated=simulated))
     return found
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Beside, Estimate, Trace
+from pmabench.analysis.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
@@ -68,12 +68,12 @@ class Comparison:
 
 def length_of(runs: Sequence[RunData]) -> float | None:
     """The one nominal length of all specimens [m]; None where runs tell several or none."""
-    told = {get(run.manifest, "specimen", "nominal_length") for run in runs}
-    known = {float(value) for value in told if isinstance(value, int | float) and not isinstance(value, bool)}
+    lengths = {get(run.manifest, "specimen", "nominal_length") for run in runs}
+    known = {float(value) for value in lengths if isinstance(value, int | float) and not isinstance(value, bool)}
     return known.pop() if len(known) == 1 else None
 
 
-def beside(
+def with_published(
     analyses: Sequence[Analysis], published: Sequence[Published], length: float | None
 ) -> tuple[list[Analysis], list[Analysis], list[Comparison]]:
     """The analyses with published points in their traces, an analysis of each published table, and comparisons.
@@ -84,20 +84,20 @@ def beside(
     compared: list[Comparison] = []
     for table, other in zip(published, others, strict=True):
         compared += _coefficients(table, other, analyses)
-    told = []
+    with_points = []
     for analysis in analyses:
         traces = []
         for trace in analysis.traces:
             found = [(table, points) for table in published if (points := _in_trace(table, trace, length)) is not None]
-            traces.append(replace(trace, beside=tuple(points for _, points in found)) if found else trace)
+            traces.append(replace(trace, published=tuple(points for _, points in found)) if found else trace)
             if found and trace.figure != LOOPS and _slowest(trace, analysis.traces):
                 compared += [_apart(trace, table, points) for table, points in found]
-        told.append(replace(analysis, traces=tuple(traces)))
+        with_points.append(replace(analysis, traces=tuple(traces)))
     drawn = {c.label for c in compared}
     problems = [_no_match(table, matchable(analyses, length)) for table in published if table.label not in drawn]
     if problems:
         raise InvalidFile(problems)
-    return told, [other for other in others if other.estimates], compared
+    return with_points, [other for other in others if other.estimates], compared
 
 
 def _no_match(table: Published, able: Sequence[str]) -> Problem:
@@ -189,7 +189,7 @@ def _coefficients(table: Published, other: Analysis, analyses: Sequence[Analysis
     return found
 
 
-def _in_trace(table: Published, trace: Trace, length: float | None) -> Beside | None:
+def _in_trace(table: Published, trace: Trace, length: float | None) -> PublishedPoints | None:
     """The published points of the trace's operating point, on its axes."""
     axes = _figures().get(trace.figure)
     if axes is None:
@@ -207,7 +207,7 @@ def _in_trace(table: Published, trace: Trace, length: float | None) -> Beside | 
     own = trace.columns[x][np.isfinite(trace.columns[x])]
     room = FURTHER * float(np.ptp(own))
     near &= (columns[x] >= own.min() - room) & (columns[x] <= own.max() + room)
-    return Beside(table.label, {x: columns[x][near], y: columns[y][near]}) if near.any() else None
+    return PublishedPoints(table.label, {x: columns[x][near], y: columns[y][near]}) if near.any() else None
 
 
 def _slowest(trace: Trace, traces: Sequence[Trace]) -> bool:
@@ -217,7 +217,7 @@ def _slowest(trace: Trace, traces: Sequence[Trace]) -> bool:
     return trace.figure != "loop" or trace.marks.get("frequency", 0.0) == lowest
 
 
-def _apart(trace: Trace, table: Published, points: Beside) -> Comparison:
+def _apart(trace: Trace, table: Published, points: PublishedPoints) -> Comparison:
     """A trace at the published places within it: branches are averaged in narrow bins."""
     x, y, fixed = _figures()[trace.figure]
     known = np.isfinite(trace.columns[x]) & np.isfinite(trace.columns[y])

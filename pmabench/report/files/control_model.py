@@ -47,18 +47,18 @@ class ControlModel:
 
 def suits(analysis: Analysis) -> bool:
     """Whether `control_model` can make a model of an analysis."""
-    told = _told(analysis)
-    return bool(set(told.get("F_ce", {})) & set(told.get("K", {}))) and "B_c" in told
+    values = _primary_values(analysis)
+    return bool(set(values.get("F_ce", {})) & set(values.get("K", {}))) and "B_c" in values
 
 
-def _told(analysis: Analysis) -> dict[str, dict[float, float]]:
+def _primary_values(analysis: Analysis) -> dict[str, dict[float, float]]:
     """Values of the primary method over pressure, by symbol."""
-    told: dict[str, dict[float, float]] = {}
+    values: dict[str, dict[float, float]] = {}
     for e in analysis.estimates:
         mine = e.method == analysis.estimates[0].method and set(e.at) == {"pressure"} and not e.coordinate
         if mine and e.value is not None:
-            told.setdefault(e.symbol, {})[e.at["pressure"]] = e.value
-    return told
+            values.setdefault(e.symbol, {})[e.at["pressure"]] = e.value
+    return values
 
 
 def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
@@ -67,8 +67,8 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     `runs` tell the moving mass; without them it is the load over gravity.
     """
     primary = analysis.estimates[0].method if analysis.estimates else ""
-    told = _told(analysis)
-    shared = sorted(set(told.get("F_ce", {})) & set(told.get("K", {})))
+    values = _primary_values(analysis)
+    shared = sorted(set(values.get("F_ce", {})) & set(values.get("K", {})))
     if not suits(analysis):
         raise UsageError(
             f"an analysis of {clean(analysis.kind, 60)} has no F_ce, K and B_c over pressure by one method; "
@@ -78,11 +78,11 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     notes = []
     params: dict[str, Any] = {"P": P}
     for symbol in ("F_ce", "K", "B_c", "B_r"):
-        known = told.get(symbol) or told["B_c"]
-        if symbol not in told:
+        known = values.get(symbol) or values["B_c"]
+        if symbol not in values:
             notes.append("B_r is not known; B_c stands in its place")
         lacking = [f"{at / 1e3:g} kPa" for at in shared if at not in known]
-        if lacking and symbol in told:
+        if lacking and symbol in values:
             notes.append(f"{symbol} is not known at {', '.join(lacking)}: taken from the pressures beside it")
         places = sorted(known)
         params[symbol] = _joined(P, places, [known[at] for at in places])
@@ -177,8 +177,8 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
         "PARAMETERS = {",
     ]
     for name, value in model.params.items():
-        told = f"np.array({[float(f'{v:.12g}') for v in value]})" if np.ndim(value) else f"{float(value):.12g}"
-        lines.append(f'    "{name}": {told},')
+        literal = f"np.array({[float(f'{v:.12g}') for v in value]})" if np.ndim(value) else f"{float(value):.12g}"
+        lines.append(f'    "{name}": {literal},')
     lines += ["}", "", "", inspect.getsource(rates).rstrip(), "", ""]
     lines += [
         "def law(t, state, inputs, params):",

@@ -82,8 +82,8 @@ def inert(value: Any) -> Any:
     """Text that a spreadsheet cannot take for a formula."""
     if not isinstance(value, str):
         return value
-    told = clean(value, 100_000)
-    return f"'{told}" if told.lstrip()[:1] in FORMULA else told
+    text = clean(value, 100_000)
+    return f"'{text}" if text.lstrip()[:1] in FORMULA else text
 
 
 def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
@@ -105,8 +105,7 @@ def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
         row[f"{symbol} half width 95 %{ascii_unit}"] = None if half is None else half / unit.scale
         if e.withheld:
             held.setdefault(id(row), []).append(f"{symbol}: {WITHHELD}: {e.note}")
-    told = [row | ({"withheld": "; ".join(held.get(id(row), []))} if held else {}) for row in rows.values()]
-    return told
+    return [row | ({"withheld": "; ".join(held.get(id(row), []))} if held else {}) for row in rows.values()]
 
 
 def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
@@ -120,10 +119,10 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
             for name in names:
                 row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
             ends = e.ci95 or (None, None)
-            told = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
-            told |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
-            told["bias"] = e.bias
-            row |= {key: None if value is None else value / unit.scale for key, value in told.items()}
+            numbers = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
+            numbers |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
+            numbers["bias"] = e.bias
+            row |= {key: None if value is None else value / unit.scale for key, value in numbers.items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
             note = f"{WITHHELD}: {e.note}" if e.withheld else e.note
             rows.append(row | {"note": note, "trials": " ".join(e.trials)})
@@ -143,10 +142,10 @@ def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
         for power, term in enumerate(curve.terms):
             unit = shown(term.quantity, term.unit)
             ends = term.ci95 or (None, None)
-            told = {"value": term.value, "low95": ends[0], "high95": ends[1]}
+            numbers = {"value": term.value, "low95": ends[0], "high95": ends[1]}
             rows.append(
                 {"symbol": curve.symbol, "method": curve.method, "form": curve.form, "power": power}
-                | {key: None if value is None else value / unit.scale for key, value in told.items()}
+                | {key: None if value is None else value / unit.scale for key, value in numbers.items()}
                 | {"unit": plain_unit(unit.unit), "against": curve.against}
                 | {
                     f"{end} [{plain_unit(against.unit)}]": x / against.scale

@@ -50,10 +50,10 @@ _RAISED = dict(zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)
 
 def escaped(text: object) -> str:
     """Any text so that TeX prints it and does nothing else; a sign that plain TeX lacks becomes `?`."""
-    told = re.sub(r"[\s]+", " ", clean(text, 10_000))
-    told = re.sub(f"[{''.join(_RAISED)}]+", lambda m: f"\0{''.join(_RAISED[sign] for sign in m[0])}\1", told)
+    marked = re.sub(r"[\s]+", " ", clean(text, 10_000))
+    marked = re.sub(f"[{''.join(_RAISED)}]+", lambda m: f"\0{''.join(_RAISED[sign] for sign in m[0])}\1", marked)
     out = []
-    for sign in told:
+    for sign in marked:
         if sign in _ESCAPES:
             out.append(_ESCAPES[sign])
         elif sign in "\0\1":

@@ -54,24 +54,24 @@ def mujoco_text(model: ControlModel, analysis: Analysis) -> str:
         slope, start = line_through(P, np.asarray(model.params[symbol]))
         slopes[name] = (f"{start:.12g}", f"{slope:.12g}", f"{-start:.12g}", f"{-slope:.12g}")
     (f_0, f_1, *_), (*_, k_0, k_1), (*_, b_0, b_1) = slopes["f"], slopes["k"], slopes["b"]
-    told = ["SIMULATED."] if analysis.simulated else []
-    told += [f"A pneumatic muscle as fitted: method {inside(model.method)}, pmabench {__version__}; runs:"]
-    told += [inside(run) for run in analysis.runs]
+    remarks = ["SIMULATED."] if analysis.simulated else []
+    remarks += [f"A pneumatic muscle as fitted: method {inside(model.method)}, pmabench {__version__}; runs:"]
+    remarks += [inside(run) for run in analysis.runs]
     if model.deviation is None:
-        told += ["How far it is off the fit was not found: the analysis has no free runs."]
+        remarks += ["How far it is off the fit was not found: the analysis has no free runs."]
     else:
         d = model.deviation
-        told += [
+        remarks += [
             f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
             f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms",
             "off the measured one.",
         ]
-    told += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
-    told += [
+    remarks += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
+    remarks += [
         f"It holds from {P[0] / 1e3:g} to {P[-1] / 1e3:g} kPa. Controls: pressure [Pa gauge] and load [N].",
         "The joint is the contraction [m]; the mass is the moving mass: put yours.",
     ]
-    comment = "\n".join(f"  {line.replace('--', '- -')}" for line in told)
+    comment = "\n".join(f"  {line.replace('--', '- -')}" for line in remarks)
     mass, friction = (f"{model.params[name]:.12g}" for name in ("M", "F_c"))
     return f"""<mujoco model="pneumatic muscle">
   <!--

@@ -19,7 +19,7 @@ from pmabench.report.many.processed import lost, process_batch
 from pmabench.store.below import Task
 from pmabench.store.fingerprint import fingerprint, program
 
-Told = Callable[[int, int, int], None]
+Progress = Callable[[int, int, int], None]
 """Is told how many runs are done, of how many, and how many of them had not changed."""
 RESULTS = ("computed", "unchanged")
 """States of entries with coefficients."""
@@ -34,7 +34,7 @@ class Many:
     """What came out, in the order of the tasks."""
 
     out: Path
-    told: tuple[tuple[str, str, str], ...]
+    entries: tuple[tuple[str, str, str], ...]
     """Of each run: its path, its state (`computed`, `unchanged`, `skipped`, `failed`), and its entry as JSON."""
     exit_code: int
     """0; else the worst: record not written 7, a run that cannot be used 3, an error in the program 1, verdict 6."""
@@ -43,14 +43,14 @@ class Many:
     def key(self) -> str:
         """Hash of all results in their order, and of the program."""
         digest = hashlib.sha256(program().encode())
-        for path, state, text in self.told:
+        for path, state, text in self.entries:
             if state in RESULTS:
                 digest.update(f"{path}\0{text}\0".encode())
         return digest.hexdigest()
 
     def of(self, *states: str) -> Iterator[dict[str, Any]]:
-        """Entries of these states, each with `path` and `state` before what `process_one` told."""
-        for path, state, text in self.told:
+        """Entries of these states, each with `path` and `state` before what `process_one` returned."""
+        for path, state, text in self.entries:
             if state in states:
                 yield {"path": path, "state": state, **json.loads(text)}
 
@@ -60,14 +60,14 @@ class Many:
 
     def count(self, *states: str) -> int:
         """Number of runs in these states."""
-        return sum(state in states for _, state, _ in self.told)
+        return sum(state in states for _, state, _ in self.entries)
 
 
 def process_many(
     tasks: Sequence[Task],
     out: Path,
     pool: Pool | None = None,
-    told: Told | None = None,
+    progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Many:
     """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
@@ -98,8 +98,8 @@ def process_many(
         for number in left
     ]
     fresh: dict[str, tuple[str, str]] = {}
-    if told is not None:
-        told(unchanged, len(tasks), unchanged)
+    if progress is not None:
+        progress(unchanged, len(tasks), unchanged)
     try:
         for index, entry in share(things, process_batch, lost, pool):
             number = left[index]
@@ -112,8 +112,8 @@ def process_many(
             if len(fresh) >= KEPT_EVERY:
                 many_cache.store(out, fresh)
                 fresh.clear()
-            if told is not None:
-                told(len(found), len(tasks), unchanged)
+            if progress is not None:
+                progress(len(found), len(tasks), unchanged)
     finally:
         if fresh:
             many_cache.store(out, fresh)

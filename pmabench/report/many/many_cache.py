@@ -32,7 +32,7 @@ def load(out: Path, only: str | None = None) -> dict[str, tuple[str, str]]:
     with suppress(sqlite3.Error, ValueError, TypeError, OSError), closing(_open(path, "ro")) as base:
         if base.execute("PRAGMA user_version").fetchone()[0] == _VERSION:
             asked = "SELECT place, key, told FROM runs WHERE place = ? OR ? IS NULL"
-            return {place: (key, told) for place, key, told in base.execute(asked, (only, only))}
+            return {place: (key, entry) for place, key, entry in base.execute(asked, (only, only))}
     return {}
 
 
@@ -41,9 +41,9 @@ def entry(kept: tuple[str, str] | None, key: str, out: Path) -> dict[str, Any] |
     if kept is None or not key or kept[0] != key:
         return None
     with suppress(ValueError, TypeError, KeyError):
-        told = json.loads(kept[1])
-        if isinstance(told, dict) and ("skipped" in told or stamp(out / told["folder"]) == told["stamp"]):
-            return told
+        entry = json.loads(kept[1])
+        if isinstance(entry, dict) and ("skipped" in entry or stamp(out / entry["folder"]) == entry["stamp"]):
+            return entry
     return None
 
 
@@ -60,8 +60,8 @@ def keep_table(out: Path, key: str, paths: Iterable[Path]) -> None:
 
 def _stamps(paths: Iterable[Path]) -> str:
     with suppress(OSError):
-        told = [path.stat() for path in paths]
-        return json.dumps([[info.st_size, info.st_mtime_ns] for info in told])
+        infos = [path.stat() for path in paths]
+        return json.dumps([[info.st_size, info.st_mtime_ns] for info in infos])
     return ""
 
 
@@ -74,7 +74,7 @@ def store(out: Path, fresh: Mapping[str, tuple[str, str]]) -> None:
                     base.execute("DROP TABLE IF EXISTS runs")
                     base.execute(f"PRAGMA user_version = {_VERSION}")
                 base.execute("CREATE TABLE IF NOT EXISTS runs (place TEXT PRIMARY KEY, key TEXT, told TEXT)")
-                rows = [(place, key, told) for place, (key, told) in fresh.items()]
+                rows = [(place, key, entry) for place, (key, entry) in fresh.items()]
                 base.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", rows)
             return
         except sqlite3.OperationalError:

@@ -42,8 +42,8 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
     except PmaError as error:
         return {"error": f"{thing['path']}  {error}", "exit_code": error.exit_code}
     except Exception as error:
-        told = str(error).splitlines()[0] if str(error) else ""
-        what = f"an error in the program, please report it: {type(error).__name__}: {told}"
+        message = str(error).splitlines()[0] if str(error) else ""
+        what = f"an error in the program, please report it: {type(error).__name__}: {message}"
         return {"error": f"{thing['path']}  {what}", "exit_code": 1}
 
 
@@ -61,7 +61,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
     runs = open_chains([path])
     (analysis,) = reduce_runs(runs, options)
     written = write_with_tables(analysis, out / folder / analysis.kind)
-    told: dict[str, Any] = plain(
+    entry: dict[str, Any] = plain(
         {
             "run": runs[-1].id,
             "runs": [run.id for run in runs],
@@ -101,4 +101,4 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
         }
     )
-    return told
+    return entry

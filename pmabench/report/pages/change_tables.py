@@ -37,9 +37,11 @@ def print_changes(changes: Sequence[Change], console: Console) -> None:
         base = None if change.before is None else change.before.value
         share = "" if difference is None or not base else f"{100 * difference / abs(base):+.2f}"
         half = None if change.half_width is None else change.half_width / unit.scale
-        told = "" if difference is None else _signed(difference / unit.scale, half, abs(base or 0.0) / unit.scale)
+        signed = "" if difference is None else _signed(difference / unit.scale, half, abs(base or 0.0) / unit.scale)
         where = (change.kind, symbol_text(e.symbol, e.coordinate), point_text(e.at), unit.unit)
-        rows.append([*where, _cell(change.before, unit.scale), _cell(change.after, unit.scale), told, share, e.method])
+        rows.append(
+            [*where, _cell(change.before, unit.scale), _cell(change.after, unit.scale), signed, share, e.method]
+        )
     print_grid(console, HEADS, rows, ("kind", "coefficient", "at", "unit", "method"), keys=3)
 
 
@@ -59,7 +61,7 @@ def _signed(value: float, half: float | None, size: float) -> str:
 
 
 def write_changes(
-    changes: Sequence[Change], told: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
+    changes: Sequence[Change], channels: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
 ) -> list[Path]:
     """`changes.csv` in display units and `changes.json` in SI; raises RecordError where they cannot be written."""
     rows = []
@@ -81,7 +83,7 @@ def write_changes(
     data = {
         "schema": SCHEMA,
         "recalibration": dict(who),
-        "channels": list(told),
+        "channels": list(channels),
         "changes": [change.to_dict() for change in changes],
     }
     paths = [folder / f"{NAME}.csv", folder / f"{NAME}.json"]

@@ -44,7 +44,7 @@ def write_comparison(
     drawn = over_pressure(sides, declared([*a.analyses, *b.analyses]))
     scores = _scores(found.differences, simulated=simulated)
     heads, rows = rows_of(a, b, found.differences)
-    curve_heads, beside = curve_rows(curves)
+    curve_heads, curve_table = curve_rows(curves)
     return write_page(
         Page(
             "Comparison",
@@ -56,7 +56,7 @@ def write_comparison(
             [*drawn, *([scores] if scores is not None else [])],
             [
                 TextTable("Coefficient by coefficient", heads, rows, 3),
-                TextTable("Curves beside published points", curve_heads, beside, 3),
+                TextTable("Curves beside published points", curve_heads, curve_table, 3),
             ],
         ),
         path,
@@ -72,13 +72,13 @@ def _drawn(side: Side, differences: Sequence[Difference], which: str) -> Analysi
 
 def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | None:
     """All E_n numbers, a row for each symbol; None without one."""
-    told: dict[str, list[float]] = {}
+    scores: dict[str, list[float]] = {}
     for d in differences:
         if d.score is not None:
             over = ", ".join(spoken(name) for name in d.a.at if name != "mass")
             name = symbol_text(d.a.symbol, d.a.coordinate)
-            told.setdefault(f"{name} over {over}" if over else name, []).append(d.score)
-    names = in_order(told, ())[:MOST_SCORES]
+            scores.setdefault(f"{name} over {over}" if over else name, []).append(d.score)
+    names = in_order(scores, ())[:MOST_SCORES]
     if not names:
         return None
 
@@ -88,7 +88,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         axes.axvspan(-1, 1, color=plots.FAINT, alpha=0.25, linewidth=0)
         axes.axvline(0, color=plots.QUIET, linewidth=0.6)
         for row, name in enumerate(names):
-            for score in told[name]:
+            for score in scores[name]:
                 far = abs(score) > FAR
                 mark = "o" if not far else ">" if score > 0 else "<"
                 color = plots.BLUE if abs(score) <= 1 else plots.RED
@@ -99,12 +99,12 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         axes.set_xlabel("E_n")
         return figure
 
-    every = [score for name in names for score in told[name]]
+    every = [score for name in names for score in scores[name]]
     alt = (
         f"E_n numbers of {len(every)} differences in a row for each coefficient; "
         f"{sum(abs(score) > 1 for score in every)} lie outside −1 to 1. The numbers are in the table of coefficients."
     )
-    rows = [{"coefficient": name, "E_n": ", ".join(f"{score:+.2f}" for score in told[name])} for name in names]
+    rows = [{"coefficient": name, "E_n": ", ".join(f"{score:+.2f}" for score in scores[name])} for name in names]
     return picture(
         draw,
         "E_n numbers of all differences",

@@ -39,9 +39,9 @@ def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
     ).strip()
     with drawing():
         svg = to_svg(_draw(fit, title), alt)
-    told = svg.replace("<svg ", f"<svg {ALONE} ", 1)
+    text = svg.replace("<svg ", f"<svg {ALONE} ", 1)
     try:
-        path.write_text(f"{told}\n", encoding="utf-8", newline="")
+        path.write_text(f"{text}\n", encoding="utf-8", newline="")
     except OSError as error:
         raise RecordError(f"{path}: the figure cannot be written: {error.strerror or error}") from error
 

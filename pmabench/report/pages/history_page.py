@@ -31,7 +31,7 @@ def write_history(
     life: Sequence[Past],
     series: Sequence[Series],
     references: Sequence[References],
-    told: Sequence[Finding],
+    remarks: Sequence[Finding],
     path: Path,
 ) -> Path:
     """Write the page; raises RecordError where it cannot be."""
@@ -44,7 +44,9 @@ def write_history(
         ("Runs", f"{len(life)}, {life[0].date[:10]} to {life[-1].date[:10]}"),
     ]
     tables = [TextTable("Coefficients over its life", *value_rows(life, series)), TextTable("Runs", *run_rows(life), 3)]
-    return write_page(Page("History of a specimen", clean(title, 200), simulated, facts, (), told, drawn, tables), path)
+    return write_page(
+        Page("History of a specimen", clean(title, 200), simulated, facts, (), remarks, drawn, tables), path
+    )
 
 
 def _over_cycles(one: Series, *, simulated: bool) -> Picture:
@@ -70,7 +72,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
 
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
     name = clean(one.name, 200)
-    told = "95 % intervals" if bars.any() else "values without intervals"
+    interval_text = "95 % intervals" if bars.any() else "values without intervals"
     rows = [
         {
             "date": clean(m.date, 40)[:16].replace("T", " "),
@@ -82,7 +84,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     return picture(
         draw,
         f"{name[:1].upper()}{name[1:]} {over}",
-        f"{kind_title(one.kind)}{f', {at}' if at else ''}; {told}.",
+        f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}.",
         f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
         pd.DataFrame(rows, dtype=object),
         wide=False,

@@ -38,15 +38,15 @@ def is_headline(analysis: Analysis, symbol: str) -> bool:
 def distinct(analyses: Sequence[Analysis]) -> list[Analysis]:
     """The analyses, their symbols renamed where an earlier one calls another quantity so: `K (bulk modulus)`."""
     first: dict[str, Result] = {}
-    told = []
+    renamed = []
     for analysis in analyses:
         names = {
             result.symbol: f"{result.symbol} ({result.title})"
             for result in analysis.results
             if not _same(first.setdefault(result.symbol, result), result)
         }
-        told.append(_renamed(analysis, names) if names else analysis)
-    return told
+        renamed.append(_renamed(analysis, names) if names else analysis)
+    return renamed
 
 
 def _same(one: Result, other: Result) -> bool:

@@ -243,7 +243,7 @@ PUBLISHED = "published"
 
 
 @dataclass(frozen=True)
-class Beside:
+class PublishedPoints:
     """Points of somebody else on the axes of a trace: `columns` as in the trace, equally long, SI."""
 
     label: str
@@ -264,7 +264,7 @@ class Trace:
     columns: Mapping[str, NDArray[np.float64]]
     quantities: Mapping[str, str]
     marks: Mapping[str, float] = field(default_factory=dict)
-    beside: tuple[Beside, ...] = ()
+    published: tuple[PublishedPoints, ...] = ()
     """Published points, for the figure alone; they are not stored."""
 
 
