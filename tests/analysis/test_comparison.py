@@ -16,7 +16,7 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.trials import gather
-from pmabench.report.figures.overlays import beside
+from pmabench.report.figures.overlays import with_published
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
 
@@ -209,7 +209,7 @@ def test_the_simulated_muscle_of_serres_lies_on_the_published_lines():
     (table,) = read_overlays([f"{ROOT / 'fixtures' / 'tables' / 'serres2009.csv'}:Serres 2009"])
     cells = [(load, P) for load in (100.0, 300.0, 500.0) for P in (2e5, 2.5e5, 4.5e5, 5e5)]
     own = contraction.reduce([contraction_run(rig("serres2009", "ideal"), cells)], {"replays": 2})
-    _, (published,), _ = beside([own], [table], None)
+    _, (published,), _ = with_published([own], [table], None)
     found = compare(Side("A", (own,)), Side("Serres", (published,), published=True), pressures=[2e5, 4.5e5]).differences
     assert sorted(named(d) for d in found if d.a.symbol != "B_r") == sorted(
         f"{symbol} at {P} kPa" for symbol in ("F_ce", "K", "B_c") for P in (200, 450)
