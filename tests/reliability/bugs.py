@@ -53,7 +53,7 @@ BUGS = (
     Bug(
         "a failed sync in the background is forgotten",
         "pmabench/store/writer.py",
-        "self._finish_streams() or (None if self._told else self._failure)",
+        "self._finish_streams() or (None if self._reported else self._failure)",
         "self._finish_streams()",
         ("tests/store/test_writer.py",),
     ),
